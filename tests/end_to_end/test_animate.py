@@ -1,22 +1,35 @@
-"""softdeca animate: a take through the surrogate, as glTF, VTKHDF and preview, on whatever head."""
+"""softdeca animate: a take in, files that other programs read out: within an accuracy and resumed, or by a rig."""
 
+import fcntl
 import json
+import os
+import signal
 import struct
+import subprocess
+import sys
 from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
+from PIL import Image
 
-from softdeca.animation.animate import animate, bind_head
+from softdeca.animation.animate import AnimateConfig, animate, animate_rig, bind_head
+from softdeca.animation.frames import CertifiedFrames
 from softdeca.animation.play import Output
+from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.head_file import save_head
-from softdeca.reference import Parameters
+from softdeca.reference import Parameters, SceneError, Sequence, settle, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
-from softdeca.surrogate import Surrogate
+from softdeca.reference.face.parameters import read_parameters
+from softdeca.surrogate import CertifiedFace, Surrogate
+
+from ..refusals import refused
+
+COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 
 
 @pytest.fixture(scope="module")
@@ -26,19 +39,317 @@ def network():
 
 @pytest.fixture
 def deltas(sphere_head):
-    """Of one expression: jawOpen swings a sphere's lower half down [mm]."""
+    """Two expressions of the sphere: jawOpen swings its lower half down, mouthLeft to a side [mm]."""
     x = sphere_head.skin.vertices
+    low = np.clip(-x[:, 1:2] / 100, 0, 1)
     found = np.zeros((52, *x.shape))
-    found[expressions.index("jawOpen")] = 9 * np.clip(-x[:, 1:2] / 100, 0, 1) * [0, -1, 0.2]
+    found[expressions.index("jawOpen")] = 9 * low * [0, -1, 0.2]
+    found[expressions.index("mouthLeft")] = 5 * low * [1, 0, 0]
     return found
 
 
-def nodding(frames=8):
+def take(frames=8):
     t = np.arange(frames) / 60
     weights = np.zeros((frames, 52))
     weights[:, expressions.index("jawOpen")] = np.sin(20 * t) ** 2
-    head = np.stack([0.2 * np.sin(12 * t), 0.3 * np.sin(9 * t + 1), 0 * t], axis=1)
-    return replace(expressions.Take(weights, 60.0, t), head=head)
+    weights[:, expressions.index("mouthLeft")] = 0.5 - 0.5 * np.cos(15 * t)
+    return expressions.Take(weights, 60.0, t)
+
+
+def nodding(frames=8):
+    """The take on a head that nods and shakes."""
+    t = np.arange(frames) / 60
+    return replace(take(frames), head=np.stack([0.2 * np.sin(12 * t), 0.3 * np.sin(9 * t + 1), 0 * t], axis=1))
+
+
+def contents(folder):
+    files = sorted(p for p in folder.rglob("*") if p.suffix in (".npz", ".vtkhdf"))
+    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}, [{**row, "seconds": 0} for row in log]
+
+
+def run(config, head, deltas, shown, p=None, progress=silent):
+    """The take by the dial, or by the simulator frame after frame; no network knows a sphere."""
+    return animate(config, head, deltas, shown, Parameters() if p is None else p, None, progress)
+
+
+def logged(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("dynamic", "bones", "take"),
+    [(False, "rigid", take), (False, "prescribed", take), (True, "prescribed", take), (True, "rigid", nodding)],
+)
+def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones, take):
+    p = Parameters(gravity=1.5, soft_volume=1.2)
+
+    def made(name, progress=silent):
+        config = AnimateConfig(tmp_path / name, dynamic=dynamic, bones=bones, accuracy=0.01)
+        return run(config, sphere_head, deltas, take(), p, progress)
+
+    whole = made("whole")
+
+    def stop(at):
+        def progress(what, fraction):
+            if what.startswith(f"frame {at} "):
+                raise KeyboardInterrupt
+
+        return progress
+
+    for at in (3, 4, 7):
+        with pytest.raises(KeyboardInterrupt):
+            made("stopped", stop(at))
+    with open(tmp_path / "stopped" / "log.jsonl", "a") as log:
+        log.write('{"frame": 7, "ti')  # what a kill leaves of a line
+    again = made("stopped")
+    assert contents(tmp_path / "stopped") == contents(tmp_path / "whole")
+    assert (whole.frames, whole.failed) == (again.frames, again.failed) == (8, ())
+    moved = [np.load(tmp_path / "whole" / "frames" / f"{k:06d}.npz")["moved"] for k in range(8)]
+    with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
+        played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
+    assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
+    assert all(row["error"] <= 0.01 and row["certain"] for row in logged(tmp_path / "whole"))
+    if not dynamic and bones == "rigid":
+        face = CertifiedFace.from_head(sphere_head, deltas, p)
+        for k, weights in enumerate(take().weights):
+            truth = face.frame(weights, 1e-6).skin
+            assert np.linalg.norm(sphere_head.skin.vertices + moved[k] - truth, axis=1).mean() < 0.015
+        return
+    sequence = Sequence.from_face(settle(sphere_head, p, bones=bones), dynamic=dynamic)
+    bases = expressions.rotations(np.zeros((8, 3)) if take().head is None else take().head)
+    for k in range(8):
+        targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
+        if not k:
+            sequence.begin(targets, base=extrapolate_turns(bases))
+        skin = sequence.skin(targets, sequence.frame(targets, base=bases[k]))
+        assert moved[k] == pytest.approx(skin - sphere_head.skin.vertices, abs=0.02)
+
+
+def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_turned(sphere_head, deltas, tmp_path):
+    def played(name, shaken, **choices):
+        config = AnimateConfig(tmp_path / name, dynamic=True, **choices)
+        run(config, sphere_head, deltas, shaken)
+        with h5py.File(tmp_path / name / "take.vtkhdf") as file:
+            return file["VTKHDF/Points"][()].reshape(8, -1, 3)
+
+    still, own = played("still", take()), played("own", nodding())
+    assert np.linalg.norm(own - still, axis=2).max() > 1.0
+    room = played("own", nodding(), turned=True)  # of the same folder: nothing is simulated anew
+    for k, base in enumerate(expressions.rotations(nodding().head)):
+        assert room[k] == pytest.approx(turn_skin(sphere_head, own[k], base), abs=1e-4)
+    assert np.linalg.norm(room - own, axis=2).max() > 20.0
+    refused("another head rotation", played, "own", replace(nodding(), head=-nodding().head))
+    refused("turned: the take has no head rotation", played, "still", take(), turned=True)
+
+
+def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
+    """At zero weights the skin is the settled neutral face's, which goes on from disk; a bad one fails."""
+    p, still = Parameters(soft_volume=1.4), replace(take(2), weights=np.zeros((2, 52)))
+    neutral = settle(sphere_head, p, bones="prescribed")
+    config = AnimateConfig(tmp_path, bones="prescribed")
+    assert run(config, sphere_head, deltas, still, p).neutral == "CONVERGED"
+    moved = np.load(tmp_path / "frames" / "000001.npz")["moved"]
+    rest = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions).positions
+    assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=1e-4)
+    assert np.abs(moved).max() > 0.1
+    kept = dict(np.load(tmp_path / "neutral.npz"))
+    np.savez(tmp_path / "neutral.npz", **kept | {"reason": np.array("STALLED")})
+    assert run(config, sphere_head, deltas, still, p).neutral == "STALLED"
+
+
+@pytest.mark.parametrize("harm", ["frame", "log", "state"])
+def test_what_was_damaged_is_made_anew(sphere_head, deltas, tmp_path, harm):
+    config = AnimateConfig(tmp_path / "take")
+    run(config, sphere_head, deltas, take(4))
+    before = contents(config.out)
+    broken = {"frame": "frames/000001.npz", "log": "log.jsonl", "state": "state.npz"}[harm]
+    (config.out / broken).write_bytes((config.out / broken).read_bytes()[:40])
+    run(config, sphere_head, deltas, take(4))
+    assert contents(config.out) == before
+
+
+def test_what_makes_no_sense_is_made_anew(sphere_head, deltas, tmp_path):
+    """A state that is not finite, and lines of the log that are of no frame."""
+    config = AnimateConfig(tmp_path / "take")
+    run(config, sphere_head, deltas, take(3))
+    before = contents(config.out)
+    state = dict(np.load(config.out / "state.npz"))
+    np.savez(config.out / "state.npz", **state | {"positions": state["positions"] * np.nan})
+    with (config.out / "log.jsonl").open("a") as log:
+        log.write('{"frame": [1]}\n{"frame": 1}\n' + "[" * 100_000 + "\n")
+    run(config, sphere_head, deltas, take(3))
+    assert contents(config.out) == before
+
+
+def test_frames_are_not_made_twice_for_another_format(sphere_head, deltas, tmp_path, monkeypatch):
+    config = AnimateConfig(tmp_path / "take")
+    run(config, sphere_head, deltas, take(3))
+    monkeypatch.setattr(CertifiedFrames, "frame", None)
+    done = run(replace(config, format="gltf"), sphere_head, deltas, take(3))
+    assert done.frames == 3 and (tmp_path / "take" / "take.glb").read_bytes().startswith(b"glTF")
+
+
+def test_another_take_in_the_folder_and_a_second_run_are_refused(sphere_head, deltas, tmp_path):
+    config = AnimateConfig(tmp_path)
+    run(config, sphere_head, deltas, take(2))
+    for other, message in (
+        ((config, sphere_head, deltas, take(3)), "another weights"),
+        ((config, sphere_head, deltas, take(2), Parameters(gravity=2.0)), "another parameters"),
+        ((replace(config, dynamic=True), sphere_head, deltas, take(2)), "another dynamic"),
+        ((replace(config, accuracy=0.01), sphere_head, deltas, take(2)), "another accuracy"),
+    ):
+        refused(message, run, *other)
+    with open(tmp_path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        refused("another animate runs there", run, config, sphere_head, deltas, take(2))
+
+
+def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, tmp_path, monkeypatch):
+    frame, calls = Sequence.frame, []
+
+    def breaks(self, targets, **given):
+        calls.append(0)
+        if len(calls) == 3:
+            raise SceneError("made to fail")
+        return frame(self, targets, **given)
+
+    monkeypatch.setattr(Sequence, "frame", breaks)
+    done = run(AnimateConfig(tmp_path, bones="prescribed"), sphere_head, deltas, take(5))
+    assert done.frames == 5 and done.failed == ((2, "made to fail"),)
+    blended = np.tensordot(take(5).weights[2], deltas, axes=1)
+    assert np.load(tmp_path / "frames" / "000002.npz")["moved"] == pytest.approx(blended, abs=1e-5)
+
+
+def test_a_frame_that_is_not_within_the_accuracy_is_told(sphere_head, deltas, tmp_path, monkeypatch):
+    frame = CertifiedFace.frame
+    monkeypatch.setattr(CertifiedFace, "frame", lambda *given, **more: replace(frame(*given, **more), error=0.2))
+    done = run(AnimateConfig(tmp_path), sphere_head, deltas, take(2))
+    assert [number for number, _ in done.failed] == [0, 1] and "expected 0.05" in done.failed[0][1]
+    assert done.error == 0.2
+
+
+def test_the_command_writes_a_preview_a_log_and_a_model(command, tmp_path):
+    (tmp_path / "p.toml").write_text("gravity = 2.0\nfrequency = 3\n")
+    ended = command(
+        *("animate", "conversation:0.2:2", "--level", 1, "--seed", 1, "--parameters", tmp_path / "p.toml"),
+        *("--format", "gltf", "--dynamic", "--frames", "2:", "--out", tmp_path / "take", "--json"),
+    )
+    assert ended.status == 0 and ended.errors == []
+    result = json.loads(ended.out)
+    assert result["frames"] == 10 and result["failed"] == []
+    assert [os.path.basename(f) for f in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
+    log = [json.loads(line) for line in (tmp_path / "take" / "log.jsonl").read_text().splitlines()]
+    assert [row["frame"] for row in log] == list(range(10))
+    assert log[0]["time"] == pytest.approx(2 / 60) and all(row["reason"] == "" for row in log)
+    assert all(row["method"] == "simulated" and row["error"] <= 0.05 and row["seconds"] > 0 for row in log)
+    with Image.open(tmp_path / "take" / "preview.gif") as gif:
+        durations = [gif.seek(k) or gif.info["duration"] for k in range(gif.n_frames)]
+        assert durations == [50, 50, 50, 50], "every third of ten frames: 20 a second, each another"
+        shown = np.array(gif.convert("RGB"), dtype=float)
+    assert shown.shape == (460, 800, 3)
+    assert shown[40:420].std() > 20 and np.abs(shown[:, :400] - shown[:, 400:]).mean() > 0.2, "two heads that differ"
+
+
+def test_an_mp4_preview_has_the_takes_length(sphere_head, deltas, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    run(AnimateConfig(tmp_path, preview="mp4"), sphere_head, deltas, take(6))
+    reader = ffmpeg.read_frames(str(tmp_path / "preview.mp4"))
+    meta = next(reader)
+    pictures = [np.frombuffer(picture, np.uint8) for picture in reader]
+    assert meta["size"] == (800, 460) and meta["fps"] == 60 and len(pictures) == 6
+    left = np.array([p.reshape(460, 800, 3)[:, :400] for p in pictures], dtype=float)
+    assert (np.abs(np.diff(left, axis=0)).mean(axis=(1, 2, 3)) > 0.05).all(), "each frame shows another face"
+
+
+def test_a_recorded_take_is_animated(command, data, tmp_path):
+    file = data / "arkit_sequences" / "alex_rom_3.csv"
+    ended = command(
+        *("animate", file, "--level", 1, "--frames", "900:906", "--preview", "none", "--out", tmp_path / "take")
+    )
+    assert ended.status == 0 and "6 frames (" in ended.out and "0 failed; largest error 0.0" in ended.out
+    assert not ended.errors  # the one weight that is clipped lies elsewhere
+    turned = command("animate", file, "--turned", "--out", tmp_path / "turned")
+    assert turned.status != 0 and "has no head rotation" in turned.errors[0] and len(turned.errors) == 1
+
+
+def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_path):
+    pytest.importorskip("openfacefx")
+    level, none = ("--level", 1), ("--preview", "none")
+    spoken = command("animate", "speech:Bob.", *level, *none, "--frames", "20:23", "--out", tmp_path / "speech")
+    assert spoken.status == 0 and "3 frames (" in spoken.out and not spoken.errors
+    file = data / "arkit_sequences" / "s88_001_lost_face_rows.csv"
+    lost = command("animate", file, *level, *none, "--frames", "382:386", "--out", tmp_path / "lost")
+    assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
+
+
+def test_accuracies_are_lengths_or_words(command, tmp_path):
+    tight = command(
+        *("animate", "conversation:0.1", "--level", 1, "--accuracy", "tight", "--preview", "none", "--frames", "3:5"),
+        *("--out", tmp_path / "tight", "--json"),
+    )
+    assert tight.status == 0 and json.loads(tight.out)["error"] <= 0.001
+    for word in ("loose", "0", "-1", "nan"):
+        ended = command("animate", "conversation:1", "--accuracy", word, "--out", tmp_path / "none")
+        assert "expected a length from 1e-6 to 100 mm, 'tight' or 'none'" in ended.refusal()
+    ended = command("animate", "conversation:1", "--accuracy", "none", "--contact", "lips", "--out", tmp_path / "none")
+    assert "they need --accuracy" in ended.refusal() and not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("weight = 3", "unknown parameter 'weight'"),
+        ("gravity = 7", r"gravity = 7 is outside \[0, 3\] g"),
+        ("gravity = true", "gravity: expected a number"),
+        ("gravity = [1, 2]", "gravity: expected a number"),
+        ("gravity = ", "not a TOML file"),
+        ('skin_stiffness = "none.npy"', "none.npy: expected a number, or an .npy file"),
+        ('skin_stiffness = "text.npy"', "text.npy: not an array of numbers"),
+        ('gravity = "good.npy"', "one number for the whole head"),
+        ('skin_stiffness = "low.npy"', r"skin_stiffness = 1 \(number 1\) is outside"),
+    ],
+)
+def test_a_bad_parameter_file_is_named_with_its_parameter(tmp_path, text, message):
+    (tmp_path / "p.toml").write_text(text)
+    (tmp_path / "text.npy").write_text("hello")
+    np.save(tmp_path / "good.npy", np.full(4, 1.5))
+    np.save(tmp_path / "low.npy", [20.0, 1.0])
+    with pytest.raises(InputError, match=message) as error:
+        read_parameters(tmp_path / "p.toml")
+    assert str(tmp_path / "p.toml") in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_parameter_file_gives_numbers_and_arrays(tmp_path):
+    np.save(tmp_path / "skin.npy", [20.0, 30.0])
+    (tmp_path / "p.toml").write_text('gravity = 2\nskin_stiffness = "skin.npy"  # local\n')
+    found = read_parameters(tmp_path / "p.toml")
+    assert found == Parameters(gravity=2.0, skin_stiffness=np.array([20.0, 30.0]))
+
+
+def test_frames_are_cut_as_python_does():
+    whole = take_from_text("conversation:0.5:3")
+    assert len(whole.times) == 30
+    for text, expected in (("5:9", range(5, 9)), (":3", range(3)), ("-2:", range(28, 30))):
+        assert np.array_equal(cut_take(whole, text).weights, whole.weights[list(expected)])
+        assert cut_take(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    arguments = [*COMMAND, "animate", "conversation:20", "--level", "1", "--preview", "none", "--out", tmp_path / "t"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        for line in process.stderr:
+            if line.startswith("frame"):
+                break
+        os.killpg(process.pid, signal.SIGINT)
+        rest = process.stderr.read()
+        process.wait(60)
+    said = [line for line in rest.splitlines() if line and not line.endswith(" s)")]
+    assert process.returncode == 130
+    assert said == [f"softdeca: interrupted; the same command goes on after the frames in {tmp_path / 't'}"]
+    names = {p.name for p in (tmp_path / "t").iterdir()}
+    sure = {".lock", "take.json", "frames", "log.jsonl"}
+    assert sure <= names <= sure | {"state.npz"}
 
 
 def played(path, frames=8):
@@ -57,8 +368,8 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
     assert served.method == "linearised simulator" and served.seconds > 0
     take = nodding()
     for dynamic in (False, True):
-        done = animate(Output(tmp_path / "own", dynamic=dynamic), served, take, silent)
-        assert done.frames == 8 and done.frame_ms > 0 and done.files == (tmp_path / "own" / "take.vtkhdf",)
+        done = animate_rig(Output(tmp_path / "own", dynamic=dynamic), served, take, silent)
+        assert done.frames == 8 and done.frame_ms > 0 and done.files[0] == tmp_path / "own" / "take.vtkhdf"
         moving = served.rig.dynamic(1 / 60) if dynamic else served.rig
         bases = expressions.rotations(take.head)
         if dynamic:
@@ -68,11 +379,11 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
             for w, base in zip(take.weights, bases, strict=True)
         ]
         assert played(done.files[0]) == pytest.approx(np.array(wanted), abs=1e-4)
-    room = animate(Output(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
+    room = animate_rig(Output(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
     for own, shown, base in zip(wanted, played(room.files[0]), bases, strict=True):
         assert shown == pytest.approx(turn_skin(sphere_head, own, base), abs=1e-3)
     with pytest.raises(InputError, match="turned: the take has no head rotation"):
-        animate(Output(tmp_path, turned=True), served, replace(take, head=None), silent)
+        animate_rig(Output(tmp_path, turned=True), served, replace(take, head=None), silent)
 
 
 def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(network):
@@ -89,22 +400,44 @@ def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(netwo
     assert bind_head(network, head, space.expressions, p, exact=False, beyond="refuse").method == "network + simulator"
 
 
-def test_the_command_writes_what_simulate_does_and_the_rig(command, tmp_path):
+def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     (tmp_path / "p.toml").write_text("soft_volume = 1.2\nfrequency = 3\n")
     ended = command(
-        *("animate", "conversation:0.2:2", "--seed", 1, "--parameters", tmp_path / "p.toml", "--dynamic"),
+        *(
+            "animate",
+            "conversation:0.2:2",
+            "--accuracy",
+            "none",
+            "--seed",
+            1,
+            "--parameters",
+            tmp_path / "p.toml",
+            "--dynamic",
+        ),
         *("--format", "gltf", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
     result = json.loads(ended.out)
-    assert result["method"] == "network" and result["frames"] == 10
-    assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif"]
+    assert result["methods"] == {"network": 10} and result["frames"] == 10
+    assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
     assert gltf(tmp_path / "take" / "take.glb")["animations"]
     ended = command(
-        *("animate", "conversation:0.1", "--level", 1, "--exact", "--preview", "none", "--targets", 12),
+        *(
+            "animate",
+            "conversation:0.1",
+            "--accuracy",
+            "none",
+            "--level",
+            1,
+            "--exact",
+            "--preview",
+            "none",
+            "--targets",
+            12,
+        ),
         *("--out", tmp_path / "baked"),
     )
-    assert ended.status == 0 and "6 frames by network + simulator: bound in" in ended.out
+    assert ended.status == 0 and "6 frames (6 network + simulator), 0 failed; no error told; bound in" in ended.out
     rig = gltf(tmp_path / "baked" / "rig.glb")
     assert len(rig["meshes"][0]["primitives"][0]["targets"]) == 12
     assert 0.0 < rig["meshes"][0]["extras"]["greatest_error_mm"] < 5.0
@@ -114,10 +447,10 @@ def test_the_command_writes_what_simulate_does_and_the_rig(command, tmp_path):
 def test_a_heads_file_is_served(command, tmp_path):
     save_head(tmp_path / "head.npz", fit_head(load_template(level=1), identities.Anny().mean))
     ended = command(
-        *("animate", "conversation:0.1", "--head", tmp_path / "head.npz", "--preview", "none"),
+        *("animate", "conversation:0.1", "--head", tmp_path / "head.npz", "--preview", "none", "--accuracy", "none"),
         *("--out", tmp_path / "take"),
     )
-    assert ended.status == 0 and "6 frames by network:" in ended.out
+    assert ended.status == 0 and "6 frames (6 network)" in ended.out
 
 
 def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):

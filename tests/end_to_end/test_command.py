@@ -13,7 +13,7 @@ from softdeca.lhm.head_file import load_head, save_head
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("study",), ("simulate",), ("head", "fit"), ("head", "check"), ("bench", "verification")]
+    "words", [(), ("study",), ("animate",), ("head", "fit"), ("head", "check"), ("bench", "verification")]
 )
 def test_help_says_what_there_is(command, words):
     ended = command(*words, "--help")

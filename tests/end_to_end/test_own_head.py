@@ -94,7 +94,7 @@ def test_it_is_shown_and_simulated_without_a_word_more(fitted, command, tmp_path
     head = fitted[0]
     ended = command("head", "show", head, "--expression", "jawOpen", "--out", tmp_path / "shown")
     assert ended.status == 0 and (tmp_path / "shown" / "skin.png").is_file()
-    ended = command("simulate", "conversation:0.1:2", "--head", head, "--out", tmp_path / "take", "--json")
+    ended = command("animate", "conversation:0.1:2", "--head", head, "--out", tmp_path / "take", "--json")
     assert ended.status == 0 and json.loads(ended.out)["failed"] == []
     assert (tmp_path / "take" / "preview.gif").is_file()
     ended = command("head", "show", head, "--expression", "jawOpen", "--identities", "anny", "--out", tmp_path / "x")

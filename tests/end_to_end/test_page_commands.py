@@ -30,14 +30,14 @@ RUN = {
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
     "softdeca head show head.npz --expression jawOpen*0.5": "",
     "softdeca view head.npz --parameters p.toml": "",
-    "softdeca simulate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
+    "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
         "--frames 0:2"
     ),
-    "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf": "--frames 0:2",
-    "softdeca animate take.csv --head head.npz --format gltf": "--frames 0:2",
+    "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": "--frames 0:2",
+    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format gltf": "--frames 0:2",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca bench list": "",
-    "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
+    "softdeca animate take.csv --head head.npz": "--frames 0:2 --out out/scan",
 }
 CORPUS = "test_corpus_command.py::test_a_corpus_from_plan_to_picture"
 ELSEWHERE = {

@@ -81,12 +81,14 @@ WRONG = [
     ("bench heads --cases depth --skin head.npz", "--skull is missing"),
     ("bench heads --cases depth --skin none.ply --skull head.npz", "none.ply: no such file"),
     ("bench heads --cases depth --skin head.npz --skull none.ply", "none.ply: no such file"),
-    ("simulate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
-    ("simulate conversation:3600 --fps 9999", "take: 35,996,234 frames; expected 1 to 1,000,000"),
+    ("animate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
+    ("animate conversation:3600 --fps 9999", "take: 35,996,234 frames; expected 1 to 1,000,000"),
     ("animate conversation:1 --targets 4 --dynamic", "--targets are of static frames"),
     ("animate conversation:1 --surrogate none.safetensors", "none.safetensors: no such file"),
-    ("animate conversation:1 --parameters p.toml", "is beyond"),
-    *((f"{name} {words}", message) for name in ("simulate", "animate") for words, message in [
+    ("animate conversation:1 --parameters p.toml --accuracy none", "is beyond"),
+    ("animate conversation:1 --accuracy loose", "expected a length from 1e-6 to 100 mm, 'tight' or 'none'"),
+    ("animate conversation:1 --accuracy none --contact lips", "they need --accuracy"),
+    *((f"animate {words}", message) for words, message in [
         ("missing.csv", "missing.csv: no such file"),
         ("/dev/zero", "expected"),
         (SPEECH, "expected"),

@@ -44,7 +44,7 @@ class Closures(Study):
     )
     note = "On the mean of the default people. A width is negative where lids or lips cross."
 
-    take: str = option("conversation:3", "a take, as `softdeca simulate` reads it")
+    take: str = option("conversation:3", "a take, as `softdeca animate` reads it")
     frames: str = option("", "A:B, only these frames of the take, B left out")
     parameters: str = option("", "TOML of named parameters p")
     level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
