@@ -390,14 +390,17 @@ def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(netwo
     space, template = identities.Anny(), load_template(level=1)
     code, skin = space.sample(np.random.default_rng(4))
     p = Parameters(soft_volume=1.2)
-    known = bind_head(network, fit_head(template, skin), space.expressions, p, exact=False, beyond="refuse")
+    known = bind_head(network, fit_head(template, skin), space.expression_deltas(code), p, exact=False, beyond="refuse")
     assert known.method == "network"
     weights = np.linspace(0.0, 0.3, 52)
     assert np.abs(known.rig.frame(weights) - network.bind(skin, code, p).frame(weights)).max() < 0.05
     x = skin.vertices
     other = skin.with_vertices(x + 4.0 * np.sin(x[:, 1:2] / 20.0) * [1.0, 0.0, 0.0])
     head = fit_head(template, other)
-    assert bind_head(network, head, space.expressions, p, exact=False, beyond="refuse").method == "network + simulator"
+    assert (
+        bind_head(network, head, space.expression_deltas(code), p, exact=False, beyond="refuse").method
+        == "network + simulator"
+    )
 
 
 def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):

@@ -39,7 +39,8 @@ def test_every_block_is_run_here():
     run = (
         'apply_law(scene, "neo-Hookean")',
         "heavier = settle",
-        "Surrogate.load()",
+        "surrogate = Surrogate.load()",
+        "CertifiedFace.from_head",
         "meshio.read",
         "fit_scan",
         "read_scene",
@@ -67,7 +68,7 @@ def test_a_heavier_face():
 
 
 def test_the_surrogate():
-    names = ran("Surrogate.load()")
+    names = ran("surrogate = Surrogate.load()")
     simulated, rest = names["exact"], names["people"].skin(names["code"]).vertices
     moved = np.linalg.norm(simulated.neutral - rest, axis=1).mean()
     # Thirty percent more soft tissue: the network's neutral face is much nearer to the simulator's than the scan is.
@@ -75,6 +76,11 @@ def test_the_surrogate():
     assert np.isfinite(names["skin"]).all() and names["morphs"].mean_error < 0.05
     weights = expressions.weights_of({"jawOpen": 0.8})
     assert np.array_equal(names["moving"].frame(weights), names["skin"])
+
+
+def test_a_face_that_knows_its_error():
+    names = ran("CertifiedFace.from_head", level=1)
+    assert names["frame"].bound <= 0.01 and names["face"].has_network
 
 
 def test_a_mesh_of_ones_own(tmp_path, monkeypatch):
