@@ -48,7 +48,10 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
         term.hold(scene, held)
     for part in _parts(scene):
         motions = _motions(scene, scene.vertices[part])
-        yield part, motions, _null_space(scene, motions[held[part]])
+        rows = np.concatenate([motions[held[part]], np.zeros((6, 6))])
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+        _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
+        yield part, motions, Vt[s <= FREE * max(s[0], 1e-300)].T
 
 
 def _parts(scene: Scene) -> list[Ints]:
@@ -76,13 +79,6 @@ def _motions(scene: Scene, X: Floats) -> Floats:
         result[:, c, c] = 1.0
         result[:, :, 3 + c] = np.cross(np.eye(3)[c], centred)
     return result / np.sqrt(count)
-
-
-def _null_space(scene: Scene, rows: Floats) -> Floats:
-    """Find orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
-    triangle = np.asarray(np.linalg.qr(np.concatenate([rows, np.zeros((6, 6))]), mode="r"))
-    _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
-    return Vt[s <= FREE * max(s[0], 1e-300)].T
 
 
 def _names(free: Floats) -> list[str]:

@@ -21,7 +21,11 @@ class Stiffness:
 
     def __init__(self, elements: list[Ints], nodes: IndexMap):
         self.nodes = nodes
-        pattern = _pattern(elements, nodes.count)
+        n = nodes.count
+        rows = np.concatenate([np.arange(n), *(np.repeat(e, e.shape[1], axis=1).ravel() for e in elements)])
+        columns = np.concatenate([np.arange(n), *(np.tile(e, (1, e.shape[1])).ravel() for e in elements)])
+        pattern = csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
+        pattern.sort_indices()
         count = np.diff(pattern.indptr)
         self.starts = pattern.indptr.astype(np.int64)
         self.columns = pattern.indices
@@ -81,16 +85,6 @@ class Stiffness:
     def touch(self):
         """Tell PETSc that `values` have changed."""
         self.local.stateIncrease()
-
-
-def _pattern(elements: list[Ints], n: int) -> csr_matrix:
-    """Which of n vertices share an element, the diagonal included; sorted, shape (n, n)."""
-    rows = [np.arange(n)] + [np.repeat(e, e.shape[1], axis=1).ravel() for e in elements]
-    cols = [np.arange(n)] + [np.tile(e, (1, e.shape[1])).ravel() for e in elements]
-    i, j = np.concatenate(rows), np.concatenate(cols)
-    pattern = csr_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(n, n))
-    pattern.sort_indices()
-    return pattern
 
 
 @njit(cache=True)

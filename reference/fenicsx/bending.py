@@ -52,7 +52,10 @@ class Rings(NodalEnergy):
         order.dofs_of(term.name, term.triangles)
         X = scene.vertices if term.rest is None else term.rest
         cotangents, area, stiffness = _weights(term, X)
-        inner = _inner(term.triangles, len(X))
+        edges, triangles = np.unique(
+            np.sort(term.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
+        )
+        inner = np.setdiff1d(term.triangles, edges[triangles == 1])
         inner = inner[(order.dof[inner] >= 0) & (order.dof[inner] < order.nodes.owned)]
         count = np.diff(cotangents.indptr)
         for k in np.unique(count[inner]):
@@ -146,13 +149,3 @@ def _weights(term: Bending, X: Floats) -> tuple[csr_matrix, Floats, Floats]:
     stiffness = np.repeat(np.broadcast_to(term.stiffness, len(triangles)), 3)
     weighted = np.bincount(triangles.ravel(), third * stiffness, minlength=n)
     return cotangents, area, weighted / np.where(area > 0.0, area, 1.0)
-
-
-def _inner(triangles: Ints, n: int) -> Ints:
-    """The vertices of triangles that are on no edge of one triangle only."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    inner = np.zeros(n, dtype=bool)
-    inner[triangles.ravel()] = True
-    inner[unique[count == 1].ravel()] = False
-    return np.flatnonzero(inner)

@@ -109,14 +109,10 @@ def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
-
-
-def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:
-    """The gradient [mN] at held components by vertex, shape (n, 3); an edge's node gives half to each of its ends."""
     nodes = numbering.nodes
-    forces = np.where(numbering.held(scene.dirichlet()[0])[: nodes.owned], gradient, 0.0)
+    forces = np.where(numbering.held(scene.dirichlet()[0])[: nodes.owned], state.gradient(), 0.0)
     shares = np.zeros(numbering.X.shape)
-    for end in numbering.ends[: nodes.owned].T:
+    for end in numbering.ends[: nodes.owned].T:  # an edge's node gives half to each of its ends
         np.add.at(shares, numbering.dof[end], 0.5 * forces)
-    return numbering.to_scene(nodes.spread(nodes.sum_up(shares)), np.zeros(scene.vertices.shape))
+    reactions = numbering.to_scene(nodes.spread(nodes.sum_up(shares)), np.zeros(scene.vertices.shape))
+    return Stresses.from_points(P_of, F_of, volume, reactions)

@@ -214,12 +214,6 @@ class Continuation:
         hold(derivative, equations.held, np.zeros(len(equations.held)), np.zeros(equations.count))
         return self.factors.factor(derivative, symmetric=equations.symmetric)
 
-    @property
-    def _stable(self) -> bool:
-        """Whether the last factored tangent has no more negative directions than the pressures bring."""
-        expected = self.equations.free_pressures
-        return self.factors.negative == (expected if self.factors.symmetric else expected % 2)
-
     def _correct(self, z: Floats, share: float, *, final: bool = False) -> PathStep:
         """Newton's method from z at a share of load and motion."""
         equations = self.equations
@@ -249,7 +243,10 @@ class Continuation:
                 return PathStep(point, Reason.INTERRUPTED, iteration, False)
             regular = self._factor(derivative)
             if norm <= last and not moves:
-                return PathStep(point, Reason.CONVERGED, iteration, regular and self._stable)
+                # Pressures bring negative directions; a tangent without symmetry tells whether there are evenly many.
+                expected = equations.free_pressures if self.factors.symmetric else equations.free_pressures % 2
+                stable = regular and self.factors.negative == expected
+                return PathStep(point, Reason.CONVERGED, iteration, stable)
             if not regular:
                 return PathStep(point, Reason.LINEAR_SOLVER, iteration, False)
             if self._iterations >= self._limit:

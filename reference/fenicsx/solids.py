@@ -114,7 +114,7 @@ class Solid:
             values = {field.name: getattr(law, field.name) for field in fields(law)}
             by_tet = {key: value[mine] for key, value in values.items() if _per_tet(value, 2)}
             changes["material"] = replace(law, **by_tet) if by_tet else law
-        return cls(replace(term, **changes), cells[mine])  # type: ignore[type-var]
+        return cls(replace(term, **changes), cells[mine])
 
 
 def _per_tet(value, dimensions: int) -> bool:

@@ -31,8 +31,6 @@ MIDDLE, CORNER = (48.0, 52.0), (48.0, 60.0)
 GRADING = 1.6  # of the cells towards the clamped edge, whose upper end is a singular point
 COMPRESSIBLE_SOURCE = "published: Miehe 1994; deal.II code gallery, quadratic hexahedra refined to 14.74 mm"
 INCOMPRESSIBLE_SOURCE = "computed: a code that reproduces the published tables of Cook's membrane to all digits"
-LOCKED = 0.5
-"""The share of the right displacement that linear tets must fall short of, to be shown to lock."""
 
 
 def panel(cells: int) -> tuple[Floats, Ints]:

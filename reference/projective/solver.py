@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
 
@@ -138,8 +138,8 @@ class ProjectivePrepared:
         memory = None
         if self.method == "lbfgs":
             left = None if warm is None else warm.memory
-            same = isinstance(left, Memory) and left.size == coordinates.size
-            memory = left.copy() if same else Memory(coordinates.size)  # type: ignore[union-attr]
+            fits = isinstance(left, Memory) and left.size == coordinates.size
+            memory = cast(Memory, left).copy() if fits else Memory(coordinates.size)
         bounded = energy.is_bounded and metric is None
         problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory)
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():

@@ -347,10 +347,6 @@ def _on_curve(sigma: Floats, s3: Floats) -> Floats:
     return np.column_stack([(sigma[:, :2] + root) / 2, s3])
 
 
-def _excess(sigma: Floats, target: Floats, s3: Floats) -> Floats:
-    return np.prod(_on_curve(sigma, s3), axis=1) - target
-
-
 def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
     """The root s3 of the product's excess in [low, high], where it is <= 0 and >= 0, to the last digits.
 
@@ -382,7 +378,7 @@ def _nearest_root(sigma: Floats, target: Floats) -> Floats:
     if not len(sigma):
         return np.zeros(0)
     fractions = np.linspace(0, 1, 33)
-    excess = np.stack([_excess(sigma, target, f * sigma[:, 2]) for f in fractions])
+    excess = np.stack([np.prod(_on_curve(sigma, f * sigma[:, 2]), axis=1) - target for f in fractions])
     first = np.argmax(excess > 0, axis=0)
     last = len(fractions) - 1 - np.argmax(excess[::-1] <= 0, axis=0)
     roots = []

@@ -101,7 +101,9 @@ def _area_gradient(F: Floats, normal: Floats) -> Floats:
 
 def _area_hessian(F: Floats, area: Floats, normal: Floats) -> Floats:
     """Second derivative of J = |a x b|: of n . (a x b) by a and b, plus the turning of the normal n."""
-    gradient = _cross_derivative(F)
+    by_first = np.einsum("pij,mj->mpi", LEVI_CIVITA, F[:, :, 1])
+    by_second = np.einsum("pji,mj->mpi", LEVI_CIVITA, F[:, :, 0])
+    gradient = np.stack([by_first, by_second], axis=3)  # of a x b, shape (m, 3, 3, 2)
     projector = np.eye(3) - np.einsum("mp,mq->mpq", normal, normal)
     turning = np.einsum("mpia,mpq,mqkb->miakb", gradient, projector, gradient, optimize=True)
     hessian = turning / np.maximum(area, SMALL)[:, None, None, None, None]
@@ -109,13 +111,6 @@ def _area_hessian(F: Floats, area: Floats, normal: Floats) -> Floats:
     hessian[:, :, 0, :, 1] += mixed
     hessian[:, :, 1, :, 0] -= mixed
     return hessian
-
-
-def _cross_derivative(F: Floats) -> Floats:
-    """d(a x b)_p/dF_ia, shape (m, 3, 3, 2)."""
-    by_first = np.einsum("pij,mj->mpi", LEVI_CIVITA, F[:, :, 1])
-    by_second = np.einsum("pji,mj->mpi", LEVI_CIVITA, F[:, :, 0])
-    return np.stack([by_first, by_second], axis=3)
 
 
 def _horn() -> Floats:

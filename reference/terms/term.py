@@ -166,7 +166,8 @@ class OnTets(Term):
         """Share an amount per volume, one or one per tet, among vertices, shape (n,)."""
         tets = self.tets_of(mesh)
         amount = np.broadcast_to(density, tets.shape) * mesh.volumes[tets] / 4.0
-        return np.bincount(mesh.tets[tets].ravel(), np.repeat(amount, 4), minlength=len(mesh.vertices))
+        lumped = np.bincount(mesh.tets[tets].ravel(), np.repeat(amount, 4), minlength=len(mesh.vertices))
+        return lumped.astype(np.float64, copy=False)
 
 
 class OnTriangles(Term):

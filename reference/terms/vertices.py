@@ -66,7 +66,7 @@ class Fixed(Term):
 
     def hold(self, mesh: Mesh, held: np.ndarray):
         """See Term."""
-        held[np.ix_(self.vertices, self.components)] = True
+        held[self.vertices[:, None], list(self.components)] = True
 
 
 @dataclass(frozen=True, eq=False)
