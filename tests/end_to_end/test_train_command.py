@@ -115,6 +115,21 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
     assert ended.status == 0 and "network" in methods and "network + simulator at bind" not in methods
 
 
+def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_path):
+    assert command("train", corpus, "--steps", "2", "--out", tmp_path).status == 0
+    given = ("bench", "surrogate", "--cases", "table-1", "--corpus", corpus, "--match", "SoftDECA as printed", "--json")
+    given += ("--surrogate", tmp_path / "modal.safetensors", "--trained", tmp_path / "kept", "--batch", "4")
+    ended = command(*given, "--steps", "3", "--out", tmp_path / "once")
+    (row,) = json.loads(ended.out)["rows"]
+    assert ended.status == 0 and row["values"]["steps"] == 3 and row["values"]["people"] == {"train": 11, "test": 1}
+    assert [line["kind"] for line in row["values"]["rows"]] == ["static"]
+    (loaded,) = json.loads(command(*given, "--steps", "9", "--out", tmp_path / "again").out)["rows"]
+    own, kept = (each["values"]["rows"][0]["everywhere"] for each in (row, loaded))
+    assert loaded["values"]["steps"] == 3 and kept == pytest.approx(own, rel=1e-2)  # kept to half precision
+    assert "numbers beside ours" in (tmp_path / "once" / "index.html").read_text()
+    assert "--corpus" in command("bench", "surrogate", "--cases", "table-1", "--out", tmp_path / "none").refusal()
+
+
 def test_what_cannot_be_is_one_line(command, corpus, tmp_path):
     for words, said in (
         (("train", corpus, "--device", "abacus"), "no device 'abacus'"),
