@@ -100,6 +100,12 @@ ELSEWHERE = {
     "softdeca bench scaling --cases unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench surrogate --cases split": "test_split.py::test_the_parts_of_an_error_and_their_check",
     "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
+    "softdeca bench surrogate --cases table-1 --corpus corpus": (
+        "test_train_command.py::test_table_1_trains_what_is_missing_and_loads_the_rest"
+    ),
+    "softdeca bench surrogate --cases table-1 --corpus corpus --external external --trained networks": (
+        "test_train_command.py::test_table_1_trains_what_is_missing_and_loads_the_rest"
+    ),
     "softdeca bench surrogate --corpus corpus": (
         "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
     ),

@@ -141,7 +141,7 @@ class Table1(Study):
     def _fitted(self, name: str, tested: OnCorpus) -> tuple[Method, float | None, dict[str, Any]]:
         """Return a method that is ready, the processor seconds of its training, and what is said of that."""
         if name in READY:
-            return tested.ready(name), None, {}
+            return tested.make_ready(name), None, {}
         begin = time.process_time()
         if name in GRADIENTS.values():
             network = next(key for key, shown in GRADIENTS.items() if shown == name)
@@ -217,7 +217,7 @@ class Table1(Study):
     @staticmethod
     def _elsewhere(method: Method, other: OnCorpus) -> Method:
         """Return the method for another corpus' people: what carries skins asks these people's heads."""
-        return other.ready(method.name) if method.name in READY else method
+        return other.make_ready(method.name) if method.name in READY else method
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Tabled]:
         """The paper's numbers beside ours, method by method."""
