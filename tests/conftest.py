@@ -16,7 +16,7 @@ import pytest
 import trimesh
 from scipy.sparse import identity
 
-from softdeca.lhm import LayeredHead, Surface, load_template
+from softdeca.lhm import LayeredHead, Surface, fit_head, identities, load_template
 
 # Under nohup, and in a background job, SIGINT is ignored, and so it would be in the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -68,6 +68,18 @@ def spheres():
 def template():
     """The default template of level 1; one object, so that what fitting prepares from it is made once."""
     return load_template(level=1)
+
+
+@pytest.fixture(scope="session")
+def anny():
+    """The space of identities of the default head."""
+    return identities.Anny()
+
+
+@pytest.fixture(scope="session")
+def mean_head(anny, template):
+    """The mean identity's head of level 1, 1,212 vertices a wrap."""
+    return fit_head(template, anny.skin(np.zeros(anny.code_size)))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
+from softdeca.lhm import InputError, expressions
 from softdeca.lhm.flesh import flesh_share
 from softdeca.reference import Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
 from softdeca.reference.face.dynamics import (
@@ -212,11 +212,9 @@ def test_a_share_out_of_range_is_refused(loose):
 
 
 @pytest.fixture(scope="module")
-def default():
-    """The default head of 1,212 vertices a wrap, and its expressions."""
-    space = identities.from_text("anny")
-    code = np.zeros(space.code_size)
-    return fit_head(load_template(space, level=1), space.skin(code)), space.expression_deltas(code)
+def default(anny, mean_head):
+    """The mean head and its expressions."""
+    return mean_head, anny.expression_deltas(np.zeros(anny.code_size))
 
 
 def test_lips_lids_and_skin_close_to_bone_follow_and_cheeks_are_loose(default):

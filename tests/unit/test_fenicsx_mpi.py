@@ -81,8 +81,7 @@ def by_tet(count, low, high):
     return np.random.default_rng(3).uniform(low, high, count)
 
 
-@pytest.fixture(scope="module")
-def cases(sphere_head):
+def boxes():
     """Scenes with options: every law's way, all elements and solvers, surfaces and bodies."""
     small, large = (5, 5, 5), (10, 10, 10)
     m, big = len(box(small)[1]), len(box(large)[1])
@@ -126,8 +125,16 @@ def cases(sphere_head):
             {"element": "P2P1"},
         ),
         "load steps": (pulled_far((12, 3, 3)), {}),
-        "head": (drawn(sphere_head), {}),
     }
+
+
+BOXES = boxes()
+NAMES = (*BOXES, "head")
+
+
+@pytest.fixture(scope="module")
+def cases(sphere_head):
+    return {**BOXES, "head": (drawn(sphere_head), {})}
 
 
 def run_together(tmp_path, script, *arguments, count=2, timeout=120):
@@ -165,26 +172,6 @@ def answers(cases, tmp_path_factory):
     assert done.returncode == 0, done.stderr
     assert done.stdout == "done by 2\n"
     return pickle.loads((folder / "answers").read_bytes())
-
-
-NAMES = (
-    "neo-Hookean",
-    "neo-Hookean, MUMPS",
-    "by tet",
-    "quadratic",
-    "fibres",
-    "growth and weight",
-    "a law on few tets",
-    "skin and springs",
-    "quadratic skin",
-    "body",
-    "pressure",
-    "Taylor-Hood",
-    "Taylor-Hood by GMRES",
-    "Taylor-Hood under pressure",
-    "load steps",
-    "head",
-)
 
 
 @needs_mpirun

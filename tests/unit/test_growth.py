@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import MissingDependencyError, Scene, SceneError, materials, prepare, solve, terms
+from softdeca.reference import Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.problems.homogeneous import rollers
+
+from .by_solver import prepare_by, solve_by
 
 GROWTH = 1.3
 X, TETS = meshes.unstructured(2)
@@ -25,15 +27,6 @@ def energies(name, growth):
     return [terms.Strain(5.0, growth=growth), terms.Volume(60.0, target=growth)]
 
 
-def solved(scene, solver, tolerance=1e-11, **options):
-    try:
-        answer = solve(scene, solver=solver, tolerance=tolerance, **options)
-    except MissingDependencyError as missing:
-        pytest.skip(str(missing))
-    assert answer.converged, answer.reason
-    return answer
-
-
 WAYS = [(name, solver, {}) for name in LAWS for solver in ("fenicsx", "skfem") if name != "Incompressible"]
 WAYS += [(name, "fenicsx", {"element": "P2P1"}) for name in ("NeoHookean", "MooneyRivlin", "Incompressible")]
 WAYS += [("Strain + Volume", solver, {}) for solver in ("projective", "fenicsx", "skfem")]
@@ -44,7 +37,8 @@ WAYS += [(name, "fenicsx", {"element": "P2"}) for name in ("Strain + Volume", "N
 def test_free_growth_costs_nothing(name, solver, options):
     # An incompressible law's forces come from its pressure, nothing at the start and at the end.
     tolerance = 1e-8 if name == "Incompressible" else 1e-11
-    answer = solved(Scene(X, TETS, [*energies(name, GROWTH), *rollers(X)]), solver, tolerance, **options)
+    scene = Scene(X, TETS, [*energies(name, GROWTH), *rollers(X)])
+    answer = solve_by(solver, scene, tolerance=tolerance, **options)
     assert answer.positions == pytest.approx(GROWTH ** (1 / 3) * X, abs=1e-8)
     assert answer.energy == pytest.approx(0.0, abs=1e-12)
     assert answer.volume_ratio == pytest.approx(GROWTH)
@@ -57,7 +51,7 @@ def test_grown_tissue_is_as_stiff_as_it_was():
     def pulled(growth, size):
         end = terms.Fixed(far, 1.5 * size * X[far], components=(0,))
         scene = Scene(X, TETS, [*energies("NeoHookean", growth), *rollers(X), end])
-        return solved(scene, "skfem", start=size * X * [1.5, 1.0, 1.0]).energy
+        return solve_by("skfem", scene, start=size * X * [1.5, 1.0, 1.0]).energy
 
     assert pulled(8.0, 2.0) == pytest.approx(8.0 * pulled(1.0, 1.0), rel=1e-10)
 
@@ -71,13 +65,10 @@ def graded(name):
 
 @pytest.mark.parametrize("solver", ["projective", "fenicsx", "skfem"])
 def test_growth_may_change_without_a_new_preparation(solver):
-    try:
-        prepared = prepare(graded("Strain + Volume"), solver=solver)
-    except MissingDependencyError as missing:
-        pytest.skip(str(missing))
+    prepared = prepare_by(solver, graded("Strain + Volume"))
     later = Scene(X, TETS, [*energies("Strain + Volume", GROWTH), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
     answer = prepared.solve(later, tolerance=1e-11)
-    assert answer.positions == pytest.approx(solved(later, solver).positions, abs=1e-9)
+    assert answer.positions == pytest.approx(solve_by(solver, later).positions, abs=1e-9)
 
 
 @pytest.mark.parametrize(

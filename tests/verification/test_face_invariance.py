@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
+from softdeca.lhm import Surface, expressions
 from softdeca.lhm.head import MANDIBLE
 from softdeca.reference import Parameters, settle, solve
 from softdeca.reference.face.bones import scale_skull
@@ -20,18 +20,13 @@ SOLVERS = ("projective", "fenicsx")
 
 
 @pytest.fixture(scope="module")
-def space():
-    return identities.Anny()
+def head(mean_head):
+    return mean_head
 
 
 @pytest.fixture(scope="module")
-def head(space):
-    return fit_head(load_template(space, level=1), space.skin(np.zeros(space.code_size)))
-
-
-@pytest.fixture(scope="module")
-def smile(space):
-    return expressions.blend(space, np.zeros(space.code_size), expressions.weights_of(SMILE)[None])[0]
+def smile(anny):
+    return expressions.blend(anny, np.zeros(anny.code_size), expressions.weights_of(SMILE)[None])[0]
 
 
 def mirror(head):
@@ -106,9 +101,9 @@ def test_an_effect_of_half_the_strength_does_about_half(head, half, whole):
     assert np.linalg.norm(2.0 * less - more) < 0.15 * np.linalg.norm(more)
 
 
-def test_a_palsy_of_one_side_leaves_the_other(head, space):
+def test_a_palsy_of_one_side_leaves_the_other(head, anny):
     both = expressions.weights_of({"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8, "browInnerUp": 0.5})
-    targets = expressions.blend(space, np.zeros(space.code_size), both[None])[0]
+    targets = expressions.blend(anny, np.zeros(anny.code_size), both[None])[0]
     sound, palsied = (simulate(head, Parameters(paralysis_left=share), targets) for share in (0.0, 1.0))
     rest = head.skin.vertices
     x = rest[:, 0] - 0.5 * (rest[:, 0].min() + rest[:, 0].max())
