@@ -77,7 +77,7 @@ class OfPerson(Study):
     level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
 
     def person(self, level: int | None = None, seed: int | None = None) -> Person:
-        """The head of the study's seed and level, or of others; made once per process."""
+        """Give the head of the study's seed and level, or of others; made once per process."""
         return person(self.identities, self.seed if seed is None else seed, level or self.level)
 
     def check(self, texts: Sequence[str] = ()) -> None:
@@ -90,7 +90,7 @@ class OfPerson(Study):
 
 @lru_cache(maxsize=3)
 def person(whose: str = "anny", seed: int | None = 0, level: int = DEFAULT_LEVEL) -> Person:
-    """The head of a seed in the space that is named ('anny', ict:FILE, flame:FILE, folder:DIR); None, its mean."""
+    """Fit the head of a seed in a space ('anny', ict:FILE, flame:FILE, folder:DIR); None is its mean."""
     space = identities.from_text(whose)
     code = np.zeros(space.code_size)
     skin = space.skin(code)

@@ -49,7 +49,7 @@ class Verification(Study):
     fine: bool = option(False, "also finer meshes, orders and locking by FEniCSx: 15 minutes")
 
     def tasks(self) -> Sequence[Task]:
-        """Each problem by each solver."""
+        """List each problem by each solver."""
         solvers = parse_solvers(self.solvers)
         posed = (*_list_problems(), *problems.FINE) if self.fine else _list_problems()
         tasks = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
@@ -59,7 +59,7 @@ class Verification(Study):
         return [Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_list_fine() if self.fine else ())), *tasks]
 
     def measure(self, task: Task) -> Values:
-        """The outcomes of a problem, or of a series of meshes or materials."""
+        """Measure the outcomes of a problem, or of a series of meshes or materials."""
         if task.case == HEAD:
             of = person(level=HEAD_LEVEL)
             scene = facial_scene(
@@ -74,17 +74,17 @@ class Verification(Study):
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
-        """An outcome each."""
+        """Give a line for each outcome."""
         outcomes: Sequence[Values] = values["outcomes"]
         return outcomes
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """None outside its bound."""
+        """Check that none is outside its bound."""
         outside = sum(not outcome["passed"] for row in rows for outcome in self.lines(row.values))
         return [at_most("values outside their bound", outside, 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """How many there are."""
+        """Tell how many there are."""
         outcomes = [outcome for row in rows for outcome in self.lines(row.values)]
         within = sum(outcome["passed"] for outcome in outcomes)
         solvers = sorted({outcome["solver"] for outcome in outcomes})
@@ -135,7 +135,7 @@ class Hard(Study):
     laws: bool = option(False, "also every law on every element of FEniCSx: a quarter of an hour")
 
     def tasks(self) -> Sequence[Task]:
-        """Each case by each solver, and element, that it is for."""
+        """List each case by each solver, and element, that it is for."""
         solvers = parse_solvers(self.solvers)
         return [task for task, (_, solver, _) in self._list_ways().items() if solver in solvers]
 
@@ -149,23 +149,23 @@ class Hard(Study):
         }
 
     def measure(self, task: Task) -> Values:
-        """The outcome; no error of what was refused, or came to nothing near the answer."""
+        """Measure the outcome; no error of what was refused, or came to nothing near the answer."""
         outcome = problems.run_hard(*self._list_ways()[task])
         error = outcome.error if np.isfinite(outcome.error) else None
         return asdict(outcome) | {"passed": outcome.passed, "error": error}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """No case is missed, or ended for another reason than it may."""
+        """Check that no case is missed, or ended for another reason than it may."""
         return [at_most("cases with a fault", sum(not row.values["passed"] for row in rows), 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """How many are right, and how many stopped for a reason that is right to name."""
+        """Tell how many are right, and how many stopped for a reason that is right to name."""
         kinds = Counter(map(_judge, rows))
         right, refused, wrong = (kinds[kind] for kind in KINDS)
         return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Right, refused with a reason, or wrong, by solver and element; and of each case, seeds and laws together."""
+        """Count right, refused and wrong runs by solver and element; and of each case, seeds and laws together."""
         ways = list(dict.fromkeys(row.method for row in rows))
         outcomes = Counter((row.method, _judge(row)) for row in rows)
         counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]

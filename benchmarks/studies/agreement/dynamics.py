@@ -71,14 +71,14 @@ class Dynamics(OfPerson):
     frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}")
 
     def tasks(self) -> Sequence[Task]:
-        """The motions; InputError for too few frames."""
+        """List the motions; InputError for too few frames."""
         self.check()
         if self.frames < LEAST_FRAMES:
             raise InputError(f"frames: at least {LEAST_FRAMES} are needed, got {self.frames}")
         return [Task(case, "all marches") for case in (RELEASED, OWN_MASS, SHAKEN)]
 
     def measure(self, task: Task) -> Values:
-        """Every march of a motion."""
+        """Measure every march of a motion."""
         released = _release(self)
         if task.case == RELEASED:
             return let_go(released, self.frames)
@@ -87,7 +87,7 @@ class Dynamics(OfPerson):
         return shake(released, self.frames)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """They agree where they model the same, schemes have their order, and all marches end."""
+        """Check that marches agree where they model the same, schemes have their order, and all end."""
         gates: list[dict] = []
         for row in rows:
             values = row.values
@@ -108,7 +108,7 @@ class Dynamics(OfPerson):
         return [*gates, at_most("marches that did not reach what was asked", ended, 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """What implicit Euler does to a swing."""
+        """Tell what implicit Euler does to a swing."""
         marches = {line["name"]: line for row in rows if row.case == RELEASED for line in row.values["rows"]}
         sentences = [
             f"{name}: {line['frequency']:.2f} Hz, damping ratio {line['damping']:.3f}"
@@ -122,7 +122,7 @@ class Dynamics(OfPerson):
         return f"A cheek let go swings by {'; '.join(sentences)}." if sentences else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The error of the time step."""
+        """Tabulate the error of the time step."""
         return [
             Table(
                 "The error of the time step",
@@ -139,7 +139,7 @@ class Dynamics(OfPerson):
         ]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """What is left of the first displacement against time, a line per march."""
+        """Draw what is left of the first displacement against time, a line per march."""
         traces: Mapping = next((row.values["traces"] for row in rows if row.case == RELEASED), {})
         if not traces:
             return {}

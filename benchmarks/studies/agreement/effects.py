@@ -86,7 +86,7 @@ class Effects(OfPerson):
     fan: int = option(0, "random starts of a broad smile without an effect")
 
     def tasks(self) -> Sequence[Task]:
-        """Each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""
+        """List each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""
         self.check()
         known = [*(solver for solver in SOLVERS if solver != "projective"), NO_REFERENCE]
         check_known("reference", [self.reference], known)
@@ -97,7 +97,7 @@ class Effects(OfPerson):
         return tasks + ([Task(STARTS, f"PD, {self.fan} of them")] if self.fan else [])
 
     def measure(self, task: Task) -> Values:
-        """An effect's solves by PD and its pictures; its laws by finite elements; or the random starts."""
+        """Solve and draw an effect by PD; or solve its laws by finite elements, or the random starts."""
         of = self.person()
         if task.case == STARTS:
             return fan(of.head, Parameters(), of.blend(weights_of(BROAD_SMILE)[None])[0], self.fan)
@@ -123,7 +123,7 @@ class Effects(OfPerson):
         }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All converge to one minimum, whose energy falls, and which another solver finds."""
+        """Check that all converge to one minimum, whose energy falls, and which another solver finds."""
         records, laws, fans = _sort_rows(rows)
         gates = []
         if records:
@@ -175,7 +175,7 @@ class Effects(OfPerson):
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Each method beside PD and beside the law, what lies inside, every scene, and every start."""
+        """Tabulate each method beside PD and beside the law, what lies inside, every scene, and every start."""
         records, laws, fans = _sort_rows(rows)
         columns = {
             "effect": "effect", "scene": "scene", "iterations": "iterations", "seconds": "prepare and solve [s]",

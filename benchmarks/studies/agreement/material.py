@@ -67,14 +67,14 @@ class Material(Study):
     modes: tuple[str, ...] = option(tuple(MODES), f"of {', '.join(MODES)}; repeat")
 
     def tasks(self) -> Sequence[Task]:
-        """Each Poisson's ratio and mode by each law; InputError for a ratio outside 0 to 0.5, and an unknown mode."""
+        """List each Poisson's ratio and mode by each law; InputError for a ratio or a mode that there is not."""
         for text in self.poisson:
             parse_poisson(text)
         check_known("mode", self.modes, MODES)
         return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in self.modes for law in LAWS]
 
     def measure(self, task: Task) -> Values:
-        """Stresses of both at every stretch, and the largest differences by strain."""
+        """Measure stresses of both at every stretch, and the largest differences by strain."""
         ratio, mode = task.case.removeprefix("nu = ").split(", ")
         mu, lmbda = lame(1.0, float(ratio))
         law = Hyperelastic(LAWS[task.method](1.0, float(ratio)))
@@ -85,12 +85,12 @@ class Material(Study):
         return {"stretch": list(STRETCHES), "pd_kpa": ours.tolist(), "law_kpa": theirs.tolist(), **worst}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """The moduli at rest are the same, whatever the law."""
+        """Check that the moduli at rest are the same, whatever the law."""
         worst = max(row.values["tiny"] for row in rows)
         return [at_most("largest difference at 0.5 % strain, all laws [%]", worst, AGREED)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The nearest law by strain, its difference the worst over cases."""
+        """Tell the nearest law by strain, its difference the worst over cases."""
         parts = []
         for name, most in list(BANDS.items())[1:]:
             worst = {
@@ -102,7 +102,7 @@ class Material(Study):
         return f"PD's energy stands nearest for: {'; '.join(parts)}."
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Stress against stretch: a panel per mode and ratio, PD's energy in black."""
+        """Draw stress against stretch: a panel per mode and ratio, PD's energy in black."""
         cases = list(dict.fromkeys(row.case for row in rows))
         columns = len(self.modes)
         lines = -(-len(cases) // columns)

@@ -93,7 +93,7 @@ class Agreement(Study):
     weights: str = option("", "of `softdeca train`  [those that are shipped]")
 
     def tasks(self) -> Sequence[Task]:
-        """The head, and each case by each method; InputError for a space or an expression that cannot be read."""
+        """List the head, and each case by each method; InputError for an unknown space or expression."""
         for text in self.expressions:
             expressions.parse_weights(text)
         ranges = ("gravity", 0, 10, "g"), ("volume", 0.5, 2, "times"), ("jaw", 0, 30, "degrees"), ("push", 0, 2, "kPa")
@@ -108,7 +108,7 @@ class Agreement(Study):
         return [Task(HEAD, FIT), *cases, Task(TURNED, BESIDE)]
 
     def person(self) -> Person:
-        """The mean head of the space, made once per process."""
+        """Give the mean head of the space, made once per process."""
         return person(self.identities, None)
 
     def network(self) -> Surrogate | None:
@@ -153,7 +153,7 @@ class Agreement(Study):
         return Face(of, expressions.parse_weights(case), Parameters(), self.network())
 
     def measure(self, task: Task) -> Values:
-        """A solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
+        """Measure a solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
         of = self.person()
         if task.case == HEAD:
             figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(of.head).figures]
@@ -179,13 +179,13 @@ class Agreement(Study):
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
-        """A comparison each, the first with what the solver did; none of pictures."""
+        """Give a line for each comparison, the first with what the solver did; none of pictures."""
         compared: Sequence[Mapping] = values.get("compared", [])
         own = {key: value for key, value in values.items() if key != "compared"}
         return [{**(own if k == 0 else {}), **one} for k, one in enumerate(compared)]
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """One answer from all, no tet turned, all that was asked reached; acceleration pays.
+        """Check that all give one answer, no tet is turned, all was reached that was asked, and acceleration pays.
 
         That PD is FEniCSx to 1e-6 excludes another law, whose least distance is above 1e-3 of the largest displacement,
         and plain PD, stopped at 0.005 mm.
@@ -219,7 +219,7 @@ class Agreement(Study):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Whether the answers are one, what another law changes, where there are two minima, what the rigs leave."""
+        """Tell whether the answers are one, what another law changes, where two minima are, and what rigs leave."""
         sentences = []
         first = [row.values["compared"][0]["relative"] for row in rows if row.method == PD]
         if first:
@@ -260,7 +260,7 @@ class Agreement(Study):
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The gates of the head, how near the skin comes to its targets, and what the law changes inside."""
+        """Tabulate the gates of the head, how near the skin comes to its targets, and what the law changes inside."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
         tables = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
         left = [
@@ -272,7 +272,7 @@ class Agreement(Study):
         return tables + tabulate_insides(rows, PD, LAW)
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Distances, a line per scene: means, and of the law the largest of all vertices too."""
+        """Draw distances, a line per scene: means, and of the law the largest of all vertices too."""
         marks = {
             (PD, TO_FENICSX + ALL, "mean"): "PD to FEniCSx, same energy",
             (SKFEM, TO_FENICSX + ALL, "mean"): "scikit-fem to FEniCSx, same energy",

@@ -51,7 +51,7 @@ class Closures(Study):
     dynamic: bool = option(False, "with inertia, simulated and by the surrogate")
 
     def tasks(self) -> Sequence[Task]:
-        """The take; InputError for one that cannot be read."""
+        """List the take; InputError for one that cannot be read."""
         check_person(0, self.level)
         take = read_frames(self.take, self.frames)
         return [Task(f"{self.take}, {len(take.times)} frames", "lids and lips")]
@@ -83,7 +83,7 @@ class Closures(Study):
         }
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The largest difference of the network."""
+        """Tell the largest difference of the network."""
         lines = [line for row in rows for line in row.values["rows"] if line["by"] == NETWORK]
         worst = max(lines, key=lambda line: line["largest"])
         return f"The network's {worst['gap']} are at most {worst['largest']:.2f} mm wider or narrower than simulated."

@@ -85,7 +85,7 @@ class Depth(Study):
     unit: str = option("mm", f"of all meshes: {', '.join(MILLIMETRES)}")
 
     def tasks(self) -> Sequence[Task]:
-        """The one head; InputError for a file that is missing, and a skull that is damaged or in other units."""
+        """List the one head; InputError for a missing file, and a skull that is damaged or in other units."""
         if not self.skulls:
             raise InputError("skull: at least one file is needed")
         for path in (self.skin, *([self.regressor] if self.regressor else [])):
@@ -96,7 +96,7 @@ class Depth(Study):
         return [Task(Path(self.skin).name, Path(self.regressor).name or "default")]
 
     def measure(self, task: Task) -> Values:
-        """Its errors by region and at landmarks.
+        """Measure its errors by region and at landmarks.
 
         Raises InputError for a skin that cannot be registered, a skull that is not its, and a regressor of another
         template.
@@ -130,7 +130,7 @@ class Depth(Study):
         return [at_most(what, max(shares), BETTER)] if shares else []
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The face's figures, what the regressor has learned from, and how far off the skin's registration is."""
+        """Tell the face's figures, what the regressor has learned from, and how far off the skin's registration is."""
         (values,) = (row.values for row in rows)
         face = next(row for row in values["rows"] if row["region"] == "face")
         wrap, registered = face["skull_wrap"], values["registered_off"]
@@ -148,7 +148,7 @@ class Depth(Study):
         )
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The fitted skull wrap, the landmarks, and what is published."""
+        """Tabulate the fitted skull wrap, the landmarks, and what is published."""
         (values,) = (row.values for row in rows)
         wraps = [
             (row["region"], row["vertices"], row["fitted_mean"], *row["skull_wrap"].values()) for row in values["rows"]
@@ -288,7 +288,7 @@ class DepthCheck:
         return rows
 
     def pictures(self) -> dict[str, bytes]:
-        """PNG of measured and predicted depths, and of the size of their difference."""
+        """Draw PNG of measured and predicted depths, and of the size of their difference."""
         error = np.where(self.measured.met, np.abs(self.predicted - self.measured.depths), np.nan)
         return {
             "depths [mm]": draw_depth_comparison(self.skin_wrap, self.predicted, self.measured),

@@ -109,7 +109,7 @@ class Heads(OfPerson):
     heads: tuple[str, ...] = option((), "by `head fit`, drawn as well; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
-        """Each identity, and the gallery; InputError for a value out of range and for a file that holds no head."""
+        """List each identity, and the gallery; InputError for a value out of range, and for a file without a head."""
         self.check()
         for name, least in (("count", 1), ("gallery", 0)):
             if getattr(self, name) < least:
@@ -123,7 +123,7 @@ class Heads(OfPerson):
         return [*(Task(case, FITTED) for case in seeds), *(Task(case, DRAWN) for case in drawn)]
 
     def measure(self, task: Task) -> Values:
-        """A head's figures, or why there is none; or its pictures."""
+        """Measure a head's figures, or why there is none; or its pictures."""
         space, template = _load_space(self.identities, self.level)
         seed = None if task.case in self.heads else int(task.case.split()[1])
         if task.method == FITTED:
@@ -133,14 +133,14 @@ class Heads(OfPerson):
         return draw_moving_head(own)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Nearly every identity has a valid head."""
+        """Check that nearly every identity has a valid head."""
         of = _select_fits(rows)
         failed = sum(bool(row.values["error"] or row.values["problems"]) for row in of)
         what = f"heads of {len(of)} that could not be fitted or miss a gate"
         return [at_most(what, failed, FAILURES_PER_HEAD * len(of))]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """How many there are, and how long a fit takes."""
+        """Tell how many there are, and how long a fit takes."""
         of = _select_fits(rows)
         done = [row.values for row in of if not row.values["error"]]
         sentence = f"{len(done)} of {len(of)} random identities have a layered head"
@@ -151,7 +151,7 @@ class Heads(OfPerson):
         return sentence + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Failures and their reasons, distributions, and the gallery's figures."""
+        """Tabulate failures and their reasons, distributions, and the gallery's figures."""
         of = _select_fits(rows)
         unfit = [(row.case, row.values["error"]) for row in of if row.values["error"]]
         unfit += [(row.case, "; ".join(row.values["problems"])) for row in of if row.values["problems"]]
@@ -169,7 +169,7 @@ class Heads(OfPerson):
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """How often each value occurs."""
+        """Draw how often each value occurs."""
         panels = [
             (_name_figure(figure), figure.unit, [value for value, _ in values], figure.bound)
             for figure, values in collect_figures(_select_fits(rows))

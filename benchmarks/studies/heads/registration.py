@@ -61,14 +61,14 @@ class Registrations(Study):
     seed: int = option(0, "of a person of each, whose shapes are known")
 
     def tasks(self) -> Sequence[Task]:
-        """One: two registrations, a minute each, answer all together. InputError for spaces that cannot be read."""
+        """List one: two registrations, a minute each, answer all. InputError for spaces that cannot be read."""
         if not self.upon:
             raise InputError("upon: name the other head, as ict:FILE")
         one, other = (identities.from_text(text) for text in (self.identities, self.upon))
         return [Task(f"{one.name} and {other.name}", "registered both ways")]
 
     def measure(self, task: Task) -> Values:
-        """Slides and shapes of both directions; `shapes` has each shape of each comparison."""
+        """Measure slides and shapes of both directions; `shapes` has each shape of each comparison."""
         one, other = (identities.from_text(text) for text in (self.identities, self.upon))
         there = register(one.mean, one.parts, other.mean)
         back = register(other.mean, other.parts, one.mean)
@@ -99,7 +99,7 @@ class Registrations(Study):
         return {"rows": lines, "shapes": shapes}
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The slides in one sentence."""
+        """Tell the slides in one sentence."""
         slides = [line for row in rows for line in row.values["rows"] if "p95_mm" in line]
         return "; ".join(f"{line['compared']}: {line['mean_mm']:.2f} mm on average" for line in slides) + "."
 

@@ -46,18 +46,18 @@ class Shapes(OfPerson):
     count: int = option(20, "how many random identities, half a minute each")
 
     def tasks(self) -> Sequence[Task]:
-        """An identity each; InputError for none."""
+        """List an identity each; InputError for none."""
         self.check()
         if self.count < 1:
             raise InputError(f"count: must be at least 1, got {self.count}")
         return [Task(f"identity {seed}", "PD") for seed in range(self.seed, self.seed + self.count)]
 
     def measure(self, task: Task) -> Values:
-        """A row per shape."""
+        """Measure a row per shape."""
         return {"rows": simulate_shapes(self.person(seed=int(task.case.split()[1])))}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Few pairs have an inverted tet, and all frames converge."""
+        """Check that few pairs have an inverted tet, and all frames converge."""
         lines = _collect_lines(rows)
         share = sum(line["soft"] > 0 for line in lines) / len(lines)
         return [
@@ -66,20 +66,20 @@ class Shapes(OfPerson):
         ]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """How many invert."""
+        """Tell how many invert."""
         lines = _collect_lines(rows)
         inverted = sum(line["soft"] > 0 for line in lines)
         return f"{inverted} of {len(lines)} pairs of identity and shape have an inverted tet in soft tissue."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The identities together, by shape."""
+        """Tabulate the identities together, by shape."""
         head = ["shape", "identities", "with an inverted tet in soft tissue", "most in soft tissue", "most in muscle",
                 "smallest volume ratio", "did not converge",
                 *(f"{region}: from targets, mean [mm]" for region in REGIONS)]  # fmt: skip
         return [Table("By shape", head, [list(row.values()) for row in summarise_shapes(_collect_lines(rows))])]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """How far lids and lips stay from their targets."""
+        """Draw how far lids and lips stay from their targets."""
         found = summarise_shapes(_collect_lines(rows))
         figure, axis = subplots(figsize=(11, 3.6))
         for region in REGIONS:

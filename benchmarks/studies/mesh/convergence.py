@@ -72,7 +72,7 @@ class Convergence(OfPerson):
     tolerance: float = option(1e-7, "gradient norm over its start")
 
     def tasks(self) -> Sequence[Task]:
-        """Each expression; InputError for none."""
+        """List each expression; InputError for none."""
         self.check(self.expressions)
         if not self.expressions:
             raise InputError("expressions: there is none")
@@ -81,7 +81,7 @@ class Convergence(OfPerson):
         return [Task(text, QUADRATIC if self.quadratic else LINEAR) for text in self.expressions]
 
     def measure(self, task: Task) -> Values:
-        """The solves on every mesh, and the errors of the head's own."""
+        """Measure the solves on every mesh, and the errors of the head's own."""
         of = self.person()
         head, shape, split = of.head, of.shape(task.case), refine_head(of.head)
         solves, skins = [], {}
@@ -97,7 +97,7 @@ class Convergence(OfPerson):
         return errors | {"solves": solves, "iterations": sum(row["iterations"] for row in solves)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All converge, and a mesh that may do all that another can has at most its energy."""
+        """Check that all converge, and a mesh that may do all that another can has at most its energy."""
         solves = [solve for row in rows for solve in row.values["solves"]]
         rises = sum(_find_energy(row, 1, ALONG) > _find_energy(row, 0, 1) for row in rows)
         worst = float(np.max([row.values["mean"] for row in rows]))
@@ -109,7 +109,7 @@ class Convergence(OfPerson):
         ]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The errors, in one sentence."""
+        """Tell the errors in one sentence."""
         means = [row.values["mean"] for row in rows]
         most = max(row.values["max"] for row in rows)
         return (
@@ -118,7 +118,7 @@ class Convergence(OfPerson):
         )
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Errors by mesh, and the solves."""
+        """Tabulate errors by mesh, and the solves."""
         figures = ["mean [mm]", "RMS [mm]", "95 % [mm]", "max [mm]"]
         lines = [
             (row.case, f"{what}{key}", *(off[name] for name in ("mean", "rms", "p95", "max")))
@@ -137,7 +137,7 @@ class Convergence(OfPerson):
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """RMS error to the limit against relative size, a line per expression."""
+        """Draw RMS error to the limit against relative size, a line per expression."""
         figure, axes = subplots(1, 2, figsize=(8.6, 3.4), sharey=True)
         for row in rows:
             across = sorted((1.0 / int(count), found["rms"]) for count, found in row.values["across"].items())

@@ -79,7 +79,7 @@ class Scaling(OfPerson):
     repeats: int = option(5, "of each solve, after one that is not counted")
 
     def tasks(self) -> Sequence[Task]:
-        """Each level by each solver, each length of a sequence, and each count of processes."""
+        """List each level by each solver, each length of a sequence, and each count of processes."""
         self.check([self.expression])
         check_known("level", self.levels, tuple(map(str, LEVELS)))
         for what, values in (("frames", self.frames), ("processes", self.processes)):
@@ -92,7 +92,7 @@ class Scaling(OfPerson):
         return tasks + [Task(f"{count} processes", PD) for count in self.processes]
 
     def measure(self, task: Task) -> Values:
-        """The costs of one size."""
+        """Measure the costs of one size."""
         kind, _, last = task.case.partition(" ")
         if kind == "level":
             return self._measure_level(int(last), task.method)
@@ -144,11 +144,11 @@ class Scaling(OfPerson):
         return {"size": processes, **rows, **found[0][1]}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All reach what was asked."""
+        """Check that all reach what was asked."""
         return [at_most("solves that did not converge", count_unfinished([row.values for row in rows]), 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The exponents of the solve."""
+        """Tell the exponents of the solve."""
         found = [
             f"{what} {solver} to the power {exponent:.2f}"
             for what, solver, exponents in _fit_exponents(rows)
@@ -160,13 +160,13 @@ class Scaling(OfPerson):
         return (f"Processor time grows: {'; '.join(found)}. " if found else "") + "".join(f"{each}." for each in gain)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The exponents of all that grows."""
+        """Tabulate the exponents of all that grows."""
         titles = {column.key: column.title for column in self.columns}
         lines = [[what, solver, *(slopes[key] for key in GROWING)] for what, solver, slopes in _fit_exponents(rows)]
         return [Table("Fitted exponents", ["over", "method", *(titles[key] for key in GROWING)], lines)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Seconds, iterations and memory over tets."""
+        """Draw seconds, iterations and memory over tets."""
         figure, axes = subplots(1, 3, figsize=(11, 3.6))
         for solver in (PD, FENICSX, NEO_HOOKEAN):
             of = [row for row in rows if row.case.startswith("level") and row.method == solver]

@@ -88,7 +88,7 @@ class Minimal(OfPerson):
     within: float = option(0.1, "mm that the smallest scene may change a vertex of the skin")
 
     def tasks(self) -> Sequence[Task]:
-        """Each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""
+        """List each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""
         self.check(self.expressions)
         check_known("effect", self.effects, EFFECTS)
         if not self.within > 0.0:
@@ -100,7 +100,7 @@ class Minimal(OfPerson):
         return [*tasks, Task(TALK, STATIC), Task(TALK, DYNAMIC)]
 
     def measure(self, task: Task) -> Values:
-        """Costs, and the change from the whole."""
+        """Measure costs, and the change from the whole."""
         if task.case == TALK:
             return self._talk(task.method)
         whole = self.model(task.case)
@@ -114,7 +114,7 @@ class Minimal(OfPerson):
         return _measure_costs(whole if change is None else change(whole), whole)
 
     def model(self, case: str) -> FacialModel:
-        """The whole scene of an expression, or of a smile under an effect."""
+        """Make the whole scene of an expression, or of a smile under an effect."""
         of, effect = self.person(), EFFECTS.get(case)
         shape = of.shape(case if effect is None else SMILE)
         return FacialModel(of.head, effect or Parameters(), shape, {"bones": "rigid"})
@@ -127,7 +127,7 @@ class Minimal(OfPerson):
         return {**rows, "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All can be compared, and the smallest scene is as near as it has to be."""
+        """Check that all can be compared, and the smallest scene is as near as it has to be."""
         unfinished = sum(not row.values["converged"] for row in rows)
         chosen = [row.values["max_mm"] for row in rows if row.method == SMALLEST]
         gates = [at_most("scenes that did not reach what was asked", unfinished, 0)]
@@ -137,7 +137,7 @@ class Minimal(OfPerson):
         return gates + ([at_least(what, min(floating), self.needed)] if floating else [])
 
     def words(self, rows: Sequence[Row]) -> str:
-        """What may go, and what it saves."""
+        """Tell what may go, and what it saves."""
         sentences = []
         for row in rows:
             if row.method == SMALLEST:
@@ -148,7 +148,7 @@ class Minimal(OfPerson):
         return f"Within {self.within:g} mm: {'; '.join(sentences)}." if sentences else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """The change by each piece against what it costs, a mark per scene."""
+        """Draw the change by each piece against what it costs, a mark per scene."""
         figure, axis = subplots(figsize=(9, 4.6))
         for method in (*LEFT_OUT, *ADDED):
             points = [

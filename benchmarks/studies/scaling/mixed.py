@@ -75,7 +75,7 @@ class Mixed(OfPerson):
     tolerance: float = option(1e-6, "gradient norm over its start")
 
     def tasks(self) -> Sequence[Task]:
-        """Each expression by each law."""
+        """List each expression by each law."""
         self.check(self.expressions)
         for law in self.laws:
             if law != INCOMPRESSIBLE:
@@ -85,7 +85,7 @@ class Mixed(OfPerson):
         return [Task(text, law) for text in self.expressions for law in self.laws]
 
     def measure(self, task: Task) -> Values:
-        """One solve by quadratic tets with a pressure, and two by linear ones."""
+        """Measure one solve by quadratic tets with a pressure, and two by linear ones."""
         of = self.person()
         return solve_mixed(of.head, of.shape(task.case), task.method, self.tolerance)
 
@@ -113,7 +113,7 @@ class Mixed(OfPerson):
         )
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Processor time and factorisations, a pair of bars per solve."""
+        """Draw processor time and factorisations, a pair of bars per solve."""
         figure, axes = subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
         for axis, key, what in zip(
             axes, ("processor", "factorisations"), ("processor time [s]", "factorisations"), strict=True

@@ -62,7 +62,7 @@ class Parts(Study):
     unknowns: tuple[str, ...] = option(("65000", "290000"), "of a block, about; repeat", name="--unknowns")
 
     def tasks(self) -> Sequence[Task]:
-        """Strong scaling at each size, weak scaling at the first per process; InputError for what cannot be."""
+        """List strong scaling at each size, weak scaling at the first per process; InputError for bad options."""
         counts = parse_counts(self.processes)
         if not self.unknowns or not all(text.isdecimal() and int(text) >= FEWEST for text in self.unknowns):
             raise InputError(f"unknowns: expected {FEWEST} or more each, got {', '.join(self.unknowns) or 'none'}")
@@ -71,16 +71,16 @@ class Parts(Study):
         return [*strong, Task(f"{WEAK}, {self.unknowns[0]} unknowns each", method)]
 
     def measure(self, task: Task) -> Values:
-        """A row per count of processes."""
+        """Measure a row per count of processes."""
         kind, size = task.case.split(", ")
         return {"rows": compare_counts(parse_counts(self.processes), int(size.split()[0]), each=kind == WEAK)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All agree and converge."""
+        """Check that all agree and converge."""
         return gate_agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
-        """What the most processes gain."""
+        """Tell what the most processes gain."""
         sentences = []
         for row in rows:
             first, last = row.values["rows"][0], row.values["rows"][-1]
@@ -136,7 +136,7 @@ def write_block_file(file: Path, cells: int) -> dict:
 
 
 def measure(file: Path) -> dict:
-    """What it takes to read the block, prepare and solve it, and the answer, by all processes of mpirun."""
+    """Read the block, prepare and solve it by all processes of mpirun: what that takes, and the answer."""
     from ....reference.fenicsx import read_scene
     from ....reference.fenicsx.dolfinx_version import ALL, write_block
 

@@ -63,7 +63,7 @@ class Ranks(OfPerson):
         return parse_counts(self.processes)
 
     def tasks(self) -> Sequence[Task]:
-        """An energy each: answers by several counts are compared with that by one."""
+        """List an energy each: answers by several counts are compared with that by one."""
         self.check([self.expression])
         if self.rounds < 1 or self.repeats < 1:
             raise InputError(f"rounds: {self.rounds}, repeats: {self.repeats}; expected 1 or more")
@@ -71,17 +71,17 @@ class Ranks(OfPerson):
         return [Task(NEO_HOOKEAN, method), Task(PD_ENERGY, method)]
 
     def measure(self, task: Task) -> Values:
-        """A row per count of processes."""
+        """Measure a row per count of processes."""
         of = self.person()
         scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
         return {"rows": compare_counts(apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene, self)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All agree and converge."""
+        """Check that all agree and converge."""
         return gate_agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
-        """What a whole solve gains."""
+        """Tell what a whole solve gains."""
         return " ".join(
             f"{row.case}: {line['processes']} processes solve {line['gain']:.2f} times as fast as one."
             for row in rows
@@ -89,7 +89,7 @@ class Ranks(OfPerson):
         )
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """The gain of each phase."""
+        """Draw the gain of each phase."""
         figure, axes = subplots(1, len(rows), figsize=(5.2 * len(rows), 3.4), sharey=True, squeeze=False)
         for axis, row in zip(axes[0], rows, strict=True):
             one, *others = row.values["rows"]
@@ -147,7 +147,7 @@ def parse_counts(texts: Sequence[str]) -> tuple[int, ...]:
 
 
 def measure(scene: Scene, repeats: int) -> dict:
-    """Seconds of each phase (the least of some repeats), and the answer, by all processes that mpirun has started.
+    """Measure seconds of each phase (the least of some repeats) and the answer, by all processes of mpirun.
 
     energy, gradient and hessian are those of a state near rest; first_solve makes multigrid's levels and solves one
     system, next_solve solves another with new values; whole is a solve to TIGHT of a prepared scene. peak_mb is of the

@@ -82,7 +82,7 @@ class Throughput(OfPerson):
     frames: int = option(49, "of the sequence, at 60 Hz; at least 13")
 
     def tasks(self) -> Sequence[Task]:
-        """Each kind of cold frames, the sequence, the memory, the floor."""
+        """List each kind of cold frames, the sequence, the memory, the floor."""
         self.check()
         if self.frames < CHECKED_EVERY + 1 or self.people < 1:
             raise InputError(f"frames: {self.frames}, expected 13 or more; people: {self.people}, expected 1 or more")
@@ -90,7 +90,7 @@ class Throughput(OfPerson):
         return [*cold, Task(SEQUENCE, "PD"), Task(WORKER, "PD"), Task(ITERATION, "PD")]
 
     def measure(self, task: Task) -> Values:
-        """What is told of a kind."""
+        """Measure a kind of frames, the memory, or the floor."""
         if task.case == COLD:
             return self._measure_cold(task.method)
         return {SEQUENCE: self._measure_sequence, WORKER: self._measure_memory, ITERATION: self._measure_floor}[
@@ -201,7 +201,7 @@ class Throughput(OfPerson):
         return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Right to 0.01 mm; fast and small enough."""
+        """Check that frames are right to 0.01 mm, and fast and small enough."""
         gates: list[dict] = []
         for row in rows:
             lines = row.values["rows"]
@@ -234,7 +234,7 @@ class Throughput(OfPerson):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Frames per hour."""
+        """Tell frames per hour."""
         sentences = []
         for row in rows:
             if row.case == COLD:
@@ -245,7 +245,7 @@ class Throughput(OfPerson):
         return f"A core simulates, per hour, {', '.join(sentences)}." if sentences else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Milliseconds and iterations of each frame of the sequence."""
+        """Draw milliseconds and iterations of each frame of the sequence."""
         line = next((row.values["rows"][0] for row in rows if row.case == SEQUENCE), None)
         if line is None:
             return {}

@@ -121,7 +121,7 @@ class Unknowns(OfPerson):
         return {_name_mesh(mesh): mesh for mesh, count in MESHES.items() if count <= self.up_to}
 
     def tasks(self) -> Sequence[Task]:
-        """Each mesh by each energy, and the floors; InputError for fewer unknowns than the smallest mesh has."""
+        """List each mesh by each energy, and the floors; InputError for fewer unknowns than the smallest mesh has."""
         self.check([self.expression])
         if not self.meshes:
             raise InputError(f"up_to: the smallest mesh has {min(MESHES.values())} unknowns, got {self.up_to}")
@@ -129,7 +129,7 @@ class Unknowns(OfPerson):
         return [*tasks, *(Task(FLOORS, part) for part in PARTS)]
 
     def measure(self, task: Task) -> Values:
-        """What a solve costs, or a part of it must."""
+        """Measure what a solve costs, or a part of it at least."""
         if task.case == FLOORS:
             return measure_floor(self.scene(DEFAULT_MESH), task.method)
         level, layers, element = self.meshes[task.case]
@@ -143,14 +143,14 @@ class Unknowns(OfPerson):
         return {"law": task.method, "element": element} | measure(task.method, scene, element, begin)
 
     def scene(self, mesh: Mesh) -> Scene:
-        """PD's energy on a mesh."""
+        """Make the scene of PD's energy on a mesh."""
         level, layers, _ = mesh
         of = self.person(level)
         shape = of.shape(self.expression)
         return facial_scene(of.head, Parameters(), shape, bones="prescribed", layers=(layers, layers))
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """All converge; the default mesh in time."""
+        """Check that all converge, and the default mesh in time."""
         solves = [row for row in rows if row.case != FLOORS]
         gates = [
             at_most("solves that did not reach what was asked", count_unfinished([row.values for row in solves]), 0)
@@ -162,14 +162,14 @@ class Unknowns(OfPerson):
         ]  # fmt: skip
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The exponents."""
+        """Tell the exponents."""
         sentences = [
             f"{law}, {element}: unknowns^{slopes['cpu_s']:.2f}" for law, element, _, slopes in fit_exponents(rows)
         ]
         return f"Processor time grows as {'; '.join(sentences)}." if sentences else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The exponents of all that grows."""
+        """Tabulate the exponents of all that grows."""
         head = ["law", "element", "meshes", "processor time", "time of a CG iteration", "CG iterations", "most memory"]
         lines = [
             [law, element, count, *(slopes[key] for key in GROWING)]
@@ -178,7 +178,7 @@ class Unknowns(OfPerson):
         return [Table("Exponents over unknowns", head, lines)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Processor time per unknown, and memory, against unknowns: a line per energy and element."""
+        """Draw processor time per unknown, and memory, against unknowns: a line per energy and element."""
         figure, axes = subplots(1, 2, figsize=(8.6, 3.4))
         for (law, element), of in _group_solves(rows).items():
             sizes = [values["unknowns"] for values in of]
@@ -191,7 +191,7 @@ class Unknowns(OfPerson):
 
 
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
-    """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
+    """Measure a solve from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
     reset_peak()
     start, watch = None, Stopwatch()
     if coarse is not None:

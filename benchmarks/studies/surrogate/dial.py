@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
 from ....lhm.template import DEFAULT_LEVEL
 from ....reference import Parameters
@@ -65,14 +66,14 @@ class Dial(Study):
     timed = True
     version = 1
 
-    faces: int = field(default=6, metadata={"help": "people of each kind: held-out, external, out of range"})
-    frames: int = field(default=4, metadata={"help": "expressions of each"})
-    seed: int = field(default=7000, metadata={"help": "of people, parameters and expressions"})
-    external: str = field(default="", metadata={"help": "space of external people, as ict:FILE; default: none"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+    faces: int = option(6, "people of each kind: held-out, external, out of range")
+    frames: int = option(4, "expressions of each")
+    seed: int = option(7000, "of people, parameters and expressions")
+    external: str = option("", "space of external people, as ict:FILE; default: none")
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
 
     def tasks(self) -> Sequence[Task]:
-        """Each person; InputError for none and for no frame."""
+        """List each person; InputError for none and for no frame."""
         if self.faces < 1 or self.frames < 1:
             raise InputError("faces, frames: expected 1 or more")
         groups = (HELD_OUT, *((EXTERNAL,) if self.external else ()), BEYOND)
@@ -111,7 +112,7 @@ class Dial(Study):
         return face, network, kind, rng
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """What was hoped for; a gate that fails says how far it is missed."""
+        """Bound what was hoped for; a gate that fails says how far it is missed."""
         told = [row for one in rows for row in one.values["told"]]
         counted = [row for row in told if row["true"] >= LEAST]
         within = [row["true"] <= row["accuracy"] for row in told]
@@ -132,7 +133,7 @@ class Dial(Study):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Told against true, and the price of each accuracy."""
+        """Tell what is told against what is true, and the price of each accuracy."""
         told = [row for one in rows for row in one.values["told"]]
         ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
         low, middle, high = np.percentile(ratios, [5.0, 50.0, 95.0])
@@ -149,7 +150,7 @@ class Dial(Study):
         )
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """All people together, by accuracy; then by group."""
+        """Tabulate all people together, by accuracy; then by group."""
         groups = list(dict.fromkeys(row.values["group"] for row in rows))
         head = ("people", "asked for [mm]", "told [mm]", "true [mm]", "near", "near, certain", "certain", "ms")
         body = []
@@ -165,7 +166,7 @@ class Dial(Study):
         return [Table("The dial by people and accuracy", head, body)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Told against true error; and error against time, one curve through all methods."""
+        """Draw told against true error; and error against time, one curve through all methods."""
         return {
             "Told against true error of every frame; grey: a factor of 1.25. Hollow marks are not certain.": (
                 _draw_told(rows)

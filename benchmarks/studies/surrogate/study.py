@@ -94,11 +94,11 @@ class SurrogateOnCorpus(Study):
     curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")
 
     def tasks(self) -> Sequence[Task]:
-        """Each question by each method; InputError for no corpus, weights of another mesh, options out of range."""
+        """List each question by each method; InputError for no corpus, weights of another mesh, bad options."""
         return [Task(case, name) for case, (names, _) in self._list_questions().items() for name in names]
 
     def measure(self, task: Task) -> Values:
-        """A method's scores on the frames of a question."""
+        """Measure a method's scores on the frames of a question."""
         scores = self._list_questions()[task.case][1](task.method)
         tested, values = self._open_corpus(), {}
         if task == Task(Path(self.corpus).name, NETWORK):
@@ -120,7 +120,7 @@ class SurrogateOnCorpus(Study):
         return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Bounds that no trivial rival meets; see `make_gates`."""
+        """Bound shares so that no trivial rival passes; see `make_gates`."""
         scores = _read_scores(rows)
         if not any(score.method == NETWORK for score in scores):
             return []
@@ -130,7 +130,7 @@ class SurrogateOnCorpus(Study):
         return gates if whole else gates[:-1]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Where the network loses first, then share and cost of each, and when training has paid."""
+        """Tell first where the network loses, then share and cost of each, and when training has paid."""
         scores = _read_scores(rows)
         sentences = [
             f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _describe_cost(score)
@@ -146,7 +146,7 @@ class SurrogateOnCorpus(Study):
         ) + (f" {Breakeven(**paid[0]).sentence}" if paid else "")  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Mean error against the cost before the first frame, and per frame; and over the number of people."""
+        """Draw mean error against the cost before the first frame, and per frame; and over the number of people."""
         known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
         pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
         grown = sorted((row.values["trained_on"]["people"], row) for row in rows if row.case == CURVE)

@@ -46,7 +46,7 @@ class Handles:
         return cls(vertices, positions[vertices])
 
     def scene(self, scene: Scene) -> Scene:
-        """The tets of a scene with the energy Σ V ‖F - R‖², libigl's of elements up to its factor, and the handles."""
+        """Give the tets of a scene libigl's energy of elements up to its factor, Σ V ‖F - R‖², and the handles."""
         return Scene(scene.vertices, scene.tets, (terms.Strain(2.0), terms.Fixed(self.vertices, self.positions)))
 
 

@@ -87,7 +87,7 @@ class WorkPrecision(OfPerson):
     slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:
-        """Each expression by each method; InputError for none, and for no repeat."""
+        """List each expression by each method; InputError for none, and for no repeat."""
         self.check(self.expressions)
         if not self.expressions or self.repeats < 1:
             raise InputError(f"expressions: {len(self.expressions)}, repeats: {self.repeats}; expected 1 or more")
@@ -101,7 +101,7 @@ class WorkPrecision(OfPerson):
         ]
 
     def measure(self, task: Task) -> Values:
-        """The curve of a solver, or the one point of what has learned."""
+        """Measure the curve of a solver, or the one point of what has learned."""
         label, energy = task.method.split("; ")
         if energy == LEARNED:
             values = self._run_learned(task.case, label)
@@ -168,7 +168,7 @@ class WorkPrecision(OfPerson):
         }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Our solver is ahead of others on the same energy, and ends where Newton does."""
+        """Check that L-BFGS is ahead of others on the same energy, and ends where Newton does."""
         middles, gates = find_medians(rows), []
         for energy, rival in RIVALS:
             if (energy, rival) not in middles:
@@ -186,7 +186,7 @@ class WorkPrecision(OfPerson):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """How long each takes to 0.01 mm, and what the learned ones reach."""
+        """Tell how long each takes to 0.01 mm, and what the learned ones reach."""
         at = ACCURACIES.index(ACCURACY)
         sentences = [
             f"{label} {times[at]:.2f} s"
@@ -207,7 +207,7 @@ class WorkPrecision(OfPerson):
         )
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Medians of times and iterations to accuracies, and who is ahead."""
+        """Tabulate medians of times and iterations to accuracies, and who is ahead."""
         middles = find_medians(rows)
         head = ["energy", "method", "prepare [s]", *(f"to {accuracy:g} mm" for accuracy in ACCURACIES[::2])]
         times = [(energy, label, ready, *reached[::2]) for (energy, label), (reached, _, ready) in middles.items()]
@@ -227,7 +227,7 @@ class WorkPrecision(OfPerson):
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Largest error against seconds with preparation, and against iterations: a line per solver and expression.
+        """Draw the largest error against seconds with preparation and iterations, a line per solver and expression.
 
         Of a method that has learned, a hollow mark has the bind in it, as lines have preparation; a filled mark is one
         more frame.
