@@ -36,7 +36,7 @@ PLAN = PRESETS["study"]
 
 
 def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
-    """The studies, each with its folder of `out`, in the order in which they are run: what is timed comes last.
+    """List the studies, each with its folder of `out`, in the order of the run: what is timed comes last.
 
     Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
     tested on.

@@ -16,7 +16,7 @@ class WrittenFile(click.Path):
         self.suffixes = suffixes
 
     def convert(self, value, param, ctx):
-        """The path; click's usage error for another ending, InputError where no file can be."""
+        """Give the path; click's usage error for another ending, InputError where no file can be."""
         super().convert(value, param, ctx)
         path = Path(value)
         if self.suffixes and path.suffix not in self.suffixes:
@@ -32,7 +32,7 @@ class WrittenFolder(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value, param, ctx):
-        """The path, of ranks above 0 a copy's; InputError where no folder can be."""
+        """Give the path, of ranks above 0 a copy's; InputError where no folder can be."""
         super().convert(value, param, ctx)
         path = Path(value)
         check_place(path, folder=True)

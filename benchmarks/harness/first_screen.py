@@ -111,7 +111,7 @@ def _collect_scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
 
 
 def write_sentences(rows: Rows) -> list[str]:
-    """At most five. The first says on which kinds of frames the network loses to a rival that learns nothing."""
+    """Write at most five; the first says on which kinds of frames the network loses to a rival without learning."""
     made = (
         _tell_losses(rows),
         _tell_overall(rows),

@@ -27,20 +27,20 @@ MEGABYTE = 1e6
 
 
 def read_cpu_seconds() -> float:
-    """Processor time [s] of this process, and of those it has started that have ended."""
+    """Read processor time [s] of this process, and of those it has started that have ended."""
     own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime
 
 
 def peak_megabytes() -> float:
-    """The most memory [MB] that this process has held since its start, or since `reset_peak`."""
+    """Give the most memory [MB] that this process has held since its start, or since `reset_peak`."""
     # Not ru_maxrss alone: through exec it keeps what the parent held.
     found = _status("VmHWM")
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MEGABYTE if found is None else found
 
 
 def held_megabytes() -> float:
-    """The memory [MB] that this process holds now; where the system does not say, the most it has held."""
+    """Give the memory [MB] that this process holds now; where the system does not say, the most it has held."""
     found = _status("VmRSS")
     return peak_megabytes() if found is None else found
 
@@ -147,7 +147,7 @@ class _Lane:
             return self._pool.submit(_measure, job)
 
     def choose(self, waiting: Sequence[Job], elsewhere: Set[tuple[str, str]]) -> Job:
-        """The first of its own case, else of one that is not done elsewhere, else of all."""
+        """Choose the first of its own case, else of one that is not done elsewhere, else of all."""
         own = (job for job in waiting if self.job and job.case == self.job.case)
         new = (job for job in waiting if job.case not in elsewhere)
         return next(own, None) or next(new, None) or waiting[0]

@@ -105,7 +105,7 @@ class Results:
         return sum(measured) if measured else None
 
     def json(self) -> dict[str, Any]:
-        """The content of a results file."""
+        """Give the content of a results file."""
         return asdict(self)
 
 

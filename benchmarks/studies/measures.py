@@ -6,12 +6,13 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from ...lhm.base.errors import SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Scene, Solution, prepare, ranks, terms
+from ...reference import Scene, Solution, prepare, ranks, solve, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
 from ..harness.processes import held_megabytes, peak_megabytes, reset_peak
@@ -30,12 +31,12 @@ class Difference:
 
 
 def distances(a: Floats, b: Floats) -> Floats:
-    """Distance of each vertex [mm], shape (n,), of positions (n, 3)."""
+    """Measure the distance of each vertex [mm], shape (n,), of positions (n, 3)."""
     return np.linalg.norm(a - b, axis=1)
 
 
 def difference(a: Floats, b: Floats, rest: Floats, mask: np.ndarray | None = None) -> Difference:
-    """Of positions `a` to reference `b`, both (n, 3) [mm]; displacement is counted from `rest`; over mask (n,)."""
+    """Compare positions `a` with `b`, both (n, 3) [mm]; displacement is counted from `rest`; over mask (n,)."""
     if mask is not None:
         a, b, rest = a[mask], b[mask], rest[mask]
     d = distances(a, b)
@@ -67,7 +68,7 @@ class Trace:
     gradient: Sequence[float]
 
     def iterations_to(self, bound: float) -> int | None:
-        """The iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
+        """Give the iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
         above = np.flatnonzero(~(np.asarray(self.error) <= bound))
         first = int(above[-1]) + 1 if above.size else 0
         return first if first < len(self.error) else None
@@ -78,7 +79,7 @@ class Trace:
         return None if at is None else float(self.seconds[at])
 
     def tolerance_for(self, bound: float) -> float | None:
-        """The tolerance with which this solve stops at the first iteration from which its error is at most `bound`."""
+        """Give the tolerance by which this solve stops where its error comes to stay at most `bound` [mm]."""
         at = self.iterations_to(bound)
         return None if at is None else float(np.min(self.gradient[: at + 1]))
 
@@ -107,7 +108,7 @@ def trace_solve(
 
 
 def trace_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
-    """A tight solve as seen from its own end, to 1e-5 mm: positions on the way are kept in float32."""
+    """Trace a tight solve to its own end, to 1e-5 mm: positions on the way are kept in float32."""
     visited: list[np.ndarray] = []
 
     def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
@@ -118,13 +119,21 @@ def trace_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float
     return solution, _trace(solution, [largest_distance(x, solution.positions) for x in visited])
 
 
+def solve_to_end(scene: Scene, what: str, **how: Any) -> Solution:
+    """Solve a scene by `how`, as `solve` takes it; SoftdecaError names `what` was solved and why it ended early."""
+    solution = solve(scene, **how)
+    if not solution.converged:
+        raise SoftdecaError(f"{what}: {solution.reason}")
+    return solution
+
+
 def _trace(solution: Solution, error: Sequence[float]) -> Trace:
     norms = solution.history.gradient_norm
     return Trace(solution.history.time.tolist(), error, (norms / max(norms[0], 1e-300)).tolist())
 
 
 def largest_distance(a: Floats, b: Floats) -> float:
-    """The largest distance [mm] of two arrays of points, both (n, 3)."""
+    """Give the largest distance [mm] of two arrays of points, both (n, 3)."""
     return float(np.linalg.norm(a - b, axis=1).max())
 
 
@@ -135,7 +144,7 @@ class Stopwatch:
         self._begin = time.perf_counter(), time.process_time()
 
     def lap(self) -> tuple[float, float]:
-        """Wall and processor time since the last lap."""
+        """Give wall and processor time since the last lap."""
         now = time.perf_counter(), time.process_time()
         wall, cpu = now[0] - self._begin[0], now[1] - self._begin[1]
         self._begin = now
@@ -177,7 +186,7 @@ def time_solve(
 
 
 def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
-    """What `work` returns, so often, after one call that is not counted; less often where that takes over BUDGET."""
+    """Repeat `work` so often, after one call that is not counted; less often where that takes over BUDGET."""
     work()
     found: list[Result] = []
     begin = time.perf_counter()
@@ -187,7 +196,7 @@ def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
 
 
 def count_work(solution: Solution) -> dict:
-    """How often a solver iterated, its linear solver where it counts, and why it ended."""
+    """Count how often a solver and its linear solver iterated, and say why it ended."""
     return {
         "iterations": solution.iterations,
         "linear_iterations": solution.detail.get("linear_iterations"),
@@ -202,19 +211,19 @@ def merge_repeats(rows: Sequence[Values]) -> dict:
 
 
 def count_unfinished(rows: Sequence[Values]) -> int:
-    """How many solves of the rows' values did not reach what was asked."""
+    """Count the solves of the rows' values that did not reach what was asked."""
     return sum(not values["converged"] for values in rows)
 
 
 def fit_slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
-    """The exponent of a figure over sizes, by least squares of logarithms; None where it is not there, or one only."""
+    """Fit the exponent of a figure over sizes by least squares of logarithms; None for one size or a missing figure."""
     if len(set(sizes)) < 2 or not all(values):
         return None
     return float(np.polyfit(np.log(sizes), np.log(np.asarray(values, dtype=np.float64)), 1)[0])
 
 
 def measure_megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
-    """The most memory [MB] that making, preparing and solving a scene takes beside what this process holds.
+    """Measure the most memory [MB] that making, preparing and solving a scene takes beside what is held.
 
     To be called in a process of its own, before other scenes: what is freed is used again unseen.
     """
@@ -260,12 +269,12 @@ class Limit:
 
 
 def rms(difference: Floats) -> float:
-    """Root mean square of the lengths of vectors (n, 3)."""
+    """Give root mean square of the lengths of vectors (n, 3)."""
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
 def limit_of_three(coarse: Floats, middle: Floats, fine: Floats) -> Limit:
-    """The limit [mm] of answers (n, 3) on meshes each of half the last one's size; the order is what they show."""
+    """Extrapolate answers (n, 3) [mm] on meshes each of half the last one's size, by the order that they show."""
     first, second = rms(middle - coarse), rms(fine - middle)
     if second == 0.0:
         return Limit(fine, None, GREATEST_ORDER, 0.0)
@@ -276,6 +285,6 @@ def limit_of_three(coarse: Floats, middle: Floats, fine: Floats) -> Limit:
 
 
 def limit_of_two(coarse: Floats, fine: Floats, order: float) -> Limit:
-    """The limit [mm] of answers (n, 3) on a mesh and one of half its size, for an order that is assumed."""
+    """Extrapolate answers (n, 3) [mm] on a mesh and one of half its size, by an order that is assumed."""
     step = (fine - coarse) / (2.0**order - 1.0)
     return Limit(fine + step, None, order, SAFETY_OF_TWO * rms(step))

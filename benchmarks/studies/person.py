@@ -60,11 +60,11 @@ class Person:
     head: LayeredHead
 
     def shape(self, text: str) -> Floats:
-        """The skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
+        """Give the skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
         return self.blend(expressions.parse_weights(text))[0]
 
     def blend(self, weights: Floats) -> Floats:
-        """The skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
+        """Give the skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
         return expressions.blend(self.space, self.code, weights)
 
 

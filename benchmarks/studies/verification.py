@@ -92,7 +92,7 @@ class Verification(Study):
 
 
 def compare_felupe(scene: Scene) -> problems.Outcome:
-    """The largest displacement [mm] by FElupe, and the largest distance to FEniCSx' answer over it."""
+    """Compare the largest displacement [mm] by FElupe, and the largest distance to FEniCSx' answer over it."""
     begin = time.perf_counter()
     positions, iterations = solve_by_felupe(scene)
     seconds = time.perf_counter() - begin
@@ -206,7 +206,7 @@ MOST, STEPS = 30, 4
 
 
 def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
-    """Positions [mm], shape (n, 3), by FElupe's elements, law and Newton's method from rest, and its iterations.
+    """Find positions [mm], shape (n, 3), by FElupe's elements, law and Newton's method from rest, and its iterations.
 
     Raises MissingDependencyError without FElupe, SceneError for a term that is not modelled here, and SoftdecaError
     where it does not converge.

@@ -161,14 +161,14 @@ def _release(study: Dynamics) -> Release:
 
 
 def cheek(head: LayeredHead) -> int:
-    """The skin wrap's vertex of the face nearest to 45 mm beside the lips."""
+    """Give the skin wrap's vertex of the face nearest to 45 mm beside the lips."""
     wrap, face = head.skin_wrap.vertices, np.flatnonzero(head.regions["face"])
     beside = wrap[head.regions["lips"]].mean(axis=0)[:2] + [45.0, 0.0]
     return int(face[np.linalg.norm(wrap[face, :2] - beside, axis=1).argmin()])
 
 
 def let_go(release: Release, frames: int) -> dict:
-    """The release by every march: swings, energies, distances between those that model the same, errors of steps."""
+    """March the release by every scheme: swings, energies, distances between equal models, errors of steps."""
     p = release.parameters
     equation = {
         "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
@@ -326,7 +326,7 @@ def release_tissue(release: Release, frames: int) -> list[dict]:
 
 
 def shake(release: Release, frames: int) -> dict:
-    """The head shaken from side to side: the skin's peak in the head's frame [mm], and how far others are off."""
+    """Shake the head from side to side: the skin's peak in the head's frame [mm], and how far others are off."""
     reach, pace = SHAKE[0], 2.0 * np.pi * SHAKE[1]
 
     def shaken(t: float) -> Floats:

@@ -118,13 +118,13 @@ class Release:
         return replace(self.scene, terms=(*springless, held))
 
     def motion(self, positions: Floats, start: Floats | None = None) -> Floats:
-        """How much of the skin wrap's displacement at the start is left, shape (k,), of positions (k, n, 3) [mm]."""
+        """Measure the share of the skin wrap's first displacement that is left, (k,), of positions (k, n, 3) [mm]."""
         n = len(self.head.bone)
         first = ((self.start if start is None else start) - self.scene.vertices)[:n]
         return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
 
     def by_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
-        """Frames of Eq. 9 through projective dynamics, the start first."""
+        """March frames of Eq. 9 through projective dynamics, the start first."""
         neutral = self.head.skin.vertices
         sequence = Sequence(
             self.head, self.parameters, time_step=FRAME, dynamic=True, bones="prescribed", tolerance=TIGHT
@@ -134,7 +134,7 @@ class Release:
         return _collect_frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
 
     def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
-        """Frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
+        """March frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
         wrap = self.head.skin_wrap
         n = len(wrap.vertices)
         springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
@@ -158,7 +158,7 @@ class Release:
     def by_elements(
         self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
     ) -> Trajectory:
-        """The same motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
+        """March the motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
 
         Let go from the start, or shaken from rest.
         """

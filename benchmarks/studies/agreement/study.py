@@ -112,7 +112,7 @@ class Agreement(Study):
         return person(self.identities, None)
 
     def network(self) -> Surrogate | None:
-        """The one that was asked for, else the one that is shipped for the space, if there is one."""
+        """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
         if self.weights:
             return Surrogate.load(Path(self.weights))
         shipped = Surrogate.load()
@@ -140,7 +140,7 @@ class Agreement(Study):
         return f"cheek pushed by {self.push:g} kPa"
 
     def make(self, case: str) -> SceneFace:
-        """A case of which nothing is solved."""
+        """Make a case of which nothing is solved."""
         of, still = self.person(), np.zeros(52)
         if case == self._open:
             return SceneFace(of, open_jaw_scene(of.head, Parameters(gravity=2.0), angle=self.jaw))

@@ -229,7 +229,7 @@ class DepthCheck:
         }
 
     def compare_regions(self) -> list[dict]:
-        """Errors [mm] of depths and of the skull wrap where a ray measured, by region; none without such a place."""
+        """Compare depths and the skull wrap [mm] where a ray measured, by region; none without such a place."""
         found = []
         for name, region in self.regions.items():
             at = region & self.measured.met
@@ -259,7 +259,7 @@ class DepthCheck:
         return found
 
     def compare_landmarks(self) -> list[dict]:
-        """Depths [mm] at the face's vertex next to each landmark of the published depths, on either side.
+        """Compare depths [mm] at the face's vertex next to each landmark of the published depths, on either side.
 
         None is on the throat, where there is no bone.
         """

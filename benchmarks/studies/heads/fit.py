@@ -187,13 +187,13 @@ def _load_space(whose: str, level: int) -> tuple[LinearSpace, Template]:
 
 
 def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
-    """The neutral skin [mm] of one identity; at the default sigma that of `softdeca head fit --seed`."""
+    """Sample the neutral skin [mm] of one identity; at the default sigma that of `softdeca head fit --seed`."""
     code, skin = space.sample(np.random.default_rng(seed))
     return skin if sigma == CLIP else space.skin(code * (sigma / CLIP))
 
 
 def try_fit(template: Template, skin: Surface) -> dict:
-    """Figures, gates missed and seconds of the head of a skin; or why it has none, which is an outcome of the study."""
+    """Fit a head to a skin: figures, missed gates and seconds; or why it has none, which is an outcome of the study."""
     watch = Stopwatch()
     try:
         head: LayeredHead = fit_head(template, skin)
@@ -215,7 +215,7 @@ Occurrences = list[tuple[float, str]]
 
 
 def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
-    """Each figure of a head, its gate with it, and seconds, with the values of all heads that have it, and whose."""
+    """Collect each figure with its gate, and seconds, with the values of all heads that have it, and whose."""
     done = [row for row in rows if not row.values["error"]]
     found = []
     for item in fields(HeadReport):

@@ -105,7 +105,7 @@ class Registrations(Study):
 
 
 def measure_slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Registration) -> Floats:
-    """How far [mm] the visible points of a space's mean face are off after they were carried to another and back."""
+    """Measure how far [mm] the mean face's visible points are off after they were carried to another and back."""
     face = find_visible_face(space)
     corners, shares, good = Target(upon.mean).located(forth.vertices[face], forth.surface.vertex_normals[face])
     back = (shares[:, :, None] * home.vertices[corners]).sum(axis=1)
@@ -113,12 +113,12 @@ def measure_slide(space: LinearSpace, forth: Registration, upon: LinearSpace, ho
 
 
 def find_visible_face(space: LinearSpace) -> Mask:
-    """The vertices (n,) of a mean head's face that see the sky."""
+    """Find the vertices (n,) of a mean head's face that see the sky."""
     return find_face(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
 def measure_agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
-    """By shape that both have: cosine between displacements (52, n, 3), and their mean distance [mm], where visible."""
+    """Measure by shape the cosine between displacements (52, n, 3), and their mean distance [mm], where visible."""
     rows = []
     for k, name in enumerate(ARKIT):
         a, b = (deltas[k][visible].astype(np.float64) for deltas in (own, found))
@@ -145,5 +145,5 @@ def _compare_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, A
 
 
 def median(rows: Sequence[dict[str, Any]]) -> tuple[float, float]:
-    """The median cosine over the shapes, and the mean distance [mm]."""
+    """Give the median cosine over the shapes, and the mean distance [mm]."""
     return float(np.median([row["cosine"] for row in rows])), float(np.mean([row["mean_mm"] for row in rows]))

@@ -95,7 +95,7 @@ def _collect_lines(rows: Sequence[Row]) -> list[Values]:
 
 
 def simulate_shapes(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
-    """A row per shape (numbers in ARKit's order) that a person's space has."""
+    """Simulate a row per shape (numbers in ARKit's order) that a person's space has."""
     head, deltas = of.head, of.space.expression_deltas(of.code)
     skin, rows = head.skin, []
     prepared: Prepared | None = None
@@ -123,7 +123,7 @@ def _measure_tets(head: LayeredHead, volume_ratio: Floats, missed: Floats) -> di
 
 
 def summarise_shapes(rows: Sequence[Values]) -> list[dict]:
-    """The rows of each shape as one: identities with an inverted tet in soft tissue, the worst and mean figures."""
+    """Join the rows of each shape: identities with an inverted tet in soft tissue, the worst and mean figures."""
     table = []
     for shape in ARKIT:
         own = [row for row in rows if row["shape"] == shape]

@@ -21,10 +21,10 @@ from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....lhm.remesh import remesh
 from ....lhm.template import DEFAULT_LEVEL
-from ....reference import Scene, solve
+from ....reference import Scene
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
-from ..measures import distances
+from ..measures import distances, solve_to_end
 from ..person import OfPerson, Person, parse_poisson, person
 from ..scaling.mixed import make_law_scene
 
@@ -270,9 +270,7 @@ def _solve_quadratic(head: LayeredHead, shape: Floats, poisson: float, element: 
 
 def _solve(head: LayeredHead, shape: Floats, scene: Scene, **options: Any) -> dict:
     """Solve; give positions, skin [mm], iterations and the number of tets. Raises SoftdecaError if it stalls."""
-    solution = solve(scene, solver="fenicsx", **options)
-    if not solution.converged:
-        raise SoftdecaError(f"{options.get('element', 'P1')}: {solution.reason}")
+    solution = solve_to_end(scene, options.get("element", "P1"), solver="fenicsx", **options)
     return {
         "positions": solution.positions,
         "skin": head.skin_after(shape, solution.positions[: len(head.bone)]),

@@ -28,7 +28,7 @@ def _triad(a, b, c, factor):
 
 
 def measure_bandwidth() -> float:
-    """Bytes per second that one core moves in the triad a = b + s c (McCalpin's STREAM), best of some runs."""
+    """Measure bytes per second that one core moves in the triad a = b + s c (McCalpin's STREAM), best of some runs."""
     a, b, c = (np.full(TRIAD_NUMBERS, value) for value in (0.0, 1.0, 2.0))
     _triad(a, b, c, 3.0)
     seconds = []
@@ -40,7 +40,7 @@ def measure_bandwidth() -> float:
 
 
 def count_factor_bytes(prepared: ProjectivePrepared) -> int:
-    """Bytes of the triangular factors of A, counted by SuperLU's symmetric minimum-degree order."""
+    """Count bytes of the triangular factors of A, counted by SuperLU's symmetric minimum-degree order."""
     matrix, _ = prepared.energy.matrix(prepared.scene)
     total = 0
     for _, free in prepared.system.coordinates.groups:
@@ -55,13 +55,13 @@ def count_factor_bytes(prepared: ProjectivePrepared) -> int:
 
 
 def count_tet_bytes(prepared: ProjectivePrepared) -> int:
-    """Bytes of parameters and corners of all tets, which the local step reads."""
+    """Count bytes of parameters and corners of all tets, which the local step reads."""
     tets = prepared.energy.part(TetBlocks)
     return 0 if tets is None else tets.parameters.nbytes + tets.corners.nbytes
 
 
 def split_iteration(prepared: ProjectivePrepared, positions: Floats, iteration_seconds: float) -> dict[str, float]:
-    """What an iteration of so many seconds spends [ms] on the energy's gradient, on the solve with A, and on the rest.
+    """Split an iteration's seconds into those [ms] of the energy's gradient, of the solve with A, and the rest.
 
     Both are timed at the positions [mm], shape (n, 3).
     """

@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
-from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, materials, prepare, solve, terms
+from ....reference import Parameters, Scene, apply_law, facial_scene, materials, prepare, terms
 from ...harness.study import Column, Row, Task, Values, at_most
-from ..measures import distances
+from ..measures import distances, solve_to_end
 from ..person import OfPerson, parse_poisson
 
 MEMORY_MB = 8000.0
@@ -137,8 +137,9 @@ def solve_mixed(head: LayeredHead, shape: Floats, law: str, tolerance: float) ->
     solution = prepared.solve(tolerance=tolerance)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     fields = prepared.fields(POINTS)
-    linear = _solve_linear(make_law_scene(head, shape, STIFFEST if poisson is None else poisson), tolerance)
-    default = _solve_linear(make_law_scene(head, shape, DEFAULT), tolerance)
+    how = {"solver": "fenicsx", "tolerance": tolerance}
+    linear = solve_to_end(make_law_scene(head, shape, STIFFEST if poisson is None else poisson), "linear tets", **how)
+    default = solve_to_end(make_law_scene(head, shape, DEFAULT), "linear tets", **how)
     J, middles = np.linalg.det(fields.gradient + np.eye(3)), scene.vertices[scene.tets].mean(axis=1)
     default_around = average_around_vertices(scene, middles, scene.volumes, default.volume_ratio)
     n = len(head.bone)
@@ -193,7 +194,7 @@ def average_around_vertices(scene: Scene, points: Floats, weights: Floats, value
 
 
 def make_law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: tuple[int, int] = (1, 1)) -> Scene:
-    """The neo-Hookean facial scene of an expression with prescribed bones, incompressible or of a Poisson's ratio."""
+    """Make an expression's neo-Hookean scene with prescribed bones, incompressible or of a Poisson's ratio."""
     scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
     parts: list[terms.Term] = []
     for term in scene.terms:
@@ -207,10 +208,3 @@ def make_law_scene(head: LayeredHead, shape: Floats, poisson: float | None, laye
                 term = replace(term, material=materials.NeoHookean.from_young(young, poisson))
         parts.append(term)
     return replace(scene, terms=tuple(parts))
-
-
-def _solve_linear(scene: Scene, tolerance: float) -> Solution:
-    solution = solve(scene, solver="fenicsx", tolerance=tolerance)
-    if not solution.converged:
-        raise SoftdecaError(f"linear tets: {solution.reason}")
-    return solution

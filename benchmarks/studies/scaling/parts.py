@@ -92,7 +92,7 @@ class Parts(Study):
 
 
 def compare_counts(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
-    """A block by each count of processes; `each` of them has so many unknowns, or all together.
+    """Compare a block by each count of processes; `each` of them has so many unknowns, or all together.
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
@@ -112,12 +112,12 @@ def compare_counts(counts: Sequence[int], unknowns: int, *, each: bool) -> list[
 
 
 def count_cells(unknowns: int) -> int:
-    """How many cells a block has along each edge, for about so many unknowns."""
+    """Count how many cells a block has along each edge, for about so many unknowns."""
     return round((unknowns / 3.0) ** (1 / 3)) - 1
 
 
 def make_terms(part) -> list[terms.Term]:
-    """What acts on the unit block: held below, pulled and sheared above."""
+    """Make what acts on the unit block: held below, pulled and sheared above."""
     height = part.vertices[:, 2]
     low, high = np.flatnonzero(height < 1e-9), np.flatnonzero(height > 1.0 - 1e-9)
     return [

@@ -105,7 +105,7 @@ class Ranks(OfPerson):
 
 
 def gate_agreement(rows: Sequence[Row]) -> list[dict]:
-    """The gates of lines by counts of processes: one answer, where it was compared, and all converged."""
+    """Make the gates of lines by counts of processes: one answer, where it was compared, and all converged."""
     lines = [line for row in rows for line in row.values["rows"]]
     what = "distance to one process' answer, of the largest displacement"
     return [
@@ -115,7 +115,7 @@ def gate_agreement(rows: Sequence[Row]) -> list[dict]:
 
 
 def compare_counts(scene: Scene, study: Ranks) -> list[dict]:
-    """A scene by each count of processes: seconds of phases, and how far its answer is from one process'.
+    """Compare a scene by each count of processes: seconds of phases, and how far its answer is from one process'.
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """

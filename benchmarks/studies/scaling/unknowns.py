@@ -218,7 +218,7 @@ def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) 
 
 
 def count_nodes(scene: Scene, element: str) -> int:
-    """The nodes of an element on a scene: its vertices in tets, and of quadratic ones the middles of the edges."""
+    """Count the nodes of an element on a scene: vertices in tets, and of quadratic ones the edges' middles."""
     vertices = len(np.unique(scene.tets))
     return vertices if element == "P1" else vertices + len(_find_edges(scene))
 
@@ -229,7 +229,7 @@ def _find_edges(scene: Scene) -> np.ndarray:
 
 
 def count_entries(scene: Scene) -> int:
-    """Entries of the stiffness matrix of linear tets: nine per vertex and per edge and direction."""
+    """Count entries of the stiffness matrix of linear tets: nine per vertex and per edge and direction."""
     return 9 * (len(np.unique(scene.tets)) + 2 * len(_find_edges(scene)))
 
 
@@ -242,7 +242,7 @@ PARTS: dict[str, Callable[[int, int], int]] = {
 
 
 def measure_floor(scene: Scene, part: str) -> dict:
-    """Milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
+    """Measure the milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
     from ....reference.fenicsx.linear_solvers import ConjugateGradients, hold
     from ....reference.fenicsx.numbering import Numbering
     from ....reference.fenicsx.problem import Problem
@@ -292,7 +292,7 @@ def _group_solves(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
 
 
 def fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
-    """Law, element, meshes, and the slopes of what grows over unknowns, where there are two meshes or more."""
+    """Fit slopes over unknowns by law and element, where there are two meshes or more; their count comes third."""
     return [
         (law, element, len(of), {key: fit_slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING})
         for (law, element), of in _group_solves(rows).items()

@@ -40,7 +40,7 @@ def make_gates(scores: Iterable[Score]) -> list[dict]:
 
 
 def find_defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
-    """Where the network loses to a trivial rival: kind, rival, and the shares of network and rival."""
+    """Find where the network loses to a trivial rival: kind, rival, and the shares of both."""
     shares = {(score.method, score.kind): score.share for score in scores}
     return [
         (kind, rival, shares[NETWORK, kind], shares[rival, kind])

@@ -18,7 +18,7 @@ from ....lhm import expressions
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Parameters, Scene, Solution, settle, solve
+from ....reference import Parameters, Scene, Solution, settle
 from ....reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
 from ....reference.face.facial import apply_law
 from ....reference.face.settle import SettledFace, carry_skin, neutral_scene
@@ -26,7 +26,7 @@ from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import CorpusPlan
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..measures import distances, limit_of_two
+from ..measures import distances, limit_of_two, solve_to_end
 from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -329,10 +329,8 @@ def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Float
 
 
 def _solve_fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
-    solution = solve(scene, solver="fenicsx", start=start, tolerance=tolerance, element=element)
-    if not solution.converged:
-        raise SoftdecaError(f"FEniCSx: {solution.reason}")
-    return solution.positions
+    how = {"solver": "fenicsx", "start": start, "tolerance": tolerance, "element": element}
+    return solve_to_end(scene, "FEniCSx", **how).positions
 
 
 def _measure_mean(a: Floats, b: Floats) -> float:

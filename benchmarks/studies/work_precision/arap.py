@@ -25,7 +25,7 @@ STILL = 5e-5
 
 
 def is_installed() -> bool:
-    """Whether libigl is there."""
+    """Say whether libigl is there."""
     return importlib.util.find_spec("igl") is not None
 
 
@@ -38,7 +38,7 @@ class Handles:
 
     @classmethod
     def of(cls, head: LayeredHead, scene: Scene, targets: Floats) -> Handles:
-        """What a facial scene holds, and every sixteenth vertex of the skin wrap at its target [mm], (skin, 3)."""
+        """Take what a facial scene holds, and every sixteenth vertex of the skin wrap at its target [mm], (skin, 3)."""
         held, positions = scene.dirichlet()
         marks = np.arange(0, len(head.bone), EVERY)
         positions[marks] = head.wrap_targets(targets)[marks]
@@ -51,7 +51,7 @@ class Handles:
 
 
 def solve_by_igl(scene: Scene, handles: Handles, truth: Floats) -> tuple[Floats, float, Trace, Floats]:
-    """The answer of libigl [mm], its preparation [s], its errors to the truth [mm], and those to its own answer.
+    """Find the answer of libigl [mm], its preparation [s], its errors to the truth [mm], and those to its own answer.
 
     One local and global step per call, on one thread; what a call costs beside that (copies of the arrays) is counted,
     and small.

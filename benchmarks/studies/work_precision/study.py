@@ -361,7 +361,7 @@ Medians = Mapping[tuple[str, str], tuple[list, list, float]]
 
 
 def find_medians(rows: Sequence[Row]) -> Medians:
-    """Per energy and solver, over expressions: seconds and iterations to each accuracy, and preparation [s].
+    """Find medians over expressions, by energy and solver: seconds and iterations to each accuracy, and preparation.
 
     None where an expression has not come so far.
     """
