@@ -1,11 +1,12 @@
 """Every verification problem through every solver that models it, in each of its ways where those differ."""
 
 import json
+import pickle
 from dataclasses import asdict, replace
 
 import pytest
 
-from softdeca.reference import SOLVERS, MissingDependencyError, SceneError, problems
+from softdeca.reference import SOLVERS, MissingDependencyError, SceneError, problems, solve
 
 OTHER_WAYS = {
     "projective": [{"method": "plain"}],
@@ -22,6 +23,22 @@ CASES += [
     for solver in problem.solvers
     for options in OTHER_WAYS[solver]
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def solve_once():
+    """Problems that ask several quantities of one scene share its answer."""
+    answers = {}
+
+    def remember(scene, **options):
+        key = pickle.dumps((scene, options))
+        if key not in answers:
+            answers[key] = solve(scene, **options)
+        return answers[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problems.problem, "solve", remember)
+        yield
 
 
 @pytest.mark.parametrize(("problem", "solver", "options"), CASES, ids=lambda value: getattr(value, "name", str(value)))
