@@ -38,9 +38,7 @@ def dead_loads(scene: Scene, order: Numbering) -> Floats:
         if not term.triangles.size:
             continue
         here, nodes = order.faces(term.name, term.triangles)
-        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        shares = np.outer(area, FACE_SHARES[order.degree])
+        shares = np.outer(term.areas(scene.vertices)[here], FACE_SHARES[order.degree])
         forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
     return order.nodes.sum_up(forces)
 

@@ -148,23 +148,21 @@ class PreparedFenicsx:
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
         self.scene.check_prepared_for(scene)
-        limits = Limits(tolerance, absolute, max_iterations)
-        begin = first_positions(scene, start, warm)
+        limits, record = Limits(tolerance, absolute, max_iterations), Record(max_iterations, on_iteration)
+        begin, is_warm = first_positions(scene, start, warm), start is not None or warm is not None
         before = None if start is not None or warm is None else warm.memory
         if not (isinstance(before, Attempt) and before.numbering is self._numbering):
             before = None
+        run = Run(scene, self._numbering, begin, limits, record, before=before, warm=is_warm)
         self._problem.set(scene)
         if self._force is not None:
             self._problem.loads = self._problem.loads + self._force
         without_energy = self._element == "P2P1" or bool(scene.of(Pressure))
         check_restrained(scene, loads=None if without_energy else scene.loads())
-        is_warm = start is not None or warm is not None
-        record = Record(max_iterations, on_iteration)
-        run = Run(scene, self._numbering, begin, limits, record, before=before, warm=is_warm)
         self._end = end = self._try_strategies(run)
         answer = NodalAnswer.collect(self._problem, end, self._force)
         recovery = partial(recover, scene, self._numbering.degree, answer)
-        return replace(run.solution(end, self._spent, remember=remember), recovery=recovery)
+        return run.solution(end, self._spent, remember=remember, recovery=recovery)
 
     def _try_strategies(self, run: Run) -> Attempt:
         """Try strategies until one ends the search; give the last that found something worth keeping, or the first.

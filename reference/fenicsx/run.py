@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ..clock import Seconds
 from ..scene import Scene
-from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio
+from ..solution import Limits, OnIteration, Reason, Recorder, Solution, Stresses, volume_ratio
 from .numbering import Numbering
 from .parallel import anywhere
 
@@ -99,7 +100,14 @@ class Run:
     def _positions(self, u: Floats) -> Floats:
         return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
-    def solution(self, end: Attempt, preparation: Seconds, *, remember: bool = False) -> Solution:
+    def solution(
+        self,
+        end: Attempt,
+        preparation: Seconds,
+        *,
+        remember: bool = False,
+        recovery: Callable[[], Stresses] | None = None,
+    ) -> Solution:
         """Give an attempt's answer, which another solve may start from if it is to be remembered."""
         positions = self._positions(end.u)
         if end.reason is Reason.CONVERGED:
@@ -114,5 +122,6 @@ class Run:
             volume_ratio(self.scene, positions),
             dict(record.detail),
             memory=end if remember else None,
+            recovery=recovery,
             times=record.recorder.times(preparation),
         )

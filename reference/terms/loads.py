@@ -46,9 +46,8 @@ class Traction(OnTriangles):
 
     def add_load(self, mesh: Mesh, forces: Floats):
         """See Term."""
-        a, b, c = (mesh.vertices[self.triangles[:, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        lumped = np.bincount(self.triangles.ravel(), np.repeat(area / 3.0, 3), minlength=len(forces))
+        thirds = np.repeat(self.areas(mesh.vertices) / 3.0, 3)
+        lumped = np.bincount(self.triangles.ravel(), thirds, minlength=len(forces))
         forces += lumped[:, None] * self.vector
 
 

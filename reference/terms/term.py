@@ -189,10 +189,14 @@ class OnTriangles(Term):
         super().check(mesh)
         rest = getattr(self, "rest", None)
         for points in (mesh.vertices,) if rest is None else (mesh.vertices, rest):
-            a, b, c = (points[self.triangles[:, k]] for k in range(3))
-            flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
+            flat = np.flatnonzero(self.areas(points) <= 0)
             if flat.size:
                 raise SceneError(f"triangle {flat[0]} has no area")
+
+    def areas(self, points: Floats) -> Floats:
+        """Return the triangles' areas [mm²], shape (k,), with vertices at points [mm], shape (n, 3)."""
+        a, b, c = (points[self.triangles[:, k]] for k in range(3))
+        return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
 
 
 def as_numbers(name: str, values) -> np.ndarray:
