@@ -82,6 +82,17 @@ def mean_head(anny, template):
     return fit_head(template, anny.skin(np.zeros(anny.code_size)))
 
 
+@pytest.fixture(scope="session")
+def verified(tmp_path_factory):
+    """The folder of a small study that was run: two layers in series, by scikit-fem."""
+    from softdeca.benchmarks.harness import run
+    from softdeca.benchmarks.studies.verification import Verification
+
+    out = tmp_path_factory.mktemp("verification")
+    run(Verification(solvers=("skfem",)), out, match="two layers", workers=1)
+    return out
+
+
 @dataclass(frozen=True)
 class Ended:
     """How a command ended: exit status, and the lines of its two streams."""

@@ -48,10 +48,11 @@ def test_a_head_that_is_fitted_is_accepted_and_drawn(command, tmp_path):
 
 
 def test_an_own_skin_in_metres_gives_the_head_in_millimetres(command, tmp_path):
-    whole = command("head", "fit", "--out", tmp_path / "head.npz")
+    whole = command("head", "fit", "--level", 1, "--out", tmp_path / "head.npz")
     skin = load_head(tmp_path / "head.npz").skin
     np.savez(tmp_path / "skin.npz", vertices=skin.vertices / 1000, triangles=skin.triangles)
-    ended = command("head", "fit", "--skin", tmp_path / "skin.npz", "--unit", "m", "--out", tmp_path / "own.npz")
+    words = ("--skin", tmp_path / "skin.npz", "--unit", "m", "--level", 1, "--out", tmp_path / "own.npz")
+    ended = command("head", "fit", *words)
     assert whole.status == ended.status == 0
     own = load_head(tmp_path / "own.npz")
     np.testing.assert_allclose(own.vertices, load_head(tmp_path / "head.npz").vertices, atol=1e-6)

@@ -9,15 +9,9 @@ from softdeca.lhm.base.geometry.topology import close_openings, find_openings
 from softdeca.lhm.identities.space import EYES, MOUTH, OUTSIDE
 from softdeca.lhm.scans.eyes import SIDES
 
+from ..robustness.whole_files import grouped_obj
+
 TURNED = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])  # z up, x the front
-
-
-def obj(x, triangles, groups):
-    """As ICT-FaceKit's: materials that take turns, texture coordinates of their own for each corner."""
-    lines = ["mtllib head.mtl", *(f"v {a:.8g} {b:.8g} {c:.8g}" for a, b, c in x), "vt 0 0", "vt 1 0", "vt 0 1"]
-    for number, part in enumerate(np.array_split(triangles, groups)):
-        lines += [f"usemtl M_{number % 3}", *(f"f {a}/1 {b}/2 {c}/3" for a, b, c in part + 1)]
-    return "\n".join(lines)
 
 
 @pytest.mark.parametrize("name", ["anny", "ict"])
@@ -29,7 +23,7 @@ def test_a_rigs_open_head_is_fitted_and_stays_open(name, request, tmp_path):
     low = np.quantile(skin.vertices[space.parts == OUTSIDE, 1], 0.03)
     kept = skin.triangles[visible & (skin.vertices[skin.triangles][:, :, 1] > low).all(axis=1)]
     path = tmp_path / "head.obj"
-    path.write_text(obj(skin.vertices @ TURNED.T / 25.4, kept, 9))
+    path.write_text(grouped_obj(skin.vertices @ TURNED.T / 25.4, kept, 9))
     head = scans.fit_scan(path, load_template(level=1))
     assert any("taken for in" in note for note in head.notes), head.notes
     assert any("z is up, x the front" in note for note in head.notes), head.notes
@@ -46,7 +40,7 @@ def test_a_head_sealed_at_mouth_and_lids_is_opened_and_says_what_stays_still(dat
     hidden = np.isin(space.parts, (MOUTH, EYES))[space.mean.triangles].any(axis=1)
     skin = close_openings(Surface(drawn, space.mean.triangles[~hidden]))
     path = tmp_path / "head.obj"
-    path.write_text(obj(skin.vertices @ TURNED.T / 10, skin.triangles, 3))
+    path.write_text(grouped_obj(skin.vertices @ TURNED.T / 10, skin.triangles, 3))
     head = scans.fit_scan(path, load_template(level=1))
     assert any("mouth: sealed; opened" in note for note in head.notes), head.notes
     assert any(note.startswith("eyes: closed") for note in head.notes), head.notes

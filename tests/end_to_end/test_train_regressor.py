@@ -7,7 +7,8 @@ import pytest
 
 from softdeca.lhm import identities, load_template
 from softdeca.lhm.regressor.depths import DepthRegressor
-from softdeca.lhm.regressor.pairs import move_wrap
+
+from ..unit.test_regressor import connectors, head, write
 
 
 @pytest.fixture(scope="module")
@@ -15,20 +16,13 @@ def space():
     return identities.Anny()
 
 
-def connectors(template):
-    return template.head.skull_wrap.vertices - template.skin_wrap.vertices
-
-
 @pytest.fixture
 def folder(tmp_path, space):
     """Four heads, their skulls the template's connectors under the skin times a factor of the head."""
-    template, out = load_template(space), tmp_path / "pairs"
+    out = tmp_path / "pairs"
     out.mkdir()
     for seed in range(4):
-        skin = space.sample(np.random.default_rng(seed))[1]
-        skull = move_wrap(template, skin.vertices) + (0.8 + 0.1 * seed) * connectors(template)
-        np.savez(out / f"p{seed}_skin.npz", vertices=skin.vertices, triangles=skin.triangles)
-        np.savez(out / f"p{seed}_skull.npz", vertices=skull, triangles=template.skin_wrap.triangles)
+        write(out, f"p{seed}", *head(load_template(space), space, seed, 0.8 + 0.1 * seed))
     return out
 
 

@@ -11,16 +11,9 @@ from softdeca.lhm.identities import ict
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 
 from ..refusals import refused
+from ..robustness.whole_files import grouped_obj
 
 NOTICE = "Copyright (c) somebody"
-
-
-def write_obj(path, vertices, triangles, comment=""):
-    """An OBJ file as these projects write them: corners with texture coordinates, materials in between."""
-    lines = [*(f"# {line}" for line in comment.splitlines()), "", "mtllib model.mtl"]
-    lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in vertices]
-    lines += ["vt 0 0", "usemtl M_Face", *(f"f {a}/1 {b}/1 {c}/1" for a, b, c in triangles + 1)]
-    path.write_text("\n".join(lines) + "\n")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +39,7 @@ def facekit(tmp_path_factory):
     shapes |= {"browInnerUp_L": neutral + [0, 0.2, 0], "browInnerUp_R": neutral + [0, 0.3, 0]}
     shapes |= {f"identity00{k}": neutral * (1.0 + 0.1 * (k + 1)) for k in range(3)}
     for name, vertices in shapes.items():
-        write_obj(folder / f"{name}.obj", vertices, mesh, "#" * 40 + f"\n{NOTICE}\n" + "#" * 40)
+        (folder / f"{name}.obj").write_text(grouped_obj(vertices, mesh, comment="#" * 40 + f"\n{NOTICE}\n" + "#" * 40))
     names = ("face", "head_neck", "mouth_socket", "eye_socket_l", "eye_socket_r", "teeth")
     return folder, len(neutral), tuple(zip(names, counts, strict=True))
 
@@ -120,13 +113,15 @@ def body(request, tmp_path):
             if "sclera" not in name:
                 balls = np.vstack([vertices + [30.0, 0, 0], vertices - [30.0, 0, 0]])  # both eyes are one part there
                 both = np.vstack([faces, faces + len(vertices)])
-                write_obj(folder / f"{concept}.obj", *((balls, both) if name == "eyeball" else (vertices, faces)))
+                whole = (balls, both) if name == "eyeball" else (vertices, faces)
+                (folder / f"{concept}.obj").write_text(grouped_obj(*whole))
         elif name != "eyeball":
             head = f"File ID : FJ{number}\nRepresentation ID : BP1\nConcept ID : {concept}\nEnglish name : {name}"
             halves = [faces[:6], faces[6:]] if name == "mandible" else [faces]
             for piece in [*halves, halves[0]] if name == "mandible" else halves:
                 used, numbers = np.unique(piece, return_inverse=True)
-                write_obj(folder / f"FJ{number}.obj", vertices[used], numbers.reshape(-1, 3), head)
+                text = grouped_obj(vertices[used], numbers.reshape(-1, 3), comment=head)
+                (folder / f"FJ{number}.obj").write_text(text)
                 number += 1
     (folder / "FJ1.obj").write_text("# Concept ID : FMA9999\nv none\n")  # some other organ, which nobody reads
     (folder / "FJ2.obj").write_text("")

@@ -20,35 +20,31 @@ def test_listed_packages_are_those_on_disk():
     assert listed == on_disk
 
 
+def imported(*folders):
+    """The first part of each name that is imported absolutely, by file."""
+    for path in [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                yield from ((path, alias.name.split(".")[0]) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                yield path, node.module.split(".")[0]
+
+
 def test_each_package_imported_is_a_dependency():
     """What another package happens to bring along may go with its next release."""
     listed = (ROOT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
     listed = {line.strip(' ",').split(">=")[0].replace("-", "_") for line in listed.splitlines() if ">=" in line}
-    imported = set()
-    for path in [p for portion in PORTIONS for p in (ROOT / portion).rglob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                imported.add(node.module.split(".")[0])
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
-    needed = {other_names.get(name, name) for name in imported - set(sys.stdlib_module_names)}
+    names = {name for _, name in imported(*PORTIONS)} - set(sys.stdlib_module_names)
     # FEniCSx comes from Debian or conda; what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh and speech are extras.
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "slepc4py"}
     elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse"}
-    assert needed - elsewhere == listed
+    assert {other_names.get(name, name) for name in names} - elsewhere == listed
 
 
-@pytest.mark.parametrize("path", [p for d in (*PORTIONS, "tests") for p in sorted((ROOT / d).rglob("*.py"))], ids=str)
-def test_no_module_is_imported_by_its_folder(path):
+def test_no_module_is_imported_by_its_folder():
     """`import reference` from the root would make a second copy of each module."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names = [node.module or ""]
-        assert not [n for n in names if n.split(".")[0] in PORTIONS], path
+    assert [path for path, name in imported(*PORTIONS, "tests") if name in PORTIONS] == []
 
 
 def test_the_default_head_is_part_of_the_package():

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.harness.page import CHANGED, render_study
-from softdeca.benchmarks.harness.report import ReportPart, write_report
-from softdeca.benchmarks.studies.verification import Verification
+from softdeca.benchmarks.harness.report import read_part, write_report
+from softdeca.benchmarks.studies import load_study
 from softdeca.lhm.base import provenance
 from softdeca.lhm.base.files.text import read_toml
 
@@ -92,14 +91,12 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("commit", "earlier"), [("a" * 12, "b" * 12), ("a" * 12 + "-dirty", "b" * 12), ("a" * 12, "b-dirty")]
 )
-def test_pages_say_where_no_commit_holds_the_code(tmp_path, commit, earlier):
-    study = Verification(solvers=("skfem",))
-    results = run(study, tmp_path, match="two layers", workers=1)
-    rows = tuple(replace(row, commit=earlier) for row in results.rows)
-    results = replace(results, machine={**results.machine, "commit": commit}, rows=rows)
-    write_report([ReportPart(study, results, tmp_path)], tmp_path / "report", "mine")
-    shown = [render_study(study, results, tmp_path)] + [
-        (tmp_path / "report" / name).read_text() for name in ("index.html", "report.md")
-    ]
+def test_pages_say_where_no_commit_holds_the_code(verified, tmp_path, commit, earlier):
+    part = read_part(verified, load_study)
+    rows = tuple(replace(row, commit=earlier) for row in part.results.rows)
+    results = replace(part.results, machine={**part.results.machine, "commit": commit}, rows=rows)
+    write_report([replace(part, results=results)], tmp_path, "mine")
+    shown = [render_study(part.study, results, verified)]
+    shown += [(tmp_path / name).read_text() for name in ("index.html", "report.md")]
     assert [CHANGED in text for text in shown] == 3 * ["dirty" in commit + earlier]
     assert f"{commit}, {earlier}" in shown[0] and f"{commit}, {earlier}" in shown[1]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks.harness import Table, run
+from softdeca.benchmarks.harness import Table
 from softdeca.benchmarks.harness.page import to_latex, to_markdown
 from softdeca.benchmarks.harness.report import read_part, write_report
 from softdeca.benchmarks.studies import load_study
@@ -16,15 +16,8 @@ from softdeca.lhm import InputError
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    out = tmp_path_factory.mktemp("verification")
-    run(Verification(solvers=("skfem",)), out, match="two layers", workers=1)
-    return out
-
-
-def test_a_report_of_studies_says_what_they_found(made, command, tmp_path):
-    ended = command("bench", "report", made, "--title", "mine & <yours>", "--out", tmp_path)
+def test_a_report_of_studies_says_what_they_found(verified, command, tmp_path):
+    ended = command("bench", "report", verified, "--title", "mine & <yours>", "--out", tmp_path)
     assert ended.status == 0 and len(ended.out.splitlines()) == 4
     text = (tmp_path / "index.html").read_text()
     assert "mine &amp; &lt;yours&gt;" in text and "4 of 4 values by skfem are within their bounds." in text
@@ -39,9 +32,9 @@ def test_a_report_of_studies_says_what_they_found(made, command, tmp_path):
     assert tables.count(r"\begin{table}") == tables.count(r"\bottomrule") == 1 and r"\label{tab:verification" in tables
 
 
-def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_path):
+def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(verified, tmp_path):
     file = tmp_path / "results.json"
-    found = json.loads((made / "results.json").read_text())
+    found = json.loads((verified / "results.json").read_text())
     rows = found["rows"]
     # Another process measured each row: its processor time is at most what one thread can spend, and some margin.
     assert all(0.0 < row["cpu"] < row["seconds"] + 0.5 for row in rows)
@@ -68,14 +61,14 @@ def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_pat
     )
 
 
-def test_results_that_are_none_are_named(made, command, tmp_path):
+def test_results_that_are_none_are_named(verified, command, tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(InputError, match="results.json: no results of a study"):
         read_part(tmp_path, load_study)
-    once = read_part(made, load_study)
+    once = read_part(verified, load_study)
     with pytest.raises(InputError, match="each study once"):
         write_report([once, once], tmp_path, "twice")
-    found = json.loads((made / "results.json").read_text())
+    found = json.loads((verified / "results.json").read_text())
     del found["rows"][0]["values"]["outcomes"]
     (tmp_path / "results.json").write_text(json.dumps(found))
     ended = command("bench", "report", tmp_path, "--out", tmp_path / "out")
