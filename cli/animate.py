@@ -14,8 +14,7 @@ from ..lhm.expressions import Take
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .counts import counted
-from .options import FILE, LEVEL, argument, make_command, option
+from .options import FILE, LEVEL, argument, count_range, make_command, option
 from .take_options import HeadChoice, load_take
 from .terminal import INTERRUPTED, show_progress
 from .written_file import FOLDER
@@ -72,7 +71,7 @@ class Animate:
     identities: str | None = option(
         None, "identity space of the head (anny or ict:FILE); with --head: of the expressions", type=str
     )
-    seed: int | None = option(None, "random seed of the identity; default: mean face", type=counted(SEED))
+    seed: int | None = option(None, "random seed of the identity; default: mean face", type=count_range(SEED))
     level: int | None = option(None, "1,212, 4,842 (default) or 19,362 vertices per wrap", type=LEVEL)
     parameters: Path | None = option(
         None, "TOML file of parameters p; default: all defaults. Local values are one per face of the skin", type=FILE
@@ -93,7 +92,7 @@ class Animate:
         "refuse", f"with --accuracy {NONE}: what the network has not seen", type=click.Choice(["refuse", "clamp"])
     )  # fmt: skip
     targets: int | None = option(
-        None, "also write glTF with this many morph targets, for any take", type=counted(BAKED_TARGETS)
+        None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
     )
     out: Path = option("out/animation", "folder of the results; finished frames in it are kept", type=FOLDER)
     json: bool = option(False, "print the result as JSON")

@@ -13,8 +13,7 @@ import click
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import PEOPLE
 from ..lhm.base.progress import OnProgress
-from .counts import counted
-from .options import LEVEL, argument, as_command, option
+from .options import LEVEL, argument, as_command, count_range, option
 from .terminal import show_progress
 from .written_file import FOLDER, PNG
 
@@ -71,7 +70,7 @@ class Generate:
         "folder of recorded takes (LiveLink CSV, JSON, weights.csv)",
         type=click.Path(path_type=Path, file_okay=False),
     )
-    people: int | None = option(None, "how many, in place of the plan's", type=counted(PEOPLE))
+    people: int | None = option(None, "how many, in place of the plan's", type=count_range(PEOPLE))
     identities: str | None = option(
         None,
         "people: 'anny' (default), 'ict:FILE', 'flame:FILE', 'folder:DIR', 'external:ict:FILE' (ICT's in anny's "

@@ -11,13 +11,13 @@ import click
 
 from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
 from ..lhm.base.option import argument, option
-from .counts import counted
 
 __all__ = [
     "FILE",
     "LEVEL",
     "argument",
     "as_command",
+    "count_range",
     "make_command",
     "make_option",
     "name_option",
@@ -43,6 +43,11 @@ COUNTS: dict[str, Bound] = {
     "up_to": Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1),
 }
 """The bound of a count by its field's name; where a study itself takes less, it says so."""
+
+
+def count_range(bound: Bound) -> click.IntRange:
+    """Make the type of an option that is such a count; `--help` shows the range."""
+    return click.IntRange(bound.least, bound.most)
 
 
 class Request(Protocol):
@@ -106,4 +111,4 @@ def name_option(field: Field) -> str:
 def type_option(field: Field) -> Any:
     """Give the click type of an option's values."""
     is_count = field.name in COUNTS and type(field.default) is int
-    return field.metadata.get("type", counted(COUNTS[field.name]) if is_count else type(field.default))
+    return field.metadata.get("type", count_range(COUNTS[field.name]) if is_count else type(field.default))

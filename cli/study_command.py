@@ -14,8 +14,7 @@ import click
 from ..benchmarks.studies import COMMANDS, load_study
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import WORKERS
-from .counts import counted
-from .options import make_option, name_option, option, type_option
+from .options import count_range, make_option, name_option, option, type_option
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -35,7 +34,7 @@ class RunOptions:
 
     match: str = option("", "only cases and methods with this in their name")
     only: Any = option("missing", "which to do: failed again, or all", type=click.Choice(ONLY))
-    workers: int | None = option(None, "processes; default: all; one if timed", type=counted(WORKERS))
+    workers: int | None = option(None, "processes; default: all; one if timed", type=count_range(WORKERS))
     out: Path | None = option(None, "folder of the report; default: out/ and the study's name", type=FOLDER)
     json: bool = option(False, "print the results file to stdout")
 

@@ -8,7 +8,7 @@ import click
 
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.limits import TRAINING_STEPS
-from .counts import counted
+from .options import count_range
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -23,7 +23,7 @@ from .written_file import FOLDER
     help="modal: the shipped form; paper: SoftDECA's hypernetwork as printed, by its protocol; hyper: ours of it, "
     "quick; softsmpl-small, softsmpl-large, face-wise: its rivals",
 )
-@click.option("--steps", type=counted(TRAINING_STEPS), help="training steps; default: the network's own number")
+@click.option("--steps", type=count_range(TRAINING_STEPS), help="training steps; default: the network's own number")
 @click.option(
     "--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after this time [s]; default: no limit"
 )

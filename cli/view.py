@@ -9,7 +9,7 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.limits import SEED
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .counts import counted
+from .options import count_range
 from .take_options import HeadChoice
 from .terminal import show_progress
 from .written_file import HTML
@@ -23,7 +23,7 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 @click.option(
     "--identities", "space_name", help="identity space of the head (anny or ict:FILE); with HEAD: of the expressions"
 )
-@click.option("--seed", type=counted(SEED), help="random seed of the identity; default: mean face")
+@click.option("--seed", type=count_range(SEED), help="random seed of the identity; default: mean face")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
 @click.option("--out", default="out/view.html", type=HTML, help="file of the page")
 def view(
