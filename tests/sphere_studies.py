@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 from conftest import layered_sphere, with_regions
@@ -20,6 +21,7 @@ from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
+from softdeca.benchmarks.studies.surrogate.dial import Dial
 from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions
 
@@ -128,6 +130,11 @@ class Drawn(SimpleNamespace):
 class SphereShapes(OfSphere, Shapes):
     def person(self, level=None, seed=None):
         return replace(sphere(3), space=Drawn())
+
+
+@dataclass(frozen=True)
+class SphereDial(Dial):
+    people: ClassVar[str] = "spheres:2"
 
 
 @dataclass(frozen=True)

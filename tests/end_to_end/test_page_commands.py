@@ -98,6 +98,7 @@ ELSEWHERE = {
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
     "softdeca bench scaling --cases unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench surrogate --cases dial": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench surrogate --cases split": "test_split.py::test_the_parts_of_an_error_and_their_check",
     "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
     "softdeca bench surrogate --cases table-1 --corpus corpus": (

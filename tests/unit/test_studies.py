@@ -37,6 +37,7 @@ CHEAP = {
     "SphereLocking": {"level": 1, "poisson": ("0.45", "0.499"), "finer": (), "free": ("0.45",), "size": 20.0},
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
+    "SphereDial": {"faces": 1, "frames": 1},
     "SphereRanks": {"level": 1, "rounds": 1, "repeats": 1},
     "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1, "slow": True},
 }

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -64,7 +65,8 @@ class Dial(Study):
         "vertices that physics moves by more than 0.05 mm. Milliseconds are processor time of one core."
     )
     timed = True
-    version = 1
+    people: ClassVar[str] = "anny"
+    """Who is held out, as `people_from_text` has them."""
 
     faces: int = option(6, "people of each kind: held-out, external, out of range")
     frames: int = option(4, "expressions of each")
@@ -92,7 +94,7 @@ class Dial(Study):
     def _bind(self, group: str, person: int):
         """Return a person's face, the network bound alone or None, the kind of p, and what draws expressions."""
         rng = np.random.default_rng([self.seed, (HELD_OUT, EXTERNAL, BEYOND).index(group), person])
-        people = _people("external:" + self.external if group == EXTERNAL else "anny", self.level)
+        people = _people("external:" + self.external if group == EXTERNAL else self.people, self.level)
         who = people.person(rng)
         head = people.head(who)
         kind = KINDS[person % len(KINDS)]
