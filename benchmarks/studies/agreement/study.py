@@ -213,7 +213,7 @@ class Agreement(Study):
         if pairs:
             # None where one does not come to 0.01 mm.
             ratios = [None if None in pair else pair[0] / max(pair[1], 1) for pair in pairs]
-            worst = None if None in ratios else max(ratios)
+            worst = None if None in ratios else max(ratio for ratio in ratios if ratio is not None)
             what = "accelerated PD's iterations to 0.01 mm over plain PD's, worst scene"
             gates.append(at_most(what, worst, 0.2, answer=False))
         return gates

@@ -250,7 +250,11 @@ def measure_floor(scene: Scene, part: str) -> dict:
     problem = Problem(scene, Numbering(scene))
     x, (gradient, assembly, _) = problem.numbering.X, PARTS
     if part == gradient:
-        ms = _measure_median([lambda k=k: problem.at(1e-3 * k * x).gradient() for k in range(1, REPEATS + 1)])
+
+        def find_gradient(k: int) -> Floats:
+            return problem.at(1e-3 * k * x).gradient()
+
+        ms = _measure_median([partial(find_gradient, k) for k in range(1, REPEATS + 1)])
     elif part == assembly:
         ms = _measure_median([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
     else:
