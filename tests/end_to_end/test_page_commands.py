@@ -20,7 +20,7 @@ from softdeca.lhm import expressions, load_template
 from softdeca.surrogate.corpus.plan import read_plan
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = ("README", "docs/own-head", "docs/corpus", "docs/parallel", "docs/studies")
+NAMES = ("README", "docs/own-head", "docs/corpus", "docs/parallel", "docs/paper", "docs/studies")
 PAGES = [ROOT / f"{name}.md" for name in NAMES]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 
