@@ -93,38 +93,47 @@ def render_page(
     if not rigs:
         raise InputError("viewer: there is no rig to show")
     n = len(rigs[0].neutral)
-    packed = _Packed()
+    packed = Packed()
     skins = [skin for pose in poses for skin in pose.skins.values()]
     for shape in [rig.neutral.shape for rig in rigs] + [np.shape(skin) for skin in skins]:
         if shape != (n, 3):
             raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
     skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
-    content = {
-        "expressions": list(ARKIT),
-        "triangles": packed.add("triangles", np.asarray(triangles, dtype=np.uint32)),
+    content = pack_skin(packed, skin) | {
         "top": top,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
+        "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
+    }
+    return fill_page("page.html", packed, content, app="app.js", title=title, words=words)
+
+
+def pack_skin(packed: Packed, skin: Surface) -> dict[str, Any]:
+    """Pack what every page draws a skin with: triangles, where light reaches, eyes and teeth; the page's content."""
+    return {
+        "expressions": list(ARKIT),
+        "triangles": packed.add("triangles", np.asarray(skin.triangles, dtype=np.uint32)),
         "lit": packed.add("lit", light_share(skin).astype(np.float32)),
         "inside": to_linear_light(parse_colour(INSIDE)).tolist(),
         "within": _within(packed, skin),
-        "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
-        "arrays": packed.table,
     }
+
+
+def fill_page(template: str, packed: Packed, content: dict[str, Any], *, app: str, **words: str) -> str:
+    """Fill a template of this folder with content, arrays, style, three.js, scene.js and the script `app`."""
     here = files(__package__)
     environment = Environment(autoescape=True, undefined=StrictUndefined)
-    return environment.from_string((here / "page.html").read_text("utf-8")).render(
-        title=title,
-        words=words,
+    parts = {"style": "page.css", "three": "three.js", "scene": "scene.js", "app": app}
+    return environment.from_string((here / template).read_text("utf-8")).render(
         # "</" would end the script that holds it.
-        content=json.dumps(content, allow_nan=False).replace("</", "<\\/"),
+        content=json.dumps(content | {"arrays": packed.table}, allow_nan=False).replace("</", "<\\/"),
         bytes=base64.b64encode(gzip.compress(packed.bytes, mtime=0)).decode(),
-        three=(here / "three.js").read_text("utf-8"),
-        app=(here / "app.js").read_text("utf-8"),
+        **{name: (here / file).read_text("utf-8") for name, file in parts.items()},
+        **words,
     )
 
 
-def _rig(packed: _Packed, where: str, rig: Rig) -> dict[str, Any]:
+def _rig(packed: Packed, where: str, rig: Rig) -> dict[str, Any]:
     def name(part: str) -> str:
         return f"{where} {part}"
 
@@ -143,7 +152,7 @@ def _rig(packed: _Packed, where: str, rig: Rig) -> dict[str, Any]:
     return found
 
 
-def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dict[str, Any]:
+def _pose(packed: Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dict[str, Any]:
     return {
         "name": pose.name,
         "weights": packed.add(f"pose {k}", np.asarray(pose.weights, dtype=np.float32)),
@@ -151,7 +160,7 @@ def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> di
     }
 
 
-def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
+def _within(packed: Packed, skin: Surface) -> dict[str, Any] | None:
     """Eyes and teeth, where the skin's are known."""
     found = find_eyes_and_teeth(skin)
     if found is None:
@@ -175,7 +184,7 @@ def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
     }
 
 
-def _layer(packed: _Packed, k: int, layer: Layer) -> dict[str, Any]:
+def _layer(packed: Packed, k: int, layer: Layer) -> dict[str, Any]:
     return {
         "name": layer.name,
         "colour": layer.colour,
@@ -184,7 +193,7 @@ def _layer(packed: _Packed, k: int, layer: Layer) -> dict[str, Any]:
     }
 
 
-class _Packed:
+class Packed:
     """Arrays one after another in one block of bytes, with a table of where each begins."""
 
     def __init__(self) -> None:

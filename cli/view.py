@@ -1,12 +1,13 @@
-"""softdeca view: write a page with a head in 3D and 52 sliders."""
+"""softdeca view: a head in a browser with sliders for weights and p, served live; or a page of it as one file."""
 
+import webbrowser
 from pathlib import Path
 
 import click
 import numpy as np
 
 from ..lhm.base.files.atomic import write_whole
-from ..lhm.base.limits import SEED
+from ..lhm.base.limits import PORT, SEED
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import count_range
@@ -25,22 +26,60 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 )
 @click.option("--seed", type=count_range(SEED), help="random seed of the identity; default: mean face")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
-@click.option("--out", default="out/view.html", type=HTML, help="file of the page")
+@click.option("--port", type=counted(PORT), help="port of the live page; default: a free one")
+@click.option("--open", "opens", is_flag=True, help="open the live page in the browser")
+@click.option("--out", type=HTML, help="export a page to this file instead, with fixed parameters")
 def view(
-    head_file: Path | None, space_name: str | None, seed: int | None, parameter_file: Path | None, out: Path
+    head_file: Path | None,
+    space_name: str | None,
+    seed: int | None,
+    parameter_file: Path | None,
+    port: int | None,
+    opens: bool,
+    out: Path | None,
 ) -> int:
-    """Write a page that shows HEAD, or one of --identities, in 3D, with a slider for each expression.
+    """Show HEAD, or one of --identities, in 3D, with sliders for the 52 expressions and the parameters p.
 
-    It moves by blendshapes, by the simulator's derivatives, and by the surrogate if the head has the triangles of its
-    people. The file opens in any browser with WebGL and needs no network.
+    The address is printed; only browsers on this machine reach it. The network answers while a slider moves. The
+    simulator's derivatives and the simulator itself then refine the frame, and the page shows the falling error [mm].
+    Ctrl-C ends it.
+
+    With --out it writes one file, which opens in any browser with WebGL and needs no network. Its sliders move
+    expressions alone: by blendshapes, derivatives, and the network if the head has the triangles of its people.
     """
+    if out is not None and (port is not None or opens):
+        raise click.UsageError("--port and --open are for the live page, not for --out", click.get_current_context())
+    which = HeadChoice(head_file, space_name, seed, None)
+    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
+    title = which.space.name if head_file is None else head_file.stem
+    if out is None:
+        _serve(which, parameters, title, port, opens)
+    else:
+        words = WORDS.format("default parameters" if parameter_file is None else parameter_file.name)
+        _export(which, parameters, title, words, out)
+    return 0
+
+
+def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None, opens: bool) -> None:
+    from ..animation.live.face import LiveFace
+    from ..animation.live.server import serve_face
+
+    def tell(address: str) -> None:
+        click.echo(f"{title}: {address} (Ctrl-C ends it)")
+        if opens:
+            webbrowser.open(address)
+
+    with show_progress() as progress:
+        head, shapes = which.head(progress)
+        face = LiveFace.from_head(head, shapes, parameters)
+    serve_face(face, title, port=port, on_ready=tell, on_trouble=lambda line: click.echo(f"softdeca: {line}", err=True))
+
+
+def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path) -> None:
     from ..animation.animate import bind_head
     from ..animation.page import Rig, render_face_page
     from ..surrogate import Surrogate
 
-    which = HeadChoice(head_file, space_name, seed, None)
-    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-    named = "default parameters" if parameter_file is None else parameter_file.name
     with show_progress() as progress:
         head, shapes = which.head(progress)
         rigs, surrogate = [], Surrogate.load()
@@ -48,8 +87,6 @@ def view(
             served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
             rigs.append(Rig.baked(f"surrogate: {served.method}", served.rig))
         progress("page", 0.3)
-        title = which.space.name if head_file is None else head_file.stem
-        write_whole(out, render_face_page(title, WORDS.format(named), head, parameters, shapes, rigs).encode())
+        write_whole(out, render_face_page(title, words, head, parameters, shapes, rigs).encode())
         progress("page", 1.0)
     click.echo(f"wrote {out}")
-    return 0

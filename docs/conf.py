@@ -50,6 +50,7 @@ html_sidebars = dict.fromkeys(
         "limits",
         "python",
         "own-head",
+        "viewer",
         "corpus",
         "parallel",
         "studies",

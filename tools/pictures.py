@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
@@ -27,8 +28,19 @@ HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/
 NETWORK = ("surrogate/pretrained/anny.safetensors",)
 PAGE = (
     "animation/app.js",
+    "animation/scene.js",
+    "animation/page.css",
     "animation/page.html",
     "animation/page.py",
+    "animation/pictures.py",
+    "animation/eyes_and_teeth.py",
+)
+LIVE_PAGE = (
+    "animation/live.js",
+    "animation/live.html",
+    "animation/live/controls.py",
+    "animation/scene.js",
+    "animation/page.css",
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
 )
@@ -153,11 +165,46 @@ def viewer(scan: Path) -> bytes:
     return picture
 
 
+def live(scan: Path) -> bytes:
+    """Show the default head's live page in Chromium, smiling with more soft tissue, once the simulator has converged."""
+    from playwright.sync_api import sync_playwright
+
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise SystemExit("live: Chromium is not installed")
+    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "view"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as play:
+        try:
+            address = server.stdout.readline().split()[1]  # type: ignore[union-attr]
+            browser = play.chromium.launch(executable_path=chromium, args=DRAWS)
+            page = browser.new_page(viewport={"width": 1200, "height": 760})
+            page.goto(address)
+            page.get_by_role("button", name="heavier").click()
+            page.get_by_role("button", name="smile").click()
+            page.get_by_role("radio", name="distance to blendshapes").check()
+            page.mouse.move(400, 500)
+            page.mouse.down()
+            page.mouse.move(360, 496, steps=5)
+            page.mouse.up()
+            # The page's policy forbids what wait_for_function does.
+            while not page.evaluate(
+                "viewer.frame.last && viewer.frame.isAnswered && viewer.panel.state.weights.mouthSmileLeft"
+            ):
+                page.wait_for_timeout(200)
+            page.wait_for_timeout(1000)
+            picture = page.screenshot()
+            browser.close()
+        finally:
+            server.terminate()
+    return picture
+
+
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "own-head.png": (own_head, (*HEAD, *DRAWING)),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
+    "live.png": (live, (*HEAD, *NETWORK, *LIVE_PAGE)),
 }
 """Each picture with the function that makes it, and the files that it is drawn from."""
 

@@ -81,3 +81,9 @@ BAKED_TARGETS = Bound("morph targets", 4_096, "the network has some 150 directio
 STUDIED_PAIRS = Bound("pairs of people", 10_000, "each pair is a minute of work", 1)
 FACES = Bound("faces", 100_000, "each face is some seconds of work")
 RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")
+
+# The live viewer.
+PORT = Bound("as a port", 65_535, "below 1,024 only root may listen", 1_024)
+TABS = Bound("tabs", 4, "each refines in a process of its own, of some 0.7 GB", 1)
+CHANGE_BYTES = Bound("bytes of a change", 16_384, "52 weights and all parameters have 3,000")
+CHANGES_PER_SECOND = Bound("changes in a second", 240, "a page sends one for each redraw, 60 to 144 in a second")

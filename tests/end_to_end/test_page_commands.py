@@ -20,7 +20,7 @@ from softdeca.lhm import expressions, load_template
 from softdeca.surrogate.corpus.plan import read_plan
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = ("README", "docs/own-head", "docs/corpus", "docs/parallel", "docs/paper", "docs/studies")
+NAMES = ("README", "docs/own-head", "docs/viewer", "docs/corpus", "docs/parallel", "docs/paper", "docs/studies")
 PAGES = [ROOT / f"{name}.md" for name in NAMES]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 
@@ -29,7 +29,7 @@ RUN = {
     "softdeca head check head.npz": "",
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
     "softdeca head show head.npz --expression jawOpen*0.5": "",
-    "softdeca view head.npz --parameters p.toml": "",
+    "softdeca view head.npz --parameters p.toml --out out/view.html": "",
     "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
         "--frames 0:2"
     ),
@@ -41,6 +41,7 @@ RUN = {
 }
 CORPUS = "test_corpus_command.py::test_a_corpus_from_plan_to_picture"
 ELSEWHERE = {
+    "softdeca view head.npz": "test_live_view.py::test_each_answer_is_pythons_own",
     "softdeca study --identities ict:ict_facekit.npz --out out/ict": (
         "test_head_default.py::test_template_passes_its_gates"
     ),

@@ -36,9 +36,10 @@ def test_each_package_imported_is_a_dependency():
     listed = {line.strip(' ",').split(">=")[0].replace("-", "_") for line in listed.splitlines() if ">=" in line}
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
     names = {name for _, name in imported(*PORTIONS)} - set(sys.stdlib_module_names)
-    # FEniCSx comes from Debian or conda; what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh and speech are extras.
+    # FEniCSx comes from Debian or conda; extras: what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh, speech, live
+    # pages.
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "slepc4py"}
-    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse"}
+    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "websockets"}
     assert {other_names.get(name, name) for name in names} - elsewhere == listed
 
 

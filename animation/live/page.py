@@ -1,0 +1,23 @@
+"""The live page: a head, its sliders, and the script that asks the server for frames."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..page import POSES, Packed, fill_page, pack_skin
+from .controls import PRESETS, describe_controls
+from .face import LiveFace
+
+
+def render_live_page(title: str, face: LiveFace, socket: str) -> str:
+    """Render the page of a face whose websocket is at the path `socket`; InputError for p that no slider shows."""
+    packed = Packed()
+    content = pack_skin(packed, face.head.skin) | {
+        "neutral": packed.add("neutral", face.head.skin.vertices.astype(np.float32)),
+        "socket": socket,
+        "controls": describe_controls(face.start),
+        "effects": PRESETS,
+        "poses": POSES,
+        "network": face.code is not None,
+    }
+    return fill_page("live.html", packed, content, app="live.js", title=title)

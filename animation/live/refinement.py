@@ -1,0 +1,86 @@
+"""Better answers to a change, one after another: the simulator's derivatives, then the simulator on its way.
+
+Each tells how far the converged simulator is estimated to be; see `surrogate.certified`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+from ...lhm.base.errors import SceneError
+from ...reference import Parameters
+from ...reference.face.derivatives import Analysis
+from ...surrogate import CertifiedFace, Surrogate
+from .face import LiveFace
+from .messages import Change, DerivativesFound, Frame
+
+ENOUGH = 3e-5
+"""[mm] Mean error of the last answer: no vertex is then off by a hundredth of a millimetre."""
+
+IsSuperseded = Callable[[], bool]
+
+
+class SupersededError(Exception):
+    """A newer change has come."""
+
+
+class Refinement:
+    """Refines answers about one face; what it prepared for a p serves all expressions under it."""
+
+    def __init__(self, face: LiveFace):
+        self._face = face
+        self._network = None if face.code is None else Surrogate.load()
+        self._now: tuple[Parameters, CertifiedFace] | None = None
+        self._analysis: Analysis | None = None
+
+    def is_prepared_for(self, parameters: Parameters) -> bool:
+        """Return whether derivatives under this p are there."""
+        return self._now is not None and self._now[0] == parameters
+
+    def prepare(self, parameters: Parameters, is_superseded: IsSuperseded) -> DerivativesFound:
+        """Settle and differentiate the face under p, in seconds.
+
+        SupersededError as soon as it is; InputError for a face that does not settle, and what the simulator raises.
+        """
+        self._now = None  # before another is made: a factor is an eighth of a gigabyte
+        face = CertifiedFace.from_head(
+            self._face.head,
+            self._face.shapes,
+            parameters,
+            surrogate=self._network,
+            like=self._analysis,
+            on_iteration=lambda *_: _check(is_superseded),
+        )
+        self._now, self._analysis = (parameters, face), face.frames.linear.analysis
+        return DerivativesFound(parameters, face.rig.modes.offset, face.rig.modes.responses)
+
+    def frames(self, change: Change, is_superseded: IsSuperseded) -> Iterator[Frame]:
+        """Answer a change under the p that was prepared, better and better, until the simulator has converged.
+
+        SupersededError between two frames as soon as it is; SceneError where the simulator does not converge.
+        """
+        if self._now is None or not self.is_prepared_for(change.parameters):
+            raise SceneError("refinement: prepare the parameters first")
+        begin = time.perf_counter()
+        for frame in self._now[1].improve(change.weights):
+            _check(is_superseded)
+            has_converged = frame.method == "converged" or frame.bound <= ENOUGH
+            yield Frame(
+                change.number,
+                "derivatives" if frame.method in ("derivatives", "network") else "simulator",
+                frame.skin,
+                frame.errors,
+                frame.error,
+                certain=frame.certain,
+                is_last=has_converged,
+                seconds=time.perf_counter() - begin,
+            )
+            if has_converged:
+                return
+        raise SceneError("the simulator has not converged; what is shown may be far off")
+
+
+def _check(is_superseded: IsSuperseded) -> None:
+    if is_superseded():
+        raise SupersededError

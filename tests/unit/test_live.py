@@ -1,0 +1,146 @@
+"""The live page's parts without a browser: changes in, frames out, answers better and better, newer changes first."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softdeca.animation.live.controls import CONTROLS, PRESETS, describe_controls
+from softdeca.animation.live.face import FirstAnswer, LiveFace
+from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
+from softdeca.animation.live.refinement import Refinement, SupersededError
+from softdeca.animation.live.worker import Newest, refine_newest
+from softdeca.lhm import InputError
+from softdeca.reference import Parameters
+from softdeca.surrogate.sphere import Spheres
+
+SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
+
+
+@pytest.fixture(scope="module")
+def face():
+    head = SPACE.fit(SPACE.skin(CODE))
+    return LiveFace.from_head(head, SPACE.expression_deltas(CODE), Parameters())
+
+
+def change(number=1, *, volume=1.2, weight=0.6):
+    weights = np.zeros(52, dtype=np.float32)
+    weights[[3, 20]] = weight
+    return Change(number, weights, Parameters(soft_volume=volume, soft_stiffness=2.0, target_stiffness=1.0))
+
+
+def never():
+    return False
+
+
+def test_answers_come_better_and_better(face):
+    refinement, asked = Refinement(face), change()
+    refinement.prepare(asked.parameters, never)
+    frames = list(refinement.frames(asked, never))
+    assert [frame.method for frame in frames] == ["derivatives"] + ["simulator"] * (len(frames) - 1)
+    assert [frame.is_last for frame in frames] == [False] * (len(frames) - 1) + [True]
+    assert frames[-1].mean_error < 1e-4 and frames[-1].error.max() < 0.01
+    last = frames[-1].skin
+    true = np.array([np.linalg.norm(frame.skin - last, axis=1).mean() for frame in frames])
+    told = np.array([frame.error.mean() for frame in frames])
+    assert true[0] > 1e-4 and (told[:-1] > 0.3 * true[:-1]).all() and (told[:-1] < 3.0 * true[:-1] + 1e-5).all()
+
+
+def test_the_first_answer_is_the_best_that_is_known_of_p(face):
+    first, asked = FirstAnswer(face), change()
+    frame = first.frame(asked)
+    assert frame.method == "blendshapes" and frame.error is None and not frame.is_last
+    assert np.abs(frame.skin - face.blend(asked.weights)).max() < 1e-4
+    refinement = Refinement(face)
+    found = refinement.prepare(asked.parameters, never)
+    first.learn(found)
+    again = first.frame(asked)
+    assert again.method == "derivatives" and not again.certain and again.error.mean() > 0.0
+    assert np.abs(again.skin - next(refinement.frames(asked, never)).skin).max() < 1e-4
+    assert first.frame(change(volume=1.1)).method == "blendshapes"
+
+
+def test_a_newer_change_ends_the_work_on_one_before(face):
+    refinement, asked = Refinement(face), change()
+    with pytest.raises(SupersededError):
+        refinement.prepare(asked.parameters, lambda: True)
+    assert not refinement.is_prepared_for(asked.parameters)
+    refinement.prepare(asked.parameters, never)
+    with pytest.raises(SupersededError):
+        list(refinement.frames(asked, lambda: True))
+    assert refinement.is_prepared_for(asked.parameters)
+
+
+def test_only_the_newest_change_is_refined_and_a_moving_slider_settles_nothing(face):
+    newest, refinement, sent = Newest(), Refinement(face), []
+    newest.put(change(1, volume=1.1))
+    newest.put(change(2, volume=1.2))
+    taken = newest.take()
+    assert taken.number == 2 and not newest.comes_within(0.01)
+    newest.put(taken)
+    refine_newest(refinement, newest, sent.append)
+    assert isinstance(sent[0], Note) and isinstance(sent[1], DerivativesFound)
+    assert {message.change for message in sent if isinstance(message, Frame | Note)} == {2}
+
+    def send_and_move(message):
+        sent.append(message)
+        if isinstance(message, DerivativesFound):
+            newest.put(change(4, volume=1.3, weight=0.1))
+
+    sent.clear()
+    newest.put(change(3, volume=1.3))
+    refine_newest(refinement, newest, send_and_move)
+    assert not [message for message in sent if isinstance(message, Frame)]
+    refine_newest(refinement, newest, sent.append)
+    frames = [message for message in sent if isinstance(message, Frame)]
+    assert {frame.change for frame in frames} == {4} and len([m for m in sent if isinstance(m, DerivativesFound)]) == 1
+
+
+def test_a_face_that_does_not_settle_is_told(face, monkeypatch):
+    newest, sent = Newest(), []
+    monkeypatch.setattr("softdeca.reference.face.derivatives.TARGET_OPTIONS", {"tolerance": 1e-4, "max_iterations": 1})
+    newest.put(change(5, volume=1.5))
+    refine_newest(Refinement(face), newest, sent.append)
+    assert sent[-1].kind == "failed" and sent[-1].change == 5
+    assert sent[-1].text.startswith("the face does not settle under these parameters (iteration limit")
+
+
+def test_frames_travel_as_they_are():
+    rng = np.random.default_rng(0)
+    skin, blended = rng.normal(0.0, 150.0, (2, 7, 3)).astype(np.float32)
+    error = rng.random(7).astype(np.float32)
+    packed = pack_frame(Frame(9, "network", skin, error, 0.7, certain=False, is_last=False, seconds=0.5), blended)
+    length = int.from_bytes(packed[:4], "little")
+    header = json.loads(packed[4 : 4 + length])
+    numbers = np.frombuffer(packed, "<f4", offset=4 + length)
+    assert (header["change"], header["vertices"], header["method"], header["certain"]) == (9, 7, "network", False)
+    assert header["mean"] == 0.7
+    assert np.array_equal(numbers[:21].reshape(7, 3), skin) and np.array_equal(numbers[28:], error)
+    assert np.abs(numbers[21:28] - np.linalg.norm(skin - blended, axis=1)).max() < 1e-4
+    unknown = pack_frame(Frame(9, "blendshapes", skin, None, None, certain=False, is_last=False, seconds=0.5), blended)
+    assert b'"mean": null' in unknown and len(unknown) % 4 == 0
+
+
+def test_changes_are_read_from_where_the_page_began():
+    start = Parameters(soft_volume=1.1, skin_stiffness=10.0)
+    said = {"change": 7, "weights": {"jawOpen": 0.5, "tongueOut": 1}, "parameters": {"gravity": 2}}
+    read = read_change(json.dumps(said), start)
+    assert read.number == 7 and read.weights.sum() == pytest.approx(1.5)
+    assert read.parameters == Parameters(soft_volume=1.1, skin_stiffness=10.0, gravity=2.0)
+
+
+def test_every_effect_is_within_its_sliders():
+    for name, values in PRESETS.items():
+        said = {"change": 0, "weights": {}, "parameters": values}
+        assert read_change(json.dumps(said), Parameters()).parameters != Parameters(), name
+    for control in CONTROLS:
+        info = Parameters.info(control.name)
+        assert info.low <= control.low < control.high <= info.high and control.low <= control.default <= control.high
+    assert {each["name"]: each["start"] for each in describe_controls(Parameters(gravity=2.0))}["gravity"] == 2.0
+
+
+def test_parameters_that_no_slider_shows_are_refused():
+    with pytest.raises(InputError, match="soft_volume varies over the face, which no slider can; --out exports it"):
+        describe_controls(Parameters(soft_volume=np.full(5, 1.1)))
+    with pytest.raises(InputError, match=r"skin_growth = 1.45 is outside \[1, 1.4\]"):
+        describe_controls(Parameters(skin_growth=1.45))
