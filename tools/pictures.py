@@ -166,7 +166,7 @@ def viewer(scan: Path) -> bytes:
 
 
 def live(scan: Path) -> bytes:
-    """Show the default head's live page in Chromium, smiling with more soft tissue, once the simulator has converged."""
+    """Show the live page in Chromium, smiling with more soft tissue, once the simulator has converged."""
     from playwright.sync_api import sync_playwright
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -187,9 +187,7 @@ def live(scan: Path) -> bytes:
             page.mouse.move(360, 496, steps=5)
             page.mouse.up()
             # The page's policy forbids what wait_for_function does.
-            while not page.evaluate(
-                "viewer.frame.last && viewer.frame.isAnswered && viewer.panel.state.weights.mouthSmileLeft"
-            ):
+            while not page.evaluate("viewer.frame.last && viewer.frame.isAnswered"):
                 page.wait_for_timeout(200)
             page.wait_for_timeout(1000)
             picture = page.screenshot()
