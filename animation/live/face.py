@@ -35,7 +35,7 @@ class LiveFace:
     """
 
     head: LayeredHead
-    shapes: Floats32
+    shapes: Floats
     start: Parameters
     code: Floats | None
 
@@ -45,11 +45,12 @@ class LiveFace:
         network = Surrogate.load()
         known = network.space == "anny" and np.array_equal(head.skin.triangles, network.weights.mean.triangles)
         code = nearest_code(identities.Anny(), head.skin, ridge=1e-6) if known else None
-        return cls(head, check_shapes(shapes, len(head.skin.vertices)), start, code)
+        return cls(head, check_shapes(shapes, len(head.skin.vertices)).astype(np.float64), start, code)
 
     def blend(self, weights: Floats | Floats32) -> Floats:
         """Blend the shapes [mm], shape (n, 3), without p."""
-        return self.head.skin.vertices + np.tensordot(np.asarray(weights, dtype=np.float64), self.shapes, axes=1)
+        blended: Floats = self.head.skin.vertices + np.tensordot(weights.astype(np.float64), self.shapes, axes=1)
+        return blended
 
 
 class RigBinder:
@@ -75,7 +76,7 @@ class RigBinder:
         if isinstance(rig, BoundSurrogate):
             return rig.with_derivatives(found.offset, found.responses)
         modes = FaceModes.linear(found.offset, found.responses)
-        return BoundSurrogate(self._face.head.skin, modes, self._face.shapes)
+        return BoundSurrogate(self._face.head.skin, modes, self._face.shapes.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
