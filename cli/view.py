@@ -26,7 +26,7 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 )
 @click.option("--seed", type=count_range(SEED), help="random seed of the identity; default: mean face")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
-@click.option("--port", type=counted(PORT), help="port of the live page; default: a free one")
+@click.option("--port", type=count_range(PORT), help="port of the live page; default: a free one")
 @click.option("--open", "opens", is_flag=True, help="open the live page in the browser")
 @click.option("--out", type=HTML, help="export a page to this file instead, with fixed parameters")
 def view(
