@@ -34,7 +34,7 @@ RUN = {
         "--frames 0:2"
     ),
     "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": "--frames 0:2",
-    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format gltf": "--frames 0:2",
+    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format gltf": "--frames 0:2 --out out/dialled",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca bench list": "",
     "softdeca animate take.csv --head head.npz": "--frames 0:2 --out out/scan",
