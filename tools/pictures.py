@@ -44,6 +44,7 @@ LIVE_PAGE = (
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
 )
+DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}
 Maker = Callable[[Path], bytes]
@@ -197,10 +198,22 @@ def live(scan: Path) -> bytes:
     return picture
 
 
+def dial(scan: Path) -> bytes:
+    """Draw error against time of frames, by the kept results of the dial's study."""
+    import json
+
+    from softdeca.animation.plots import to_png
+    from softdeca.benchmarks.studies.surrogate.dial import plot_dial
+
+    results = json.loads((ROOT / DIAL[0]).read_text())
+    return to_png(plot_dial([row["values"] for row in results["rows"]]))
+
+
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "own-head.png": (own_head, (*HEAD, *DRAWING)),
+    "dial.png": (dial, DIAL),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
     "live.png": (live, (*HEAD, *NETWORK, *LIVE_PAGE)),
 }
