@@ -14,8 +14,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from softdeca.animation.head_pictures import expression_deltas
 from softdeca.lhm import expressions, fit_head, identities
@@ -26,6 +24,9 @@ from softdeca.surrogate import Surrogate
 from softdeca.surrogate.codes import nearest_code
 
 pytest.importorskip("websockets")
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.sync.client import connect  # noqa: E402
+
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()", "view")
 SMILE = {"jawOpen": 0.4, "mouthSmileLeft": 0.7}
 HEAVY = {"soft_volume": 1.2, "gravity": 2.0, "gravity_y": 0.0, "gravity_z": -1.0, "paralysis_right": 0.5}
