@@ -283,17 +283,22 @@ def plot_dial(people: Sequence[Values]):
     """Plot error against time of a frame, of what `measure` gave of each person."""
     figure, axis = subplots(figsize=(6.4, 4.2))
     lean = [row for of in people for row in of["lean"]]
+    places = []
     for method in dict.fromkeys(row["method"] for row in lean):
         of = [row for row in lean if row["method"] == method]
-        at = tuple(float(np.median([row[key] for row in of])) for key in ("ms", "true"))
-        axis.scatter(*at, color="#b3541e" if method == PD else "#4c78a8")
-        axis.annotate(method, at, (5, 5), textcoords="offset points", fontsize=7)
+        places.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
+        axis.scatter(*places[-1], color="#b3541e" if method == PD else "#4c78a8")
+        side, x = ("right", -6) if method == PD else ("left", 5)
+        axis.annotate(method, places[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
     told = [row for of in people for row in of["told"]]
     points = []
     for accuracy in ACCURACIES:
         of = [row for row in told if row["accuracy"] == accuracy]
         points.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
         axis.annotate(f"{accuracy:g} mm", points[-1], (5, 5), textcoords="offset points", fontsize=7)
+    every = sorted([*places, *points])
+    best = [place for k, place in enumerate(every) if all(place[1] < other[1] for other in every[:k])]
+    axis.plot(*np.transpose(best), "--", color="#999999", lw=1.0, zorder=0, label="what no other method beats")
     axis.plot(*np.transpose(points), "o-", color="#006d5b", label="the dial, at the accuracy asked for")
     axis.set(xscale="log", yscale="log", xlabel="a frame, processor time [ms]", ylabel="true mean error [mm]")
     axis.margins(0.15)
