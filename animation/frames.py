@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..lhm.base.errors import SoftdecaError
-from ..lhm.base.mesh import Floats
+from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.expressions import Take, rotations
 from ..reference import Sequence, SettledFace, Solution
 from ..reference.face.dynamics import extrapolate_turns
@@ -30,7 +30,7 @@ class TakeFrame:
     simulator, energy [µJ], residual (gradient norm [mN]), inverted tets and contacts.
     """
 
-    skin: Floats
+    skin: Floats | Floats32
     record: dict[str, Any]
     state: dict[str, np.ndarray]
 
@@ -38,7 +38,10 @@ class TakeFrame:
 class TakeFrames(Protocol):
     """Makes a take's frames in their order."""
 
-    state_names: tuple[str, ...]
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of a state's arrays."""
+        ...
 
     def resume(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on after the frame that left a state."""
@@ -52,7 +55,7 @@ class TakeFrames(Protocol):
 class CertifiedFrames:
     """Static frames within an accuracy [mm], each by the cheapest method; see `surrogate.certified`."""
 
-    state_names = ("weights", "positions")
+    state_names: tuple[str, ...] = ("weights", "positions")
 
     def __init__(self, face: CertifiedFace, take: Take, accuracy: float):
         self._face, self._take, self._accuracy = face, take, accuracy
@@ -78,7 +81,7 @@ class SimulatedFrames:
     The error of a frame with inertia is to the converged answer that follows the frames before as they were made.
     """
 
-    state_names = ("positions", "sought", "before", "drift", "turns")
+    state_names: tuple[str, ...] = ("positions", "sought", "before", "drift", "turns")
 
     def __init__(
         self, neutral: SettledFace, deltas: Floats, take: Take, accuracy: float, *, dynamic: bool, contact: bool

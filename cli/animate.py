@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -123,7 +123,7 @@ class Animate:
         raise click.UsageError(words, click.get_current_context())
 
     @property
-    def _files(self) -> dict:
+    def _files(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("out", "format", "preview", "dynamic", "turned")}
 
     def _within(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
@@ -131,7 +131,8 @@ class Animate:
         from ..animation.animate import AnimateConfig, animate, bind_head
         from ..surrogate import Surrogate
 
-        config = AnimateConfig(**self._files, accuracy=self.accuracy, bones=self.bones, contact=self.contact)
+        chosen: dict[str, Any] = {"accuracy": self.accuracy, "bones": self.bones, "contact": self.contact}
+        config = AnimateConfig(**self._files, **chosen)
         with show_progress() as progress:
             head, deltas = which.head(progress)
             network = Surrogate.load(self.surrogate)

@@ -209,7 +209,8 @@ class CertifiedFace:
     def _tell(self, correction: Correction, moved: Floats, begin: float) -> CertifiedFrame:
         """Estimate the error of where a correction is, its vertices just `moved` [mm], and of the rig's own frame."""
         head = self.frames.linear.face.head
-        skin, expression = correction.skin(), self.frames.expression(correction.weights)
+        expression = self.frames.expression(correction.weights)
+        skin: Floats | Floats32 = correction.skin()
         left = head.skin_from_wrap @ correction.move_wrap(correction.step())
         answer = skin + left
         counted = find_counted(answer, expression + self.carried)
@@ -266,6 +267,6 @@ def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters:
         return None
     code = nearest_code(Anny(), head.skin, ridge=RIDGE)
     try:
-        return surrogate.bind(head.skin, code, parameters, expressions=shapes)  # type: ignore[return-value]
+        return surrogate.bind(head.skin, code, parameters, expressions=shapes)  # type: ignore
     except InputError:  # parameters beyond what it has seen
         return None

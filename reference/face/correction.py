@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Floats32
 from ..projective.descent import Point, Problem, lbfgs_step, search_line
 from ..projective.energy import Energy
 from ..projective.memory import Memory
@@ -40,15 +40,15 @@ class FaceFrames:
     goals: Floats
 
     @classmethod
-    def from_face(cls, linear: FaceDerivatives, deltas: Floats) -> FaceFrames:
+    def from_face(cls, linear: FaceDerivatives, deltas: Floats | Floats32) -> FaceFrames:
         """Differentiate by shapes. SceneError for a face of another law, or with choices of its scenes."""
         face = linear.face
         if face.choices or face.law != PD_ENERGY:
             raise SceneError("a face is corrected by PD's energy, and without choices of its scenes")
         springs = palsy.Springs.from_head(face.head, face.parameters)
-        deltas = np.asarray(deltas, dtype=np.float64)
-        goals = springs.move(np.stack([face.head.wrap_from_skin @ delta for delta in deltas]))
-        return cls(linear, deltas, linear.tangent.vertices_by_targets(goals), goals)
+        shapes = np.asarray(deltas, dtype=np.float64)
+        goals = springs.move(np.stack([face.head.wrap_from_skin @ shape for shape in shapes]))
+        return cls(linear, shapes, linear.tangent.vertices_by_targets(goals), goals)
 
     def expression(self, weights: Floats) -> Floats:
         """Blend the head's skin without p [mm], shape (skin vertices, 3), of weights (k,)."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.mesh import Floats
+from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
 from ....lhm.template import DEFAULT_LEVEL
@@ -210,7 +210,7 @@ class _Frame:
             self.scene, start=self.start, absolute=accuracy * spring_norm(self.scene), untangle=False
         )
 
-    def error(self, skin: Floats) -> float:
+    def error(self, skin: Floats | Floats32) -> float:
         """Return the true mean error [mm] of a skin."""
         return float(np.linalg.norm(skin - self.truth, axis=1)[self.counted].mean())
 
