@@ -109,7 +109,7 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
     with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
         played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
     assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
-    assert all(row["error"] <= 0.01 and row["certain"] for row in logged(tmp_path / "whole"))
+    assert all(row["error"] * (1 if row["certain"] else 3) <= 0.01 for row in logged(tmp_path / "whole"))
     if not dynamic and bones == "rigid":
         face = CertifiedFace.from_head(sphere_head, deltas, p)
         for k, weights in enumerate(take().weights):
