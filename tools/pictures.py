@@ -180,6 +180,12 @@ def live(scan: Path) -> bytes:
             browser = play.chromium.launch(executable_path=chromium, args=DRAWS)
             page = browser.new_page(viewport={"width": 1200, "height": 760})
             page.goto(address)
+
+            def wait_for_simulator() -> None:  # the page's policy forbids what wait_for_function does
+                while not page.evaluate("window.viewer && viewer.frame.last && viewer.frame.isAnswered"):
+                    page.wait_for_timeout(200)
+
+            wait_for_simulator()
             page.get_by_role("button", name="heavier").click()
             page.get_by_role("button", name="smile").click()
             page.get_by_role("radio", name="distance to blendshapes").check()
@@ -187,9 +193,7 @@ def live(scan: Path) -> bytes:
             page.mouse.down()
             page.mouse.move(360, 496, steps=5)
             page.mouse.up()
-            # The page's policy forbids what wait_for_function does.
-            while not page.evaluate("viewer.frame.last && viewer.frame.isAnswered"):
-                page.wait_for_timeout(200)
+            wait_for_simulator()
             page.wait_for_timeout(1000)
             picture = page.screenshot()
             browser.close()

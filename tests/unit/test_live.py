@@ -1,6 +1,7 @@
 """The live page's parts without a browser: changes in, frames out, answers better and better, newer changes first."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from softdeca.animation.live.controls import CONTROLS, PRESETS, describe_control
 from softdeca.animation.live.face import FirstAnswer, LiveFace
 from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
 from softdeca.animation.live.refinement import Refinement, SupersededError
+from softdeca.animation.live.server import serve_face
 from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import InputError
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Parameters
 from softdeca.surrogate.sphere import Spheres
 
@@ -137,6 +140,12 @@ def test_every_effect_is_within_its_sliders():
         info = Parameters.info(control.name)
         assert info.low <= control.low < control.high <= info.high and control.low <= control.default <= control.high
     assert {each["name"]: each["start"] for each in describe_controls(Parameters(gravity=2.0))}["gravity"] == 2.0
+
+
+def test_without_websockets_a_line_says_what_to_install(face, monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'softdeca\[view\]', or export one by --out"):
+        serve_face(face, "ball", on_ready=print, on_trouble=print)
 
 
 def test_parameters_that_no_slider_shows_are_refused():
