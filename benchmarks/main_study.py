@@ -25,6 +25,7 @@ from .studies.agreement.effects import Effects
 from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
 from .studies.scaling.throughput import ITERATION, Throughput
+from .studies.surrogate.dial import Dial
 from .studies.surrogate.split import Split
 from .studies.surrogate.study import SurrogateOnCorpus
 from .studies.verification import Hard, Verification
@@ -56,6 +57,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Ru
         found.append((split, ""))
     if learned:
         found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
+        found.append((Dial(faces=1, frames=2), ""))
     # Of the face's energy, and of what has learned it; not of ARAP's.
     timed = "the face's energy" if learned else FACE
     found += [
