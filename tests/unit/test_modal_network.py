@@ -205,8 +205,11 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     begun = ModalLesson(faces["train"], CONFIG, start=start).network
     np.testing.assert_array_equal(begun.pop("tables"), expand(start.network))
     assert all(np.array_equal(value.detach(), start.network[name]) for name, value in begun.items())
+    kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
-        assert np.array_equal(value, start.network[name]) == name.startswith("size"), name
+        assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
+    with pytest.raises(InputError, match="learns no neutral faces"):
+        train_modal(faces["train"], CONFIG, start=start, neutrals=object())
     assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
     assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
     more.save(tmp_path / "more.safetensors")
