@@ -39,7 +39,7 @@ from .layers import (
     scale_modes,
     silu,
 )
-from .response_tables import MIXED, RANK, mix, responses
+from .response_tables import MIXED, mix, responses
 
 PARTS = ("settled", "relaxed", "remainder")
 """The neutral face that p has settled; what it relaxes to among its targets; and what is not linear in w."""
@@ -54,8 +54,8 @@ TABLES: dict[str, tuple[str, ...]] = {
     "size_remainder": ("remainder",),
     "position": ("n", "position"),
     "response_position": ("n", "response_position"),
-    "response_modes": ("rank", "n", "xyz"),
-    "response_table": ("tables", "weights", "rank"),
+    "response_table": ("tables", "weights", "n", "xyz"),
+    "response_scale": ("weights", "n"),
 }
 """Shapes of arrays that are no layers: equal names are equal sizes."""
 LAYERS: dict[str, tuple[str, str]] = {
@@ -110,7 +110,6 @@ class ModalConfig:
     relaxed_modes: int = 24  # a twentieth of the motion
     remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
     response_tables: int = MIXED  # twice as many leave a tenth less
-    response_rank: int = RANK
     position: int = 16  # trained position of a vertex
     local: int = 64  # hidden width of the gains, which every vertex evaluates at bind
     response: int = 96  # hidden width of the shares of the tables, likewise
@@ -136,7 +135,7 @@ class ModalConfig:
             ),
             "wide": self.local, "level": hidden, "settled_a": 2 * hidden, "settled_b": 2 * hidden,
             "relaxed_a": hidden, "relaxed_b": hidden, "remainder_a": hidden, "middle": self.expression // 2,
-            "response_wide": self.response, "rank": self.response_rank,
+            "response_wide": self.response,
         }  # fmt: skip
 
 

@@ -40,7 +40,7 @@ AGAIN = 0.3
 EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
 """What a training that begins with weights goes on with: what w does. Neutral faces stay as they were learned: a corpus
 of a few hundred faces without `neutrals` leaves 5 to 10 % more of them."""
-SOLVED = ("response_modes", "response_table")
+SOLVED = ("response_table", "response_scale")
 """What a file has in place of the `tables` that are solved for in training; see `response_tables`."""
 RESPONSE_FLOOR, FRAME_FLOOR, SETTLED_FLOOR = 0.002, 0.02, 0.05
 """[mm] Added to the size of what is learned, so that a face that hardly moves does not decide."""
@@ -278,7 +278,7 @@ class ModalLesson:
         network = {name: value for name, value in trainer.arrays().items() if name != "tables"}
         return Weights(
             "modal", faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale,
-            network | compress(self.solve_tables(), self.config.network.response_rank), note, looseness,
+            network | compress(self.solve_tables()), note, looseness,
         )  # fmt: skip
 
     def _go_on(self, start: Weights) -> dict[str, torch.Tensor]:

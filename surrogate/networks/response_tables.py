@@ -5,8 +5,8 @@
 φ, the gain g and the lag l come from p at the vertex, the code and a trained position of the vertex; the last φ is 1.
 l is `Features.give` times such a gain; S_j are the person's shapes. For given φ, g and l the best tables M follow by
 ridge regression at each vertex, so training only descends in the network's own layers, and solves for the tables now
-and then (variable projection, Golub and Pereyra 1973). A file has the tables as amplitudes (k, 52, rank) of modes
-(rank, n, 3).
+and then (variable projection, Golub and Pereyra 1973). A file has the tables in whole numbers of one byte and a scale
+for each expression and vertex: their principal components would need a rank above 500 for the same error.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from .layers import EVERY, Arrays, concatenate, exp, linear, silu
 
 MIXED = 16
 """How many tables are mixed, besides the one that always counts."""
-RANK = 256
-"""Modes in which files keep the tables: they leave a hundredth of them."""
 RIDGE = 0.03
 """Penalty of the tables, in shares of the mean square of φ."""
 
@@ -52,24 +50,13 @@ def responses(tables: Floats32, shares: Floats32, lag: Floats32, shapes: Floats3
 
 def expand(network: Arrays) -> Floats32:
     """Return the tables of a file's network, shape (k, 52, n, 3)."""
-    modes, amplitudes = network["response_modes"], network["response_table"]
-    flat = amplitudes.reshape(-1, len(modes)) @ modes.reshape(len(modes), -1)
-    return flat.reshape(*amplitudes.shape[:2], *modes.shape[1:])
+    return network["response_table"] * network["response_scale"][..., None]
 
 
-def compress(tables: Floats32, rank: int) -> dict[str, Floats32]:
-    """Return `response_modes` and `response_table` of tables (k, 52, n, 3): their first `rank` principal components."""
-    rows = tables.reshape(-1, tables.shape[2] * tables.shape[3])
-    _, directions = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
-    amplitudes = directions[:, ::-1][:, :rank].astype(np.float32)
-    modes = amplitudes.T @ rows
-    size = np.maximum(np.sqrt((modes**2).mean(axis=1)), 1e-12)
-    kept = np.zeros((rank, rows.shape[1]), dtype=np.float32), np.zeros((len(rows), rank), dtype=np.float32)
-    kept[0][: len(modes)], kept[1][:, : len(modes)] = modes / size[:, None], amplitudes * size
-    return {
-        "response_modes": kept[0].reshape(rank, *tables.shape[2:]),
-        "response_table": kept[1].reshape(*tables.shape[:2], rank),
-    }
+def compress(tables: Floats32) -> dict[str, Floats32]:
+    """Return `response_table`, whole numbers of [-127, 127] in the shape of tables (k, 52, n, 3), and its scale."""
+    scale = np.maximum(np.abs(tables).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
+    return {"response_table": np.rint(tables / scale[..., None]).clip(-127, 127), "response_scale": scale}
 
 
 def solve_tables(faces: Iterable[tuple[Floats32, Floats32, float]], vertices: int, count: int) -> Floats32:
