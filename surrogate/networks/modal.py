@@ -1,12 +1,11 @@
 """The modal network: offset, responses and remainder of a face in modes whose gains follow p and h locally.
 
-    T - S = Σ_i [Σ_e e(v) (d_ie + g_ie(v)) E_ie(v) + Σ_k a_ik g_k(v) B_k(v)]
-            + Σ_j w_j [Σ_k Z_jk g_k(v) B_k(v) - l(v) S_j(v)] + Σ_k N_k(w) g_k(v) B_k(v)
+    T - S = Σ_i [Σ_e e(v) (d_ie + g_ie(v)) E_ie(v) + Σ_k a_ik g_k(v) B_k(v)] + Σ_j w_j R_j(v) + Σ_k N_k(w) g_k(v) B_k(v)
 
 with effects e(v) of p at a vertex (see `Features.effects`) and tables E_i of what they do to the mean face in each of
 NEUTRAL, modes B_k (n, 3) of each of PARTS, gains g(v) from p at the vertex, the code and a trained position of the
-vertex, a lag l(v) of the person's shapes S_j, which is `Features.give` times such a gain, and
-amplitudes a, d, Z and N from a summary of p and h; N(0) = 0, and e = a = 0 where nothing of p moves the neutral face.
+vertex, responses R_j (see `response_tables`), and amplitudes a, d and N from a summary of p and h; N(0) = 0, and
+e = a = 0 where nothing of p moves the neutral face.
 What has settled is the same with a palsy as without.
 The paper's L(p, h) in the vertex form of its ablation, where a separable table of modes takes the place of one network
 per face.
@@ -26,7 +25,7 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rig import WEIGHTS, FaceModes, Remainder
-from .features import EFFECTS, GIVE, Features
+from .features import EFFECTS, Features
 from .layers import (
     EVERY,
     Arrays,
@@ -40,25 +39,23 @@ from .layers import (
     scale_modes,
     silu,
 )
+from .response_tables import MIXED, mix, responses
 
-PARTS = ("settled", "relaxed", "responses", "remainder")
-"""The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
+PARTS = ("settled", "relaxed", "remainder")
+"""The neutral face that p has settled; what it relaxes to among its targets; and what is not linear in w."""
 NEUTRAL = PARTS[:2]
-MIXED = 16
-"""Tables of responses that the summary mixes."""
 TABLES: dict[str, tuple[str, ...]] = {
     "effects": ("parts", "each", "n", "xyz"),
     "modes.0": ("settled", "n", "xyz"),
     "modes.1": ("relaxed", "n", "xyz"),
-    "modes.2": ("responses", "n", "xyz"),
-    "modes.3": ("remainder", "n", "xyz"),
+    "modes.2": ("remainder", "n", "xyz"),
     "size_settled": ("settled",),
     "size_relaxed": ("relaxed",),
-    "size_responses": ("responses",),
     "size_remainder": ("remainder",),
     "position": ("n", "position"),
-    "response_table": ("weights", "responses"),
-    "response_tables": ("mixed", "weights", "responses"),
+    "response_position": ("n", "response_position"),
+    "response_table": ("tables", "weights", "n", "xyz"),
+    "response_scale": ("weights", "n"),
 }
 """Shapes of arrays that are no layers: equal names are equal sizes."""
 LAYERS: dict[str, tuple[str, str]] = {
@@ -66,7 +63,6 @@ LAYERS: dict[str, tuple[str, str]] = {
     "gain_code": ("wide", "code"),
     "gain_middle": ("wide", "wide"),
     "gain_out": ("modes", "wide"),
-    "lag": ("one", "wide"),
     "effect_gain": ("effects", "wide"),
     "effect_level.0": ("level", "summary"),
     "effect_level.2": ("effects", "level"),
@@ -78,10 +74,12 @@ LAYERS: dict[str, tuple[str, str]] = {
     "relaxed.0": ("relaxed_a", "summary"),
     "relaxed.2": ("relaxed_b", "relaxed_a"),
     "relaxed.4": ("relaxed", "relaxed_b"),
-    "response_summary.0": ("response_a", "summary"),
-    "response_summary.2": ("response_b", "response_a"),
-    "response_gain": ("responses", "response_b"),
-    "response_mix": ("mixed", "response_b"),
+    "response_in": ("response_wide", "local+response_position"),
+    "response_code": ("response_wide", "code"),
+    "response_middle": ("response_wide", "response_wide"),
+    "response_share": ("shares", "response_wide"),
+    "response_gain": ("one", "response_wide"),
+    "lag": ("one", "response_wide"),
     "remainder_summary.0": ("remainder_a", "summary"),
     "remainder_gain": ("remainder", "remainder_a"),
     "remainder_modulation": ("twice", "remainder_a"),
@@ -91,9 +89,9 @@ LAYERS: dict[str, tuple[str, str]] = {
     "remainder_linear": ("remainder", "weights"),
 }
 """Outputs and inputs of each layer."""
-WITHOUT_BIAS = ("gain_code", "settled_linear", "relaxed_linear", "remainder_out", "remainder_linear")
+WITHOUT_BIAS = ("gain_code", "response_code", "settled_linear", "relaxed_linear", "remainder_out", "remainder_linear")
 QUIET = (
-    "gain_out", "lag", "settled.4", "relaxed.4", "response_gain", "response_mix", "effect_gain", "effect_level.2",
+    "gain_out", "lag", "settled.4", "relaxed.4", "response_gain", "effect_gain", "effect_level.2",
     "remainder_gain", "remainder_modulation",
 )  # fmt: skip
 """Layers that begin near zero."""
@@ -110,10 +108,11 @@ class ModalConfig:
 
     settled_modes: int = 56  # what effects, gained at each vertex, leave
     relaxed_modes: int = 24  # a twentieth of the motion
-    response_modes: int = 96
     remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
+    response_tables: int = MIXED  # twice as many leave a tenth less
     position: int = 16  # trained position of a vertex
     local: int = 64  # hidden width of the gains, which every vertex evaluates at bind
+    response: int = 96  # hidden width of the shares of the tables, likewise
     summary: int = 96  # hidden width of what the whole face evaluates
     expression: int = 256  # hidden width over w, once per frame
 
@@ -123,37 +122,50 @@ class ModalConfig:
                 raise InputError(f"modal network {name}: expected a positive integer, got {value!r}")
 
     @property
-    def modes(self) -> tuple[int, int, int, int]:
+    def modes(self) -> tuple[int, int, int]:
         """How many of each of PARTS."""
-        return self.settled_modes, self.relaxed_modes, self.response_modes, self.remainder_modes
+        return self.settled_modes, self.relaxed_modes, self.remainder_modes
 
     def sizes(self, features: Features, code_size: int) -> dict[str, int]:
         """Return the sizes that ARRAYS names."""
         hidden = self.summary
         return {
-            **_sizes(features, code_size, self.modes, self.position, self.expression),
+            **_sizes(
+                features, code_size, self.modes, (self.position, self.position), self.expression, self.response_tables
+            ),
             "wide": self.local, "level": hidden, "settled_a": 2 * hidden, "settled_b": 2 * hidden,
-            "relaxed_a": hidden, "relaxed_b": hidden, "response_a": hidden, "response_b": hidden,
-            "remainder_a": hidden, "mixed": MIXED, "middle": self.expression // 2,
+            "relaxed_a": hidden, "relaxed_b": hidden, "remainder_a": hidden, "middle": self.expression // 2,
+            "response_wide": self.response,
         }  # fmt: skip
 
 
-def _sizes(features: Features, code_size: int, modes: tuple[int, ...], position: int, expression: int) -> dict:
-    """Return the sizes that follow from the space, the modes, a vertex' position and the width over w."""
+def _sizes(
+    features: Features,
+    code_size: int,
+    modes: tuple[int, ...],
+    position: tuple[int, int],
+    expression: int,
+    shares: int,
+) -> dict[str, int]:
+    """Return the sizes that follow from the space, the modes, both positions of a vertex, w's width and the tables."""
     return {
         "n": len(features.mean.vertices), "xyz": 3, "one": 1, "parts": 2, "each": EFFECTS, "effects": 2 * EFFECTS,
         "weights": WEIGHTS, "code": code_size, "summary": code_size + features.summary_size,
-        **dict(zip(PARTS, modes, strict=True)), "modes": sum(modes), "position": position,
-        "local+position": features.local_size + position, "expression": expression, "twice": 2 * expression,
+        **dict(zip(PARTS, modes, strict=True)), "modes": sum(modes), "position": position[0],
+        "local+position": features.local_size + position[0], "expression": expression, "twice": 2 * expression,
+        "response_position": position[1], "local+response_position": features.local_size + position[1],
+        "shares": shares, "tables": shares + 1,
     }  # fmt: skip
 
 
 def check_modal(network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
     """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
     check_numbers(network, [*ARRAYS])
-    *modes, expression = count_rows(network, *(f"size_{part}" for part in PARTS), "remainder_in.bias")
-    position = network["position"].shape[-1] if network["position"].ndim else 0
-    check_sizes(network, ARRAYS, _sizes(Features(mean), code_size, tuple(modes), position, expression))
+    counted = count_rows(network, *(f"size_{part}" for part in PARTS), "remainder_in.bias", "response_share.bias")
+    *modes, expression, shares = counted
+    position = tuple(network[name].shape[-1] if network[name].ndim else 0 for name in ("position", "response_position"))
+    sizes = _sizes(Features(mean), code_size, tuple(modes), (position[0], position[1]), expression, shares)
+    check_sizes(network, ARRAYS, sizes)
 
 
 def hidden_features(network: Arrays, local, code, vertices=EVERY):
@@ -187,19 +199,6 @@ def neutral(network: Arrays, part: int, hidden, summary, unmoved, effects, verti
     return first + (amplitudes @ basis(network, part, hidden, vertices)).reshape(first.shape)
 
 
-def responses(network: Arrays, hidden, local, summary, shapes, vertices=EVERY):
-    """Return what each weight adds to T - S [mm], shape (..., 52, v, 3), besides shapes (..., 52, v, 3)."""
-    inner = silu(perceptron(network, "response_summary", summary))
-    tables = network["response_tables"]
-    mixed = linear(network, "response_mix", inner) @ tables.reshape(len(tables), -1)
-    amplitudes = mixed.reshape(*summary.shape[:-2], *tables.shape[1:])
-    amplitudes = amplitudes + network["response_table"] * exp(linear(network, "response_gain", inner))
-    moved = amplitudes @ basis(network, 2, hidden, vertices)
-    lag = local[..., [GIVE]] * (1.0 + linear(network, "lag", hidden))
-    lag = lag + 0.0 * shapes[..., 0, :, :]  # at each coordinate, so that numpy's loops are long
-    return moved.reshape(shapes.shape) - lag[..., None, :, :] * shapes
-
-
 def remainder(network: Arrays, summary) -> Remainder:
     """Return the amplitudes N(w) as two layers over w, with all that depends on p and h multiplied out."""
     hidden = silu(linear(network, "remainder_summary.0", summary))
@@ -218,12 +217,18 @@ def remainder(network: Arrays, summary) -> Remainder:
 
 
 def bind_modal(
-    network: Arrays, features: Features, code: Floats, skin: Floats, at_vertices: Floats, shapes: np.ndarray
+    network: Arrays,
+    tables: Floats32,
+    features: Features,
+    code: Floats,
+    skin: Floats,
+    at_vertices: Floats,
+    shapes: np.ndarray,
 ) -> FaceModes:
     """Return offset, responses and remainder of a person under parameters mapped to [-1, 1] at vertices (n, P).
 
-    code (c,): normalised. skin: the person's neutral one [mm], shape (n, 3); shapes: what the 52 weights add to it,
-    shape (52, n, 3).
+    tables: of `response_tables.expand`. code (c,): normalised. skin: the person's neutral one [mm], shape (n, 3);
+    shapes: what the 52 weights add to it, shape (52, n, 3).
     """
     settling = features.without_palsy(at_vertices)
     effects = features.effects(at_vertices, skin)
@@ -238,9 +243,10 @@ def bind_modal(
     (local, hidden, summary, unmoved), (_, *at_rest) = seen
     settled: Floats32 = neutral(network, 0, at_rest[0], at_rest[1], at_rest[2], effects)
     offset = settled + neutral(network, 1, hidden, summary, unmoved, effects)
+    shares, lag = mix(network, local, code.astype(np.float32))
     return FaceModes(
         offset=offset,
-        responses=responses(network, hidden, local, summary, shapes.astype(np.float32, copy=False)),
-        modes=basis(network, 3, hidden).reshape(-1, *skin.shape),
+        responses=responses(tables, shares, lag, shapes.astype(np.float32, copy=False)),
+        modes=basis(network, 2, hidden).reshape(-1, *skin.shape),
         remainder_of=remainder(network, summary),
     )

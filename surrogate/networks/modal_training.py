@@ -13,12 +13,10 @@ from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.face import Face
 from ..corpus.reading import Faces
-from ..rig import WEIGHTS
 from ..surface_hash import surface_hash
 from .features import EFFECTS, Features, Inputs, seen_ranges
 from .modal import (
     LAYERS,
-    MIXED,
     PARTS,
     QUIET,
     TABLES,
@@ -29,8 +27,8 @@ from .modal import (
     hidden_features,
     neutral,
     remainder,
-    responses,
 )
+from .response_tables import compress, expand, mix, solve_tables
 from .ridge import find_components
 from .trainer import Trainer, TrainerConfig, draw_layers, hold_out_people, start_processes, torch
 from .weights import TrainingNote, Weights
@@ -39,8 +37,13 @@ Move = tuple[Floats, Floats, np.ndarray]
 """A face's p at the vertices (n, P), its skin and how far that goes (n, 3) [mm]."""
 AGAIN = 0.3
 """Of the learning rate, where a training begins with weights that know most already."""
-EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2", "modes.3")
-"""What a training that begins with weights goes on with: what w does. Neutral faces stay as they were learned."""
+EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
+"""What a training that begins with weights goes on with: what w does. Neutral faces stay as they were learned: a corpus
+of a few hundred faces without `neutrals` leaves 5 to 10 % more of them."""
+SOLVED = ("response_table", "response_scale")
+"""What a file has in place of the `tables` that are solved for in training; see `response_tables`."""
+RESPONSE_FLOOR, FRAME_FLOOR, SETTLED_FLOOR = 0.002, 0.02, 0.05
+"""[mm] Added to the size of what is learned, so that a face that hardly moves does not decide."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class ModalTraining(TrainerConfig):
     clip: float | None = 1.0
     validation: float = 0.04  # share of people held out, for the learning curve alone
     sampled: int = 240  # faces whose principal components the modes start from
+    solve_every: int = 100  # steps between two solutions for the tables of responses
 
 
 def train_modal(
@@ -89,11 +93,7 @@ def train_modal(
 class ModalLesson:
     """A corpus' faces, the loss of some of them, and the errors on those of held-out people."""
 
-    slow: tuple[str, ...] = (
-        "modes",
-        "position",
-        "effects",
-    )
+    slow: tuple[str, ...] = ("modes", "position", "response_position", "effects")
     """Tables over the vertices, which start near where they end."""
 
     def __init__(
@@ -129,13 +129,18 @@ class ModalLesson:
         self.network = {name: value.detach().to(device) for name, value in network.items()}
         for name, value in self.network.items():
             learns = start is None or name.startswith(EXPRESSIVE)
-            value.requires_grad_(learns and not name.startswith("size_"))
+            value.requires_grad_(learns and not name.startswith(("size_", "tables")))
         after = "" if start is None else f"begun after {start.note.steps} steps"
         self.about: Sequence[str] = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
-        """Return mean distances [mm] of neutral faces, responses, and frames after exact derivatives."""
+        """Return mean distances of neutral faces, responses, and frames after exact derivatives, in each face's scale.
+
+        The tables of responses are solved for now and then; see `response_tables`.
+        """
         config = self.config
+        if step % config.solve_every == 0:
+            self.network["tables"].copy_(torch.from_numpy(self.solve_tables()))
         batch = rng.choice(self.training, min(config.faces, len(self.training)), replace=False)
         n = len(self.faces.mean.vertices)
         return self.loss_of(batch, rng, np.sort(rng.choice(n, min(config.vertices, n), replace=False)))
@@ -147,25 +152,45 @@ class ModalLesson:
         loss = 0.0 if self.start is not None else self._settled_loss(faces, rng, vertices)
         p = [self.features.at_vertices(face.coefficients) for face in faces]
         local, summary, unmoved = self.inputs_of(faces, p, vertices)
-        hidden = hidden_features(network, local, summary[..., : self.code_size], vertices)
+        code = summary[..., : self.code_size]
+        hidden = hidden_features(network, local, code, vertices)
         if self.start is None:
             effects = self.effects_of(p, [face.skin for face in faces], vertices)
             own = neutral(network, 1, hidden, summary, unmoved, effects, vertices)
-            loss = loss + _distance(own - self._tensor([face.relaxed[vertices] for face in faces]))
+            relaxed = self._tensor([face.relaxed[vertices] for face in faces])
+            loss = loss + _share(own - relaxed, [_settled_scale(face.settled) for face in faces])
         exact = self._tensor([face.responses[:, vertices] for face in faces])
         shapes = self._tensor([face.shapes[:, vertices] for face in faces])
-        loss = loss + 2.0 * _distance(responses(network, hidden, local, summary, shapes, vertices) - exact)
-        weights, moved = [], []
+        shares, lag = mix(network, local, code, vertices)
+        own = torch.einsum("bvk,kjvc->bjvc", shares, network["tables"][:, :, vertices]) - lag[:, None] * shapes
+        loss = loss + _share(own - exact, [response_scale(face) for face in faces])
+        weights, moved, scales = [], [], []
         for index, face in zip(batch, faces, strict=True):
             chosen = rng.choice(len(self.faces.frames_of[index]), self.config.frames, replace=False)
             frames = self.faces.frames(int(index), chosen)
+            after_rest = frames.corrected.astype(np.float32) - face.offset.astype(np.float32)
             weights.append(frames.weights)
-            moved.append((frames.corrected.astype(np.float32) - face.offset.astype(np.float32))[:, vertices])
+            moved.append(after_rest[:, vertices])
+            scales.append(FRAME_FLOOR + float(np.linalg.norm(after_rest, axis=2).mean()))
         w, nonlinear = self._tensor(weights), self._tensor(moved).flatten(2)
         with torch.autocast(torch.device(self.device).type, enabled=False):  # the little that large numbers leave
             nonlinear = nonlinear - w @ exact.flatten(2)
-        own = remainder(network, summary)(w) @ basis(network, 3, hidden, vertices)
-        return loss + 3.0 * _distance((own - nonlinear).unflatten(-1, (-1, 3)))
+        own = remainder(network, summary)(w) @ basis(network, 2, hidden, vertices)
+        return loss + 1.5 * _share((own - nonlinear).unflatten(-1, (-1, 3)), scales)
+
+    def solve_tables(self) -> Floats32:
+        """Solve for the tables of responses over all training faces, shape (k, 52, n, 3)."""
+        network = {name: value.detach().cpu().numpy() for name, value in self.network.items()}
+        count, n = self.config.network.response_tables + 1, len(self.faces.mean.vertices)
+
+        def rows():
+            for index in self.training:
+                face = self.faces.face(int(index))
+                local = self.features.local(self.features.at_vertices(face.coefficients))
+                shares, lag = mix(network, local, self.inputs.code(face.code).astype(np.float32))
+                yield shares, face.responses + lag * np.asarray(face.shapes, dtype=np.float32), response_scale(face)
+
+        return solve_tables(rows(), n, count)
 
     def _settled_loss(self, faces: list[Face], rng: np.random.Generator, vertices):
         """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
@@ -183,7 +208,8 @@ class ModalLesson:
         hidden = hidden_features(self.network, local, summary[..., : self.code_size], vertices)
         effects = self.effects_of(p, skins, vertices)
         own = neutral(self.network, 0, hidden, summary, unmoved, effects, vertices)
-        return _distance(own - self._tensor([move[vertices] for move in settled]))
+        scales = [_settled_scale(move) for move in settled]
+        return _share(own - self._tensor([move[vertices] for move in settled]), scales)
 
     @property
     def code_size(self) -> int:
@@ -214,11 +240,13 @@ class ModalLesson:
         Of the network alone, with exact derivatives (`hybrid`), of these derivatives alone, and of T = S.
         """
         network = {name: value.detach().cpu().numpy() for name, value in self.network.items()}
+        tables = self.solve_tables()
         sums, count = dict.fromkeys(("network", "hybrid", "linearised", "blendshapes"), 0.0), 0
         for index in self.validation:
             face, frames = self.faces.face(int(index)), self.faces.frames(int(index))
             at_vertices = self.features.at_vertices(face.coefficients)
-            modes = bind_modal(network, self.features, self.inputs.code(face.code), face.skin, at_vertices, face.shapes)
+            code = self.inputs.code(face.code)
+            modes = bind_modal(network, tables, self.features, code, face.skin, at_vertices, face.shapes)
             nonlinear, own = frames.remainder(face), modes.remainder(frames.weights)
             corrected = frames.corrected.astype(np.float32)
             linear = corrected - modes.offset - np.tensordot(frames.weights, modes.responses, axes=1)
@@ -247,9 +275,10 @@ class ModalLesson:
             before=None if start is None else asdict(start.note),
         )
         looseness = None if start is None else start.looseness
+        network = {name: value for name, value in trainer.arrays().items() if name != "tables"}
         return Weights(
-            "modal", faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale, trainer.arrays(), note,
-            looseness,
+            "modal", faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale,
+            network | compress(self.solve_tables()), note, looseness,
         )  # fmt: skip
 
     def _go_on(self, start: Weights) -> dict[str, torch.Tensor]:
@@ -264,13 +293,16 @@ class ModalLesson:
         expected |= {name: tuple(sizes[each] for each in names) for name, names in TABLES.items()}
         if any(start.network[name].shape != shape for name, shape in expected.items()):
             raise InputError("training: the weights to begin with have other sizes than the network's config")
-        return {name: torch.from_numpy(np.array(value)) for name, value in start.network.items()}
+        network = {name: value for name, value in start.network.items() if name not in SOLVED}
+        network["tables"] = expand(start.network)
+        return {name: torch.from_numpy(np.array(value)) for name, value in network.items()}
 
     def _start(self, rng: np.random.Generator) -> dict[str, torch.Tensor]:
         """Return a network with modes and linear amplitudes from principal components of what it learns."""
         faces, features, config = self.faces, self.features, self.config
         n = len(faces.mean.vertices)
-        sampled = [faces.face(int(index)) for index in rng.permutation(self.training)[: config.sampled]]
+        chosen = rng.permutation(self.training)[: config.sampled]
+        sampled = [faces.face(int(index)) for index in chosen]
         settling = list(sampled)
         if self.neutrals is not None:
             more = rng.permutation(len(self.neutrals))[: 4 * config.sampled]
@@ -282,35 +314,25 @@ class ModalLesson:
         for table, some in zip(effects, moves, strict=True):
             first = [np.einsum("ve,evc->vc", features.effects(p, skin), table) for p, skin, _ in some]
             left.append(np.stack([(move - own).ravel() for (*_, move), own in zip(some, first, strict=True)]))
-        normalised, remainders, total = [], [], np.zeros((WEIGHTS, 3 * n))
-        for face, index in zip(sampled, rng.permutation(self.training)[: config.sampled], strict=True):
-            give = features.give(features.at_vertices(face.coefficients))[:, None]
-            flat = (face.responses + give * face.shapes).reshape(WEIGHTS, 3 * n).astype(np.float32)
-            total += flat / len(sampled)
-            kept = rng.permutation(WEIGHTS)[:12]
-            normalised.append(flat[kept] / np.sqrt(np.maximum(np.linalg.norm(flat[kept], axis=1), 1e-2))[:, None])
+        remainders = []
+        for face, index in zip(sampled, chosen, strict=True):
             frames = faces.frames(int(index), rng.permutation(len(faces.frames_of[index]))[:4])
-            remainders.append(frames.remainder(faces.face(int(index))).reshape(-1, 3 * n))
+            remainders.append(frames.remainder(face).reshape(-1, 3 * n))
         changes = [self._changes(settling, moves[0]), self._changes(sampled, moves[1])]
-        learned = *left, np.vstack(normalised), np.vstack(remainders)
+        learned = *left, np.vstack(remainders)
         parts = [find_components(data, size, rng) for data, size in zip(learned, config.network.modes, strict=True)]
         arrays: dict[str, np.ndarray] = {"effects": effects}
         for k, (name, (modes, size)) in enumerate(zip(PARTS, parts, strict=True)):
             arrays |= {f"modes.{k}": modes.reshape(len(modes), n, 3) * np.sqrt(3 * n), f"size_{name}": size}
-        arrays["response_table"] = total @ parts[2][0].T
         sizes = config.network.sizes(features, self.code_size)
-        # The tables of responses are drawn among the layers, where `response_mix` ends.
-        layers = {name: (sizes[a], sizes[b]) for name, (a, b) in LAYERS.items()}
-        names = list(layers)
-        middle = names.index("response_mix") + 1
-        network = draw_layers({name: layers[name] for name in names[:middle]}, WITHOUT_BIAS)
-        network["response_tables"] = 1e-3 * torch.randn(MIXED, WEIGHTS, config.network.response_modes)
-        network |= draw_layers({name: layers[name] for name in names[middle:]}, WITHOUT_BIAS)
+        network = draw_layers({name: (sizes[a], sizes[b]) for name, (a, b) in LAYERS.items()}, WITHOUT_BIAS)
         for name in QUIET:
             network[f"{name}.weight"] *= 0.1
             network[f"{name}.bias"] *= 0.0
         network["remainder_linear.weight"] *= 0.0
-        arrays["position"] = draw_positions(faces.mean, config.network.position, rng)
+        for name in ("position", "response_position"):
+            arrays[name] = draw_positions(faces.mean, config.network.position, rng)
+        arrays["tables"] = np.zeros((sizes["tables"], sizes["weights"], n, 3))
         for name, data, rows, (modes, _) in zip(PARTS[:2], left, changes, parts[:2], strict=True):
             arrays[f"{name}_linear.weight"] = _fit_linear(rows, data @ modes.T).T
         return network | {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}
@@ -324,9 +346,23 @@ class ModalLesson:
         return np.stack(rows)
 
 
-def _distance(error):
-    """Mean distance [mm] of errors (..., 3), rounded at a thousandth, where it would have no derivative."""
-    return (error.square().sum(dim=-1) + 1e-6).sqrt().mean()
+def _share(error, scales: Sequence[float]):
+    """Mean distance of errors (faces, ..., 3) [mm], each face's over its scale [mm].
+
+    Rounded at a thousandth of a millimetre, where it would have no derivative.
+    """
+    distance = (error.square().sum(dim=-1) + 1e-6).sqrt().flatten(1).mean(dim=1)
+    return (distance / torch.tensor(scales, dtype=distance.dtype, device=distance.device)).mean()
+
+
+def response_scale(face: Face) -> float:
+    """How large a face's responses are [mm], by which errors of them count: stiff and soft tissue alike."""
+    return RESPONSE_FLOOR + float(np.linalg.norm(face.responses.astype(np.float32), axis=2).mean())
+
+
+def _settled_scale(settled: np.ndarray) -> float:
+    """How far a neutral face settles [mm], by which errors of it count: scaled bones move it farthest."""
+    return SETTLED_FLOOR + 0.5 * float(np.linalg.norm(settled.astype(np.float32), axis=1).mean())
 
 
 def _settling(face: Face, features: Features, *, mirrored: bool = False) -> Move:

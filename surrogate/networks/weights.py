@@ -87,7 +87,8 @@ class Weights:
     def save(self, path: str | PathLike[str]) -> None:
         """Write one .safetensors file; `path` is whole or as it was.
 
-        Tables and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths.
+        Tables and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths; the
+        responses' tables in bytes (see `response_tables`).
         """
         about = {
             "format": _format(self.kind),
@@ -97,7 +98,7 @@ class Weights:
             "note": asdict(self.note),
         }
         arrays = {
-            f"network.{name}": np.ascontiguousarray(value, dtype=np.float16 if np.ndim(value) > 1 else np.float32)
+            f"network.{name}": np.ascontiguousarray(value, dtype=_stored_type(name, value))
             for name, value in self.network.items()
         }
         arrays |= {
@@ -163,6 +164,12 @@ class Weights:
 
 def _format(kind: str) -> str:
     return f"softdeca-{kind.replace(' ', '-')}-3"
+
+
+def _stored_type(name: str, value: np.ndarray) -> type:
+    if name == "response_table":
+        return np.int8
+    return np.float16 if np.ndim(value) > 1 else np.float32
 
 
 def _checksum(arrays: Mapping[str, np.ndarray]) -> str:

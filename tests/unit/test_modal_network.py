@@ -35,9 +35,9 @@ from softdeca.surrogate.networks.modal import (
     hidden_features,
     neutral,
     remainder,
-    responses,
 )
 from softdeca.surrogate.networks.modal_training import ModalLesson, ModalTraining, train_modal
+from softdeca.surrogate.networks.response_tables import compress, expand, mix, solve_tables
 from softdeca.surrogate.networks.responses import LearnedResponses
 from softdeca.surrogate.networks.ridge import Ridge
 from softdeca.surrogate.networks.trainer import Trainer
@@ -54,7 +54,7 @@ PLAN = CorpusPlan(
     identities=20, groups=4, frames=5, sequences=0, references=0, parameter_responses=0.0,
     kinds={"effects": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
-NETWORK = ModalConfig(24, 8, 24, 12, position=4, local=16, summary=24, expression=32)
+NETWORK = ModalConfig(24, 8, 12, response_tables=4, position=4, local=16, response=16, summary=24, expression=32)
 CONFIG = ModalTraining(network=NETWORK, steps=300, frames=4, vertices=42, validate_every=100, validation=0.1)
 
 
@@ -201,13 +201,14 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     start = Weights.load(tmp_path / "weights.safetensors")
     more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
     begun = ModalLesson(faces["train"], CONFIG, start=start).network
+    np.testing.assert_array_equal(begun.pop("tables"), expand(start.network))
     assert all(np.array_equal(value.detach(), start.network[name]) for name, value in begun.items())
     kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
-    assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
     with pytest.raises(InputError, match="learns no neutral faces"):
         train_modal(faces["train"], CONFIG, start=start, neutrals=object())
+    assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
     assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
     more.save(tmp_path / "more.safetensors")
     assert Weights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
@@ -224,7 +225,8 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
     trainer.run(3)
     face, features, w = faces["test"].face(1), lesson.features, np.random.default_rng(0).random((3, 52))
     p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.code_size
-    bound = bind_modal(trainer.arrays(), features, lesson.inputs.code(face.code), face.skin, p, face.shapes)
+    arrays, code = trainer.arrays(), lesson.inputs.code(face.code)
+    bound = bind_modal(arrays, arrays["tables"], features, code, face.skin, p, face.shapes)
     network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
     with torch.no_grad():
         for part, values in enumerate((features.without_palsy(p), p)):
@@ -233,17 +235,16 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
             effects = lesson.effects_of([values], [face.skin], every)
             offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
         amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
-        expected = (
-            offset,
-            responses(network, hidden, local, summary, shapes, every),
-            amplitudes @ basis(network, 3, hidden, every),
-        )
+        shares, lag = mix(network, local, summary[..., :size], every)
+        mixed = torch.einsum("bvk,kjvc->bjvc", shares, network["tables"]) - lag[:, None] * shapes
+        expected = offset, mixed, amplitudes @ basis(network, 2, hidden, every)
     for one, other in zip((bound.offset, bound.responses, bound.remainder(w)), expected, strict=True):
         assert np.abs(one.ravel() - other.numpy().ravel()).max() < 1e-4 * max(1.0, np.abs(one).max())
 
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
     lesson = ModalLesson(faces["train"], CONFIG)
+    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables()))
     learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
     lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
     lesson._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
@@ -265,6 +266,22 @@ def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
             behind = float(loss())
             value[place] += h
         assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=1e-4, abs=1e-7), name
+
+
+def test_tables_are_found_again_and_kept_in_bytes():
+    """Faces that are mixed from tables give these tables, but for the ridge."""
+    rng = np.random.default_rng(0)
+    tables = rng.normal(size=(3, 52, 7, 3)).astype(np.float32)
+    shares = rng.normal(size=(200, 7, 3)).astype(np.float32)
+    moved = np.einsum("fvk,kjvc->fjvc", shares, tables)
+    faces = zip(shares, moved, rng.uniform(0.5, 2.0, len(shares)), strict=True)
+    solved = solve_tables(faces, 7, 3)
+    np.testing.assert_allclose(solved, tables, atol=0.25)
+    assert np.abs(solved - tables).mean() < 0.05
+    kept = compress(tables)
+    assert np.array_equal(kept["response_table"], kept["response_table"].astype(np.int8))
+    largest = np.abs(tables).max(axis=(0, 3))[..., None]
+    assert (np.abs(expand(kept) - tables) <= 0.51 / 127 * largest).all()
 
 
 def test_rest_stays_at_rest_whatever_the_materials(surrogate):
