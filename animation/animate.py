@@ -204,6 +204,8 @@ def animate_rig(wanted: Output, served: BoundHead, take: Take, progress: OnProgr
     used = neutral.vertices[np.unique(neutral.triangles)]
     played = PlayedTake(neutral, served.deltas, middle, used, take, moved)
     with lock_folder(wanted.out, "animate"):
+        if (wanted.out / "take.json").exists():
+            raise InputError(f"{wanted.out}: holds a take within an accuracy; use another folder or remove it")
         files = _write(played, wanted, served.method, progress)
         RowStore(wanted.out, file="log.jsonl").keep(log.values())
     return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), served.seconds)

@@ -283,6 +283,14 @@ def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_p
     assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
 
 
+def test_a_rig_leaves_a_take_that_resumes_alone(network, sphere_head, deltas, tmp_path):
+    run(AnimateConfig(tmp_path), sphere_head, deltas, take(2))
+    before = contents(tmp_path)
+    served = bind_head(network, sphere_head, deltas, Parameters(), exact=False, beyond="refuse")
+    refused("holds a take within an accuracy", animate_rig, Output(tmp_path), served, take(2), silent)
+    assert contents(tmp_path) == before
+
+
 def test_accuracies_are_lengths_or_words(command, tmp_path):
     tight = command(
         *("animate", "conversation:0.1", "--level", 1, "--accuracy", "tight", "--preview", "none", "--frames", "3:5"),

@@ -31,9 +31,11 @@ RUN = {
     "softdeca head show head.npz --expression jawOpen*0.5": "",
     "softdeca view head.npz --parameters p.toml --out out/view.html": "",
     "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
-        "--frames 0:2"
+        "--frames 0:2 --out out/take"
     ),
-    "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": "--frames 0:2",
+    "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": (
+        "--frames 0:2 --out out/rig"
+    ),
     "softdeca animate take.csv --head head.npz --accuracy 0.01 --format gltf": "--frames 0:2 --out out/dialled",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca bench list": "",
