@@ -83,9 +83,13 @@ def refine_newest(refinement: Refinement, newest: Newest, send: OnMessage) -> No
         send(Note("failed", str(error), change.number))
 
 
-def work(connection: Connection, face: LiveFace) -> None:
-    """Refine what comes by the connection until that ends."""
+def work(connection: Connection) -> None:
+    """Refine what comes by the connection, first the face, then changes, until it ends."""
     os.nice(POLITE)
+    try:
+        face: LiveFace = connection.recv()
+    except (EOFError, OSError):
+        return
     newest = Newest()
     threading.Thread(target=_listen, args=(connection, newest), daemon=True).start()
     with threadpool_limits(1), suppress(OSError):  # the server is gone
@@ -122,7 +126,7 @@ class Worker:
                 return
             context = multiprocessing.get_context("spawn")
             mine, its = context.Pipe()
-            process = context.Process(target=work, args=(its, self._face), name="refining", daemon=True)
+            process = context.Process(target=work, args=(its,), name="refining", daemon=True)
             # Ctrl-C goes to every process of a terminal; this one ends with its pipe.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
@@ -130,6 +134,8 @@ class Worker:
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
             its.close()
+            with suppress(OSError):  # as an argument it would block forever if the process died meanwhile
+                mine.send(self._face)
             self._process, self._connection = process, mine
             threading.Thread(target=self._receive, args=(mine,), daemon=True).start()
 
