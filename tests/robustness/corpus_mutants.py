@@ -117,7 +117,7 @@ def read_results(path: Path) -> list[np.ndarray]:
         shutil.rmtree(out)
     finally:
         pyplot.close("all")  # figures of a study that failed on its values
-    return [np.array([change.told for change in compare_results(path, path, kind).changes], dtype=float)]
+    return [np.array([change.is_beyond_noise for change in compare_results(path, path, kind).changes], dtype=float)]
 
 
 def formats(folder: Path) -> list[Format]:

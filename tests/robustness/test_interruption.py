@@ -191,7 +191,8 @@ def test_a_corpus_on_a_full_disk_keeps_whole_shards_only(tmp_path):
     assert ended.returncode == 1 and re.search(
         r"InputError: .*(corpus\.json|template\.npz|person-\d+\.h5): cannot be written \(File too", last
     )
-    left = {p.name for p in (tmp_path / "corpus").iterdir()}
+    # The seconds of a person are whole, whether the shard that is written after them is or not.
+    left = {p.name for p in (tmp_path / "corpus").iterdir() if not re.fullmatch(r"person-\d+\.json", p.name)}
     assert left <= {".lock", "corpus.json", "template.npz"}, "what was not written whole is not there"
 
 

@@ -275,6 +275,7 @@ def _draw_told(rows: Sequence[Row]) -> str:
     axis.plot(ends, ends, color="#444444", lw=1.0)
     axis.fill_between(ends, NEAR[0] * ends, NEAR[1] * ends, color="#999999", alpha=0.3, lw=0)
     axis.set(xscale="log", yscale="log", xlabel="true mean error [mm]", ylabel="told [mm]", xlim=ends, ylim=ends)
+    axis.tick_params(axis="x", pad=9)  # both axes begin at the same power of ten
     axis.legend()
     return to_svg(figure)
 
