@@ -97,7 +97,7 @@ class Weights:
             "parameters": STATIC,
             "note": asdict(self.note),
         }
-        arrays = {
+        arrays: dict[str, np.ndarray] = {
             f"network.{name}": np.ascontiguousarray(value, dtype=_stored_type(name, value))
             for name, value in self.network.items()
         }
