@@ -169,7 +169,7 @@ class Surrogate:
 
     @cached_property
     def _tables(self) -> Floats32:
-        """The responses' tables, which a file has in fewer numbers; a tenth of a second."""
+        """The responses' tables, which a file has in bytes; a tenth of a second."""
         return expand(self.weights.network)
 
     @cached_property

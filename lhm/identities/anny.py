@@ -7,15 +7,15 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from ..arkit import index
 from ..base.files.npz import read_arrays
-from ..base.geometry.topology import directed_edges
+from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..transfer import STILL, ExpressionTransfer
-from .gaps import find_gaps
+from .gaps import Gap, find_gaps
 from .space import LinearSpace
 
 ANNY = Path(__file__).with_name("anny.npz")
@@ -79,7 +79,9 @@ class TransferredSpace(LinearSpace):
     @cached_property
     def _closings(self) -> list[Closing]:
         gaps = find_gaps(self.mean, self.parts, self.expressions)
-        return [Closing.of(CLOSES[gap.name], gap.upper, gap.lower, self.mean, self.expressions) for gap in gaps]
+        joined = neighbours(self.triangles, len(self.mean.vertices))
+        laplacian = (diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
+        return [Closing.of(gap, self.mean, self.expressions, laplacian) for gap in gaps]
 
     def __getstate__(self) -> dict:
         """Pickle the fields alone; another process transfers again."""
@@ -91,6 +93,7 @@ class Closing:
     """Rims that expressions bring together: upper and lower vertices (k,), `apart` [mm] by (k, 3) on the mean head.
 
     together: the expressions' numbers, the first of which is corrected; free: the vertices that may move for it.
+    laplacian (n, n): of the skin's edges, each of weight 1, by which the correction spreads.
     """
 
     together: tuple[int, ...]
@@ -98,19 +101,22 @@ class Closing:
     lower: Ints
     apart: Floats
     free: Ints
+    laplacian: csr_matrix
 
     @classmethod
-    def of(cls, names: tuple[str, ...], upper: Ints, lower: Ints, mean: Surface, shapes: Floats) -> Closing:
-        """Measure how far apart the rims are where the mean head closes them."""
-        together = tuple(index(name) for name in names)
+    def of(cls, gap: Gap, mean: Surface, shapes: Floats, laplacian: csr_matrix) -> Closing:
+        """Measure how far apart the rims of a gap are where the mean head closes it."""
+        upper, lower = gap.upper, gap.lower
+        together = tuple(index(name) for name in CLOSES[gap.name])
         closed = mean.vertices + shapes[list(together)].sum(axis=0)
         moves = np.linalg.norm(shapes[together[0]], axis=1) > STILL
-        return cls(together, upper, lower, closed[upper] - closed[lower], np.flatnonzero(moves))
+        return cls(together, upper, lower, closed[upper] - closed[lower], np.flatnonzero(moves), laplacian)
 
     def close(self, shapes: Floats, skin: Surface, scale: float) -> None:
         """Correct the first expression in `shapes` (52, n, 3) [mm], so that the rims are `scale` times as far apart.
 
-        Rims that both move share the correction. It fades to nothing where the expression does not move the skin.
+        Rims that both move share the correction. It is continued harmonically, to nothing where the
+        expression does not move the skin.
         """
         closed = skin.vertices + shapes[list(self.together)].sum(axis=0)
         missing = scale * self.apart - (closed[self.upper] - closed[self.lower])
@@ -123,17 +129,8 @@ class Closing:
             np.add.at(count, self.lower, 1.0)
         rims = np.flatnonzero(count)
         correction[rims] /= count[rims, None]
-        shapes[self.together[0]] += _spread(correction, rims, np.setdiff1d(self.free, rims), skin.triangles)
-
-
-def _spread(values: Floats, known: Ints, free: Ints, triangles: Ints) -> Floats:
-    """Continue values (n, 3) from the known vertices over the free ones harmonically; all others are zero."""
-    edges = directed_edges(triangles)
-    n = len(values)
-    joined = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
-    joined = ((joined + joined.T) > 0).astype(np.float64)
-    laplacian = (diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
-    spread = np.zeros_like(values)
-    spread[known] = values[known]
-    spread[free] = spsolve(laplacian[free][:, free].tocsc(), -(laplacian[free] @ spread))
-    return spread
+        free = np.setdiff1d(self.free, rims)
+        spread = np.zeros_like(correction)
+        spread[rims] = correction[rims]
+        spread[free] = spsolve(self.laplacian[free][:, free].tocsc(), -(self.laplacian[free] @ spread))
+        shapes[self.together[0]] += spread

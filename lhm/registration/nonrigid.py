@@ -8,10 +8,11 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.cholesky import Solve, factorise_definite
 from ..base.geometry.rays import visible_sky
+from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
-from ..wraps.columns import neighbours, unit
+from ..wraps.columns import unit
 from ..wraps.landmarks import Landmarks, Mask, distance_to
 from .alignment import FACING, Target, tukey_weights
 from .landmarks import Pairs

@@ -10,11 +10,12 @@ from scipy.sparse import csr_matrix, diags
 from ..base.errors import FitError, InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.cholesky import factorise
+from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import CAP, EYES, MOUTH
 from ..skin import check_registrable
-from ..wraps.columns import neighbours, unit
+from ..wraps.columns import unit
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
 from .alignment import FACING, Target, find_start, fit_similarity, open_edges
 from .landmarks import Pairs, check_pairs, check_placed

@@ -12,11 +12,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from ..arkit import ARKIT
 from ..base.geometry.cholesky import factorise
+from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
 from ..registration.alignment import Target, fit_similarity
 from ..rig import Rig
-from ..wraps.columns import edge_graph, neighbours, unit
+from ..wraps.columns import edge_graph, unit
 from ..wraps.landmarks import Mask, distance_to
 
 State = Literal["open", "solid", "closed", "unclear"]

@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.cholesky import factorise
 from ..base.geometry.rays import first_hits
-from ..base.geometry.topology import find_openings
+from ..base.geometry.topology import find_openings, neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import CAP, MOUTH, OUTSIDE
 from ..registration.alignment import FACING
 from ..registration.registration import Registration, barycentric_matrix, replace_rows, skin_ties, template_ties
-from ..wraps.columns import edge_graph, neighbours, unit
+from ..wraps.columns import edge_graph, unit
 from ..wraps.landmarks import Mask
 from .slit import Slit
 

@@ -9,16 +9,9 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from ..base.geometry.cholesky import factorise
+from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
 from ..layers import prism_tets
-
-
-def neighbours(triangles: Ints, n: int) -> csr_matrix:
-    """The edges of a closed surface as a symmetric matrix of ones, shape (n, n)."""
-    i, j, k = triangles.T
-    rows, columns = np.concatenate([i, j, k]), np.concatenate([j, k, i])
-    matrix = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-    return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
 
 
 def edge_graph(vertices: Floats, triangles: Ints) -> csr_matrix:

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from ..base.geometry.distance import SignedDistance
 from ..base.geometry.surfaces import geodesic_sphere
-from ..base.geometry.topology import subdivide
+from ..base.geometry.topology import neighbours, subdivide
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from .columns import neighbours
 
 CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin
 COARSE = 11

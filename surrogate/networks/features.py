@@ -17,11 +17,12 @@ from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
 from ...reference.face.palsy import activation_share, left_share
 from ...reference.face.settle import GROWING
-from ..corpus.mixture import STATIC, basis
+from ..corpus.mixture import NAMES, STATIC, basis, select_static
+from ..dynamics import OSCILLATION
 
 if TYPE_CHECKING:
     from ..corpus.face import Face
-    from ..corpus.reading import Faces
+    from ..corpus.reading import Faces, Row
     from .weights import Weights
 
 POINTS = 24
@@ -50,6 +51,7 @@ LIKENESS = 10.0
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
 _SWAPPED = [STATIC.index(_OTHER.get(name, name)) for name in STATIC]
+_SWINGING = [NAMES.index(name) for name in OSCILLATION]
 _SIGNS = np.where(np.array(STATIC) == "gravity_x", -1.0, 1.0)
 
 
@@ -191,6 +193,13 @@ class Inputs:
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
         """See `Features.summary`."""
         return self.features.summary(self.code(code), at_vertices)
+
+    def of_sequence(self, row: Row) -> Floats:
+        """Return w, the summary of p and h, and p's frequency and damping, of each frame of a sequence, (L, inputs)."""
+        at_vertices = self.features.at_vertices(select_static(row["coefficients"]))
+        always = np.concatenate([self.summary(row["code"], at_vertices), row["coefficients"][_SWINGING, 0]])
+        weights = np.asarray(row["weights"], dtype=np.float64)
+        return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
 
     def summary_of(self, face: Face) -> Floats32:
         """The summary of a face of a corpus."""

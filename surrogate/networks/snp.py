@@ -10,9 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.mixture import NAMES, select_static
 from ..corpus.reading import Row, Table
-from ..dynamics import OSCILLATION
 from .features import Features, Inputs
 from .layers import perceptron
 from .ridge import find_components
@@ -22,7 +20,6 @@ from .vertex_network import SEED, STEPS
 MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
 SEQUENCES = 256
 """At most: 1 MB each on the default head."""
-_SWINGING = [NAMES.index(name) for name in OSCILLATION]
 
 
 class SubspacePhysics:
@@ -53,7 +50,7 @@ class SubspacePhysics:
         self._size = np.maximum(z.std(axis=(0, 1)), 1e-6)
         z /= self._size
         self._before = _momentum(z)
-        inputs = np.stack([self._inputs_of(row) for row in rows])
+        inputs = np.stack([self._inputs.of_sequence(row) for row in rows])
         self._middle, self._spread = inputs.mean(axis=(0, 1)), np.maximum(inputs.std(axis=(0, 1)), 1e-3)
         inputs = ((inputs - self._middle) / self._spread).astype(np.float32)
         size = z.shape[2]
@@ -87,17 +84,9 @@ class SubspacePhysics:
             steps.append(last)
         return torch.stack(steps, dim=1)
 
-    def _inputs_of(self, row: Row) -> Floats:
-        """Inputs of each frame: weights, the summary of p and h, and p's frequency and damping."""
-        features = self._inputs.features
-        summary = self._inputs.summary(row["code"], features.at_vertices(select_static(row["coefficients"])))
-        always = np.concatenate([summary, row["coefficients"][_SWINGING, 0]])
-        weights = np.asarray(row["weights"], dtype=np.float64)
-        return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
-
     def play(self, row: Row, table: Table) -> Floats32:
         """T - S [mm], shape (L, n, 3), of a table's sequence after the two skins that were before it."""
-        inputs = ((self._inputs_of(row) - self._middle) / self._spread).astype(np.float32)
+        inputs = ((self._inputs.of_sequence(row) - self._middle) / self._spread).astype(np.float32)
         flat = _motion(row)[:2].reshape(2, -1)
         z = ((flat - self._mean) @ self._modes.T / self._size).astype(np.float32)
         with torch.no_grad():

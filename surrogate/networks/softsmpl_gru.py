@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.geometry.deformation import DeformationTransfer
-from ...lhm.base.mesh import Floats, Floats32, Surface
-from ..corpus.mixture import NAMES, select_static
+from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
-from ..dynamics import OSCILLATION
 from .features import Features, Inputs
 from .gradient_training import still_vertices, transfer_delta
 from .layers import elu, perceptron
@@ -26,7 +24,6 @@ BEFORE = 24
 """Principal components of the two skins before a sequence."""
 SAMPLED = 64
 """Sequences, at most, of which what training begins with is made."""
-_SWINGING = [NAMES.index(name) for name in OSCILLATION]
 
 
 class SoftSMPLInMotion:
@@ -52,7 +49,7 @@ class SoftSMPLInMotion:
         before = np.stack([row["before"].astype(np.float32).reshape(2, -1) for row in sample])
         self._begin, size = find_components(before.reshape(-1, before.shape[-1]), BEFORE, rng)
         self._begin /= np.maximum(size, 1e-3)[:, None].astype(np.float32)
-        inputs = np.concatenate([self._inputs_of(row) for row in sample])
+        inputs = np.concatenate([self._inputs.of_sequence(row) for row in sample])
         self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-3)
         motion = np.concatenate([row["corrected"].astype(np.float32) for row in sample])
         self._transfer = _open_transfer(table.mean, motion)
@@ -90,7 +87,7 @@ class SoftSMPLInMotion:
 
     def _answer(self, row: Row, table: Table) -> torch.Tensor:
         network = self.network
-        inputs = torch.from_numpy(((self._inputs_of(row) - self._middle) / self._spread).astype(np.float32))
+        inputs = torch.from_numpy(((self._inputs.of_sequence(row) - self._middle) / self._spread).astype(np.float32))
         encoded = elu(perceptron(network, "hidden", inputs, elu))
         before = torch.from_numpy(row["before"].astype(np.float32).reshape(2, -1) @ self._begin.T).reshape(-1)
         state = torch.tanh(before @ network["begin.weight"].T + network["begin.bias"])
@@ -108,14 +105,6 @@ class SoftSMPLInMotion:
         blended = (person.skin.vertices + np.tensordot(row["weights"], person.shapes, axes=1)).astype(np.float32)
         gradients = gradients.reshape(len(states), -1, 9)
         return transfer_delta(gradients, torch.from_numpy(blended), self._transfer)
-
-    def _inputs_of(self, row: Row) -> Floats:
-        """Return weights, the summary of p and h, and p's frequency and damping, of each frame."""
-        features = self._inputs.features
-        summary = self._inputs.summary(row["code"], features.at_vertices(select_static(row["coefficients"])))
-        always = np.concatenate([summary, row["coefficients"][_SWINGING, 0]])
-        weights = np.asarray(row["weights"], dtype=np.float64)
-        return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
 
 
 def _open_transfer(mean: Surface, motion: Floats32) -> DeformationTransfer:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import MeshError
@@ -121,3 +121,11 @@ def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Split every triangle into four at its edges' midpoints, which come after the vertices."""
     finer, ends = split_triangles(triangles, len(vertices))
     return np.vstack([vertices, vertices[ends].mean(axis=1)]), finer
+
+
+def neighbours(triangles: Ints, n: int) -> csr_matrix:
+    """Return the edges of a closed surface as a symmetric matrix of ones, shape (n, n)."""
+    i, j, k = triangles.T
+    rows, columns = np.concatenate([i, j, k]), np.concatenate([j, k, i])
+    matrix = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
