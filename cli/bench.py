@@ -9,9 +9,11 @@ import click
 
 from ..benchmarks.studies import COMMANDS, list_commands, list_studies, load_study
 from ..lhm.base.errors import InputError
-from .options import FILE, argument, as_command, option
-from .study_command import command_of_cases, command_of_study
-from .written_file import FOLDER
+from ..lhm.base.limits import WORKERS
+from .options import FILE, argument, as_command, count_range, option
+from .study_command import command_of_cases, command_of_study, print_results
+from .terminal import show_progress
+from .written_file import FOLDER, ZIP
 
 
 class Studies(click.Group):
@@ -122,3 +124,56 @@ class WriteReport:
         for path in write_report([read_part(each, load_study) for each in paths], self.out, self.title):
             click.echo(f"wrote {path}")
         return 0
+
+
+@as_command(bench, "export")
+@dataclass(frozen=True)
+class ExportFaceBenchmark:
+    """Write the archive of the open face benchmark: meshes, materials, loads and converged answers with their bands.
+
+    Solves what RESULTS lacks of `softdeca bench mesh --cases face`, and resumes. All of it takes about an hour of one
+    core. Exit status 1 if a gate is missed.
+    """
+
+    out: Path = argument("OUT", type=ZIP)
+    results: Path = option(Path("out/face-benchmark"), "folder of the solved rows", type=FOLDER)
+    workers: int = option(1, "processes; each takes some 4 GB", type=count_range(WORKERS))
+
+    def run(self) -> int:
+        """Solve and write."""
+        from ..benchmarks.face.export import export
+        from ..benchmarks.studies.mesh.face import FaceBenchmark
+
+        study = FaceBenchmark()
+        with show_progress() as progress:
+            results, size = export(self.out, study, self.results, workers=self.workers, progress=progress)
+        print_results(study, results, self.results)
+        click.echo(f"wrote {self.out} ({size / 1e6:.1f} MB)")
+        return 0 if results.passed else 1
+
+
+@as_command(bench, "score")
+@dataclass(frozen=True)
+class ScoreAnswer:
+    """Score an answer to the open face benchmark, on any of its meshes, without any of our solvers.
+
+    ANSWER is a .vtu file with `displacement` [mm] on its points. `reaction` [mN] on points and `cauchy` [kPa] on tets
+    are scored too if there. The first line says whether it is right, wrong, shifted, truncated or not finite.
+    Exit status 1 if it is faulty.
+    """
+
+    answer: Path = argument("ANSWER", type=FILE)
+    archive: Path = option(Path("face-benchmark.zip"), "from `bench export`, or its folder", type=FILE)
+    problem: str = option("", "default: the one that the file's name has in it")
+
+    def run(self) -> int:
+        """Print the score."""
+        from ..benchmarks.face.score import AnswerError, Archive, describe_score, score
+
+        try:
+            result = score(self.answer, Archive(self.archive), self.problem)
+        except AnswerError as error:
+            raise InputError(str(error)) from None
+        for line in describe_score(result):
+            click.echo(line)
+        return 0 if result.verdict.startswith("right") else 1

@@ -39,8 +39,9 @@ class WrittenFolder(click.Path):
         return ranks.writable(path)
 
 
-NPZ, PNG, HTML, ANY, FOLDER = (
+NPZ, ZIP, PNG, HTML, ANY, FOLDER = (
     WrittenFile(".npz"),
+    WrittenFile(".zip"),
     WrittenFile(".png"),
     WrittenFile(".html"),
     WrittenFile(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import re
@@ -11,6 +12,8 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from ...lhm.base import provenance
 from ...lhm.base.errors import InputError, SoftdecaError
@@ -25,7 +28,8 @@ from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
 
 Only = Literal["missing", "failed", "all"]
-PNG = b"\x89PNG"
+FIRST_BYTES = {".png": b"\x89PNG", ".npy": b"\x93NUMPY"}
+"""By which a file's kind is known; what has none of them is a page."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +123,14 @@ class _Run:
         self.left = [task for task in self.tasks if task not in self._rows or self._rows[task].status in again]
 
     def add(self, outcome: Outcome) -> None:
-        """Keep what a task gave; pictures and pages become files, whose names stand in the row."""
+        """Keep what a task gave; pictures, pages and arrays become files, whose names stand in the row."""
         task, values = outcome.job.task, dict(outcome.values)
         for key, value in outcome.values.items():
-            if isinstance(value, bytes):
-                kind = ".png" if value.startswith(PNG) else ".html"
+            if isinstance(value, (bytes, np.ndarray)):
+                content = _as_npy(value) if isinstance(value, np.ndarray) else value
+                kind = next((kind for kind, first in FIRST_BYTES.items() if content.startswith(first)), ".html")
                 name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{task}, {key}")[:120].strip("-") + kind
-                write_whole(self._out / name, value)
+                write_whole(self._out / name, content)
                 values[key] = name
         values, wrong = _as_json(values)
         status, reason = outcome.status, outcome.reason
@@ -145,6 +150,8 @@ class _Run:
         done = [row for row in rows if row.done]
         missing = sum(row.status == "failed" for row in rows) if done else len(rows)
         failed = at_most("cases that could not be measured", missing, 0)
+        concluded = study.conclude(done)
+        rows, done = [*rows, *concluded], [*done, *concluded]
         gates = (failed, *(study.gates(done) if done else ()))
         options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # a dataclass
         words = study.words(done) if done else "Nothing could be measured."
@@ -152,6 +159,13 @@ class _Run:
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
         write_whole(self._out / "index.html", render_study(study, results, self._out).encode())
         return results
+
+
+def _as_npy(array: np.ndarray) -> bytes:
+    """Content of a .npy file."""
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=False)
+    return file.getvalue()
 
 
 def _as_json(values: Values) -> tuple[dict[str, Any], list[str]]:

@@ -12,7 +12,8 @@ from ...lhm.check import Direction, is_within
 
 Values = Mapping[str, Any]
 """The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures and HTML pages are bytes under
-their caption; they become files, whose names stand in their place. A NaN makes the row a failure."""
+their caption, and arrays stand under their name; both become files, whose names stand in their place. A NaN makes the
+row a failure."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,10 @@ class Study(ABC):
         """Give the report's lines of a task: one, or those of its `rows` where it answers several questions."""
         lines: Sequence[Values] = values.get("rows", [values])
         return lines
+
+    def conclude(self, rows: Sequence[Row]) -> Sequence[Row]:
+        """Make rows that follow from those that are done, such as limits; gates, words and tables see them too."""
+        return ()
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Make the statements that must hold by `at_most`, `at_least` and `above`; one more says that no row failed."""

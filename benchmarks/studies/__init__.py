@@ -26,6 +26,7 @@ STUDIES = {
     "unknowns": "scaling.unknowns:Unknowns",
     "convergence": "mesh.convergence:Convergence",
     "locking": "mesh.locking:Locking",
+    "face-benchmark": "mesh.face:FaceBenchmark",
     "effects": "agreement.effects:Effects",
     "dynamics": "agreement.dynamics:Dynamics",
     "ranks": "scaling.ranks:Ranks",
@@ -67,7 +68,10 @@ COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
             "pieces": "minimal",
         },
     ),
-    "mesh": ("How large are the errors of the mesh?", {"convergence": "convergence", "locking": "locking"}),
+    "mesh": (
+        "How large are the errors of the mesh?",
+        {"convergence": "convergence", "locking": "locking", "face": "face-benchmark"},
+    ),
 }
 """Commands of several studies, with their question, and the study of each case; the first case is the default."""
 

@@ -1,0 +1,231 @@
+"""The archive of the open face benchmark: meshes, materials, loads, converged answers, a card and the scorer."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from ...lhm.base.files.atomic import replaced
+from ...lhm.base.mesh import Floats
+from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
+from ...reference.materials import NeoHookean
+from ...reference.materials.material import lame
+from . import score
+from .problems import BONES, GROWTH, MESHES, POISSON, PROBLEMS, YOUNG, Body, describe_measures
+
+MSH = MESHES[:2]
+"""Meshes that are written for gmsh too; the fine one would double the archive."""
+LAW = "psi = mu/2 (tr(F^T F) - 3) - mu ln J + lambda/2 (ln J)^2 per volume at rest, J = det F"
+POINT_ARRAYS = {
+    "held": "1 where a point is held, else 0",
+    "held_displacement_jaw_mm": "where the problem jaw moves held points [mm]; other problems hold them at rest",
+    "force_gravity_mN": "dead nodal forces [mN] of the problem gravity, exact for linear tets",
+    "force_cheek_mN": "dead nodal forces [mN] of the problem cheek, exact for linear tets",
+    **{bone: f"weight of a point's reaction in the force on the {bone}" for bone in BONES},
+}
+
+
+def write_archive(
+    path: Path,
+    bodies: Sequence[Body],
+    limits: Mapping[str, Mapping[str, Any]],
+    answers: Mapping[str, Floats],
+    commit: str,
+) -> int:
+    """Write the archive of nested meshes and their answers, whole or not at all; return its bytes.
+
+    limits: by problem "answers", a list of quantities with "name", "unit", "value" and "band", and "band_mm", the RMS
+    band [mm] of the coarse mesh's vertices; answers: arrays (coarse vertices, 3) [mm] named PROBLEM.converged and
+    PROBLEM.linear.MESH.
+    """
+    coarse = bodies[0]
+    description = describe(bodies, limits, commit)
+    with replaced(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        archive.writestr(score.DESCRIPTION, json.dumps(description, indent=1, allow_nan=False))
+        archive.writestr(score.ANSWERS, _as_npz({"points": coarse.vertices, **answers}))
+        archive.writestr("score.py", Path(score.__file__).read_text())
+        archive.writestr("README.md", write_card(description))
+        for body, name in zip(bodies, MESHES, strict=True):
+            archive.writestr(f"meshes/{name}.vtu", _as_vtu(body))
+            if name in MSH:
+                archive.writestr(f"meshes/{name}.msh", _as_msh(body))
+    return path.stat().st_size
+
+
+def describe(bodies: Sequence[Body], limits: Mapping[str, Mapping[str, Any]], commit: str) -> dict[str, Any]:
+    """Describe the benchmark as benchmark.json holds it: materials, problems, quantities and their converged values."""
+    coarse = bodies[0]
+    layers = [
+        {"name": name, "layer": number, "young_kPa": young, "poisson": POISSON}
+        | dict(zip(("mu_kPa", "lambda_kPa"), lame(young, POISSON), strict=True))
+        for number, (name, young) in enumerate(YOUNG.items())
+    ]
+    loads = {
+        "gravity": {
+            "density_kg_per_mm3": TISSUE_DENSITY,
+            "acceleration_mm_per_s2": [0.0, -STANDARD_GRAVITY, 0.0],
+        },
+        "jaw": {"held_displacement": "held_displacement_jaw_mm"},
+        "growth": {"soft_tissue_growth": GROWTH, "energy": f"{GROWTH} psi(F {GROWTH}^(-1/3)) in soft tissue"},
+        "cheek": {
+            "traction_kPa": coarse.push.tolist(),
+            "triangles_of_coarse_mesh": coarse.patch.tolist(),
+        },
+    }
+    return {
+        "name": "open face benchmark",
+        "version": 1,
+        "commit": commit,
+        "units": {"length": "mm", "force": "mN", "stress": "kPa", "mass": "kg", "time": "s"},
+        "law": {"name": NeoHookean.__name__, "energy": LAW, "layers": layers},
+        "meshes": {
+            name: {"points": len(body.vertices), "tets": len(body.tets), "held": len(body.held_vertices)}
+            for name, body in zip(MESHES, bodies, strict=True)
+        },
+        "point_arrays": POINT_ARRAYS,
+        "cell_arrays": {"layer": "0 in soft tissue, 1 in muscle"},
+        "bones": list(BONES),
+        **describe_measures(coarse),
+        "problems": {
+            problem: {
+                "text": text,
+                "loads": loads[problem],
+                "band_mm": limits[problem]["band_mm"],
+                "quantities": {
+                    each["name"]: {key: each[key] for key in ("unit", "value", "band")}
+                    for each in limits[problem]["answers"]
+                },
+            }
+            for problem, text in PROBLEMS.items()
+        },
+    }
+
+
+def write_card(description: Mapping[str, Any]) -> str:
+    """Write the card: what is asked, the answers with their bands, how to score, licence and citation."""
+    meshes = [
+        f"| {name} | {facts['points']:,} | {facts['tets']:,} | {facts['held']:,} |"
+        for name, facts in description["meshes"].items()
+    ]
+    layers = [
+        f"| {each['name']} | {each['layer']} | {each['young_kPa']:g} | {each['poisson']:g} | {each['mu_kPa']:.6g} | "
+        f"{each['lambda_kPa']:.6g} |"
+        for each in description["law"]["layers"]
+    ]
+    arrays = [
+        f"- `{name}`: {text}" for name, text in (description["point_arrays"] | description["cell_arrays"]).items()
+    ]
+    problems = [f"- **{name}**: {problem['text']}" for name, problem in description["problems"].items()]
+    answers = []
+    for name, problem in description["problems"].items():
+        for quantity, asked in problem["quantities"].items():
+            size = float(np.linalg.norm(asked["value"]))
+            answers.append(f"| {name} | {quantity} [{asked['unit']}] | {size:.4g} | {asked['band']:.2g} |")
+    return CARD.format(
+        meshes="\n".join(meshes),
+        layers="\n".join(layers),
+        arrays="\n".join(arrays),
+        problems="\n".join(problems),
+        answers="\n".join(answers),
+        law=description["law"]["energy"],
+        growth=GROWTH,
+        commit=description["commit"],
+        version=description["version"],
+    )
+
+
+CARD = """# The open face benchmark, version {version}
+
+A human head as a problem of finite elements: meshes, materials, loads, and converged answers with their bands.
+Units are mm, mN, kPa and kg. x points to the head's left, y up, z to the front.
+
+{problems}
+
+## Meshes
+
+All are the same body. Each finer mesh splits every tet into eight, and has the points of the coarser one first.
+
+| mesh | points | tets | held points |
+|---|---|---|---|
+{meshes}
+
+`meshes/*.vtu` have these arrays; `.msh` (gmsh 2.2) have the layers as physical groups 1 and 2:
+
+{arrays}
+
+Elements of higher order hold all of a triangle of the boundary whose corners are held; between them the displacement is
+linear. `benchmark.json` has the cheek's traction and triangles, body force and every number of this page.
+
+## Material
+
+{law}
+
+| layer | number | E [kPa] | nu | mu [kPa] | lambda [kPa] |
+|---|---|---|---|---|---|
+{layers}
+
+In the problem growth, soft tissue has the energy {growth} psi(F {growth}^(-1/3)) per volume of the mesh.
+
+## Converged answers
+
+Of vectors the lengths; `benchmark.json` has the components. Skin figures are over the coarse mesh's points of the
+outer surface. A stress is von Mises' equivalent of Cauchy's stress, averaged over the coarse tets of `patches` by their
+volume at rest. A force is the sum of the reactions, by which held points hold the tissue, times the bone's weights.
+
+| problem | quantity | converged | band +- |
+|---|---|---|---|
+{answers}
+
+## Score an answer
+
+    python score.py my-jaw.vtu
+
+It needs numpy and meshio. The file has the points of one of the meshes, in their order, and on them `displacement`
+[mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets (nine components, or xx yy zz xy yz xz) are scored if
+they are there.
+
+## Licence and citation
+
+CC0 1.0: the head is cut from MakeHuman's data, which are CC0, and so are meshes and answers. `score.py` is MIT.
+Cite: the softdeca authors, "The open face benchmark", version {version}, made by softdeca at commit {commit}.
+"""
+
+
+def _as_vtu(body: Body) -> bytes:
+    count = len(body.vertices)
+    held = np.isin(np.arange(count), body.held_vertices)
+    values = (
+        held.astype(np.int8),
+        np.where(held[:, None], body.jaw, 0.0),
+        body.scene("gravity").loads(),
+        body.scene("cheek").loads(),
+        *(body.shares[bone] for bone in BONES),
+    )
+    layer = [body.layer.astype(np.int8)]
+    return _write(body, ".vtu", "vtu", dict(zip(POINT_ARRAYS, values, strict=True)), {"layer": layer})
+
+
+def _as_msh(body: Body) -> bytes:
+    group = [body.layer.astype(np.int32) + 1]
+    return _write(body, ".msh", "gmsh22", {}, {"gmsh:physical": group, "gmsh:geometrical": group})
+
+
+def _write(body: Body, suffix: str, kind: str, points: dict, cells: dict) -> bytes:
+    mesh = meshio.Mesh(body.vertices, [("tetra", body.tets.astype(np.int32))], point_data=points, cell_data=cells)
+    with tempfile.NamedTemporaryFile(suffix=suffix) as file:
+        mesh.write(file.name, file_format=kind)
+        return Path(file.name).read_bytes()
+
+
+def _as_npz(arrays: Mapping[str, Floats]) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # numpy's stub takes the first for another argument
+    return file.getvalue()

@@ -1,0 +1,202 @@
+"""Four problems of one head on nested meshes: the same body, bones and loads, each mesh of eight times the tets.
+
+The coarsest mesh is the body: its surfaces are flat between its vertices, and finer meshes split its tets (Bey's red
+refinement). So all meshes approximate one and the same exact answer, and have the coarse mesh's vertices in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...lhm.base.geometry.topology import midpoints
+from ...lhm.base.mesh import Floats, Ints, TetMesh
+from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.remesh import EDGES, refine_tets
+from ...lhm.wraps.columns import fill_harmonically
+from ...reference import Scene, materials, terms
+from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
+
+MESHES = ("coarse", "medium", "fine")
+POISSON = 0.45
+YOUNG = {"soft tissue": 6.0, "muscle": 15.0}
+"""[kPa] of the two layers: between fat (2, Barbarino 2011) and the whole face as one tissue (15, Nazari 2010)."""
+GROWTH = 1.2
+"""Volume at which soft tissue is without stress, over its volume in the mesh."""
+JAW_ANGLE = 6.0
+"""[degrees]"""
+JAW_AXIS = (0.0, -3.0, 57.0)
+"""A point [mm] of the axis along x about which the mandible turns: a centimetre in front of the ears."""
+PUSH = 0.3
+"""[kPa] on the cheek, against its mean normal at rest."""
+PUSH_RADIUS = 15.0
+SKIN_POINTS = {
+    "left cheek": (42.0, -13.4, 129.6),
+    "right cheek": (-42.0, -13.4, 129.6),
+    "upper lip": (0.7, -42.1, 147.5),
+    "under the lower lip": (0.4, -54.6, 146.9),
+    "left mouth corner": (31.0, -45.0, 127.0),
+    "chin": (-0.1, -77.5, 136.9),
+    "left jowl": (43.0, -56.9, 99.7),
+    "throat": (-3.8, -86.5, 105.3),
+}
+"""Near which vertex of the skin each lies [mm]; x to the head's left, y up, z to the front."""
+STRESS_POINTS = {
+    "left cheek, soft tissue": ("left cheek", 0),
+    "left cheek, muscle": ("left cheek", 1),
+    "left jowl, soft tissue": ("left jowl", 0),
+    "left jowl, muscle": ("left jowl", 1),
+}
+"""Each is the border of the layers beneath a named point of the skin; there the stress of one layer is averaged."""
+BONES = {"cranium": CRANIUM, "mandible": MANDIBLE}
+PROBLEMS = {
+    "gravity": "The head's own weight, 1 g downwards, on a body that has no stress without it.",
+    "jaw": f"The mandible turns by {JAW_ANGLE:g} degrees about an axis before the ears; the mouth's lining goes along.",
+    "growth": f"Soft tissue is without stress at {GROWTH:g} times its volume: 20 % more weight. Bones stay.",
+    "cheek": f"A dead pressure of {PUSH:g} kPa pushes the left cheek inwards, over a disc of {PUSH_RADIUS:g} mm.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A mesh of the head's tissue, and what the problems name of it.
+
+    vertices (n, 3) [mm] and tets (m, 4); `layer` (m,) is 0 for soft tissue, 1 for muscle. `held` (k, 3) are triangles
+    of the inner surface that bone, the linings of mouth and eyes or the neck's end hold; `skin` (s, 3) those of the
+    outer one, and `patch` (p, 3) those pushed. `jaw` (n, 3) [mm] is how the jaw's problem moves held vertices. `shares`
+    are weights (n,) by the bone's name, over which reactions are summed. `level` is how often the mesh was split.
+    """
+
+    vertices: Floats
+    tets: Ints
+    layer: Ints
+    held: Ints
+    skin: Ints
+    patch: Ints
+    push: Floats
+    jaw: Floats
+    shares: Mapping[str, Floats]
+    points: Mapping[str, int]
+    patches: Mapping[str, Ints]
+    level: int = field(default=0)
+
+    @property
+    def held_vertices(self) -> Ints:
+        """The vertices (h,) that are held."""
+        ids: Ints = np.unique(self.held)
+        return ids
+
+    def refine(self) -> Body:
+        """Split every tet into eight; old vertices stay first, and children of a tet follow one another."""
+        count = len(self.vertices)
+        finer, parent = refine_tets(TetMesh(self.vertices, self.tets))
+        ends, _ = midpoints(self.tets, EDGES, count)
+        keys = ends @ [count, 1]
+
+        def split(triangles: Ints) -> Ints:
+            a, b, c = triangles.T
+            ab, bc, ca = (
+                count + np.searchsorted(keys, np.minimum(p, q) * count + np.maximum(p, q))
+                for p, q in ((a, b), (b, c), (c, a))
+            )
+            parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+            return np.stack(parts, axis=1).reshape(-1, 3)
+
+        def carry(values: Floats) -> Floats:
+            return np.concatenate([values, values[ends].mean(axis=1)])
+
+        return replace(
+            self,
+            vertices=finer.vertices,
+            tets=finer.tets,
+            layer=self.layer[parent],
+            held=split(self.held),
+            skin=split(self.skin),
+            patch=split(self.patch),
+            jaw=carry(self.jaw),
+            shares={name: carry(share) for name, share in self.shares.items()},
+            level=self.level + 1,
+        )
+
+    def scene(self, problem: str) -> Scene:
+        """Make the scene of one of PROBLEMS."""
+        soft, muscle = (np.flatnonzero(self.layer == layer) for layer in (0, 1))
+        growth = GROWTH if problem == "growth" else 1.0
+        laws = [materials.NeoHookean.from_young(young, POISSON) for young in YOUNG.values()]
+        ids = self.held_vertices
+        moved = self.jaw[ids] if problem == "jaw" else 0.0
+        parts: list[terms.Term] = [
+            terms.Hyperelastic(laws[0], tets=soft, growth=growth),
+            terms.Hyperelastic(laws[1], tets=muscle),
+            terms.Fixed(ids, self.vertices[ids] + moved),
+        ]
+        if problem == "gravity":
+            parts.append(terms.Gravity((0.0, -STANDARD_GRAVITY, 0.0), TISSUE_DENSITY))
+        elif problem == "cheek":
+            parts.append(terms.Traction(self.patch, self.push))
+        return Scene(self.vertices, self.tets, tuple(parts))
+
+
+def body_of(head: LayeredHead) -> Body:
+    """Make the coarse body of a head of one layer of tets per tissue."""
+    vertices, n = head.vertices, len(head.bone)
+    triangles, none = head.skin_wrap.triangles, np.zeros(n, dtype=bool)
+    lining = np.any([head.regions.get(name, none) for name in ("mouth", "teeth", "eyes")], axis=0)
+    lining &= ~head.regions.get("lips", none)
+    neck = head.regions.get("neck", none) & (head.bone == FREE)
+    resting = (head.bone == CRANIUM) | neck
+    held = (head.bone != FREE) | lining | neck
+    points = {name: _nearest(head.skin_wrap.vertices, place) for name, place in SKIN_POINTS.items()}
+    layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
+    near = np.linalg.norm(vertices[:n] - vertices[points["left cheek"]], axis=1) <= PUSH_RADIUS
+    around = (triangles == points["left cheek"]).any(axis=1)
+    patch = triangles[near[triangles].all(axis=1) | around]
+    a, b, c = (vertices[patch[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a).sum(axis=0)
+    jaw = np.zeros_like(vertices)
+    jaw[2 * n :] = _open_jaw(head, resting)
+    tets = head.tets
+    return Body(
+        vertices=vertices,
+        tets=tets,
+        layer=layer,
+        held=2 * n + triangles[held[triangles].all(axis=1)],
+        skin=triangles,
+        patch=patch,
+        push=-PUSH * normal / np.linalg.norm(normal),
+        jaw=jaw,
+        shares={name: np.concatenate([np.zeros(2 * n), head.bone == bone]) for name, bone in BONES.items()},
+        points=points,
+        patches={
+            name: np.flatnonzero((tets == n + points[point]).any(axis=1) & (layer == which))
+            for name, (point, which) in STRESS_POINTS.items()
+        },
+    )
+
+
+def describe_measures(coarse: Body) -> dict:
+    """Describe where quantities are measured, by the coarse mesh's vertices and tets, as the archive has it."""
+    volumes = coarse.scene("gravity").volumes
+    return {
+        "skin_points": np.unique(coarse.skin).tolist(),
+        "points": dict(coarse.points),
+        "patches": {
+            name: {"tets": tets.tolist(), "volumes": volumes[tets].tolist()} for name, tets in coarse.patches.items()
+        },
+    }
+
+
+def _open_jaw(head: LayeredHead, resting: np.ndarray) -> Floats:
+    """Displacement [mm] of the skull wrap, (n, 3): the mandible turned, linings between it and what rests."""
+    skull, mandible = head.skull_wrap.vertices, head.bone == MANDIBLE
+    turn = Rotation.from_euler("x", JAW_ANGLE, degrees=True).as_matrix()
+    moved = np.zeros_like(skull)
+    moved[mandible] = (skull[mandible] - JAW_AXIS) @ turn.T + JAW_AXIS - skull[mandible]
+    return fill_harmonically(head.skull_wrap.triangles, moved, mandible | resting)
+
+
+def _nearest(vertices: Floats, place: tuple[float, float, float]) -> int:
+    return int(np.argmin(np.linalg.norm(vertices - place, axis=1)))

@@ -1,0 +1,242 @@
+"""The converged answers of the open face benchmark, each with a band, from two codes, three meshes and three elements.
+
+Stress is singular where bones end, so that errors fall no faster than the size of elements. Quadratic tets on two
+meshes are extrapolated by that order. Linear tets on three meshes, quadratic ones with a pressure, and a second code
+are the checks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm import fit_head, identities, load_template
+from ....lhm.base.mesh import Floats
+from ....reference import Scene, Solution, solve
+from ...face.problems import MESHES, PROBLEMS, Body, body_of, describe_measures
+from ...face.score import measure
+from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
+from ..measures import count_work
+
+ORDER = 1.0
+"""Of quadratic tets, assumed: two meshes show none, and where bones end the stress is singular."""
+SAFETY = 1.5
+"""Band over the extrapolated step: an order between .49 and any greater one leaves the limit within it."""
+LEAST_BAND = 0.005
+"""Of a value: no band is narrower."""
+CONVERGED = "converged"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A code, its elements and the mesh, by number."""
+
+    solver: str
+    element: str
+    mesh: int
+    tolerance: float = 1e-7
+
+    @property
+    def name(self) -> str:
+        """The method in the report."""
+        code = {"fenicsx": "FEniCSx", "skfem": "scikit-fem"}[self.solver]
+        element = {"P1": "linear", "P2": "quadratic", "P2P1": "quadratic with a pressure"}[self.element]
+        return f"{code}, {element}, {MESHES[self.mesh]}"
+
+
+LINEAR = tuple(Method("fenicsx", "P1", mesh) for mesh in range(3))
+QUADRATIC = (Method("fenicsx", "P2", 0), Method("fenicsx", "P2", 1, tolerance=1e-6))
+MIXED = Method("fenicsx", "P2P1", 0)
+CHECKS = (Method("skfem", "P1", 0), Method("skfem", "P2", 0))
+METHODS = {method.name: method for method in (*LINEAR, *QUADRATIC, MIXED, *CHECKS)}
+
+
+@lru_cache(maxsize=1)
+def default_bodies() -> tuple[Body, ...]:
+    """Make the meshes of the default head, the mean of its space, coarse ones first."""
+    space = identities.Anny()
+    return nested_bodies(body_of(fit_head(load_template(space, level=1), space.skin(np.zeros(space.code_size)))))
+
+
+def nested_bodies(body: Body) -> tuple[Body, ...]:
+    """Make a body's three meshes from the coarse one."""
+    medium = body.refine()
+    return body, medium, medium.refine()
+
+
+@dataclass(frozen=True)
+class FaceBenchmark(Study):
+    """Four problems by eight methods; the limits follow from them."""
+
+    name = "face-benchmark"
+    heading = "What are the converged answers of the open face benchmark?"
+    question = (
+        "Where do gravity, an opened jaw, growth and a pushed cheek converge to on one head, and how sure is that?"
+    )
+    columns = (
+        Column("tets", "tets"),
+        Column("mean_mm", "skin, mean [mm]"),
+        Column("largest_mm", "skin, largest [mm]"),
+        Column("mandible_mN", "force on the mandible [mN]"),
+        Column("iterations", "iterations", cost=True),
+        Column("linear_iterations", "CG iterations", cost=True),
+    )
+    note = (
+        "Neo-Hookean tissue on nested meshes, each of eight times the tets of the one before. The skin's figures are "
+        "over the coarse mesh's vertices, which all meshes have. Converged: quadratic tets on two meshes, extrapolated "
+        f"by an order of {ORDER:g}; the band is {SAFETY:g} times that step and the distance of two codes, and at least "
+        f"{100 * LEAST_BAND:g} % of the value."
+    )
+    limit = 7200.0
+
+    def bodies(self) -> tuple[Body, ...]:
+        """Give the meshes."""
+        return default_bodies()
+
+    def tasks(self) -> Sequence[Task]:
+        """List every problem by every method."""
+        return [Task(problem, name) for name in METHODS for problem in PROBLEMS]
+
+    def measure(self, task: Task) -> Values:
+        """Solve one; its quantities, and displacements [mm] of the coarse mesh's vertices as an array."""
+        method, body = METHODS[task.method], self.bodies()[METHODS[task.method].mesh]
+        scene = body.scene(task.case)
+        solution = solve(scene, solver=method.solver, element=method.element, tolerance=method.tolerance)
+        quantities = quantities_of(self.bodies()[0], body, scene, solution)
+        return {
+            "tets": len(scene.tets),
+            "quantities": quantities,
+            "mean_mm": quantities["skin, mean"][0],
+            "largest_mm": quantities["skin, largest"][0],
+            "mandible_mN": float(np.linalg.norm(quantities["force on mandible"])),
+            "displacement": (solution.positions - scene.vertices)[: len(self.bodies()[0].vertices)],
+            **count_work(solution),
+        }
+
+    def conclude(self, rows: Sequence[Row]) -> Sequence[Row]:
+        """Extrapolate the quantities of each problem that has been solved by all methods that the limit needs."""
+        concluded = []
+        for problem in PROBLEMS:
+            solved = {row.method: row for row in rows if row.case == problem}
+            if all(name in solved for name in METHODS):
+                values = _converge({name: row.values["quantities"] for name, row in solved.items()})
+                last = solved[QUADRATIC[1].name]
+                concluded.append(replace(last, method=CONVERGED, values=values, seconds=0.0, memory_mb=None, cpu=None))
+        return concluded
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Check that all converge, codes agree, finer linear tets come nearer, and quadratic ones are nearest."""
+        solved, limits = [row for row in rows if row.method in METHODS], _limits(rows)
+        unfinished = sum(not row.values["converged"] for row in solved)
+        gates = [at_most("solves that did not reach what was asked", unfinished, 0)]
+        if limits:
+            codes = max(line["codes"] for lines in limits.values() for line in lines)
+            ratio = max(
+                _mean(rows, problem, b.name) / _mean(rows, problem, a.name)
+                for problem in limits
+                for a, b in zip(LINEAR[:-1], LINEAR[1:], strict=True)
+            )
+            pressure = max(
+                _mean(rows, problem, MIXED.name) / _mean(rows, problem, LINEAR[0].name) for problem in limits
+            )
+            gates += [
+                at_most("distance of FEniCSx and scikit-fem over a value, largest", codes, 1e-4),
+                at_most("distance to the limit of linear tets, over that on the mesh before", ratio, 1.0),
+                at_most("the same of quadratic tets with a pressure, over linear ones'", pressure, 1.0),
+            ]
+        return gates
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Tell the width of the bands."""
+        bands = [line["band"] / line["size"] for lines in _limits(rows).values() for line in lines if line["size"] > 0]
+        if not bands:
+            return "No problem has been solved by all methods yet."
+        middle = float(np.median(bands))
+        return f"The bands are {100 * middle:.1f} % of the value in the median, {100 * max(bands):.0f} % at most."
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Tabulate the converged values with their bands, and each method's."""
+        head = ["problem", "quantity", "unit", CONVERGED, "band", *METHODS]
+        lines = [
+            (problem, line["name"], line["unit"], line["size"], line["band"], *(line["by"][name] for name in METHODS))
+            for problem, listed in _limits(rows).items()
+            for line in listed
+        ]
+        return [Table("Converged answers and every method's; of vectors the lengths", head, lines)]
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Draw the skin's distance to the limit over the size of elements, by problem."""
+        limits = _limits(rows)
+        if not limits:
+            return {}
+        figure, axes = subplots(1, 1, figsize=(5.6, 3.6))
+        for problem in limits:
+            for methods, mark in ((LINEAR, "o-"), (QUADRATIC, "s--")):
+                sizes = [0.5**method.mesh for method in methods]
+                label = problem if methods is LINEAR else None
+                (line,) = axes.plot(sizes, [_mean(rows, problem, m.name) for m in methods], mark, ms=4, label=label)
+        axes.set_xscale("log", base=2)
+        axes.set(yscale="log", xlabel="edges / the coarse mesh's", ylabel="distance of named points [mm]")
+        axes.legend()
+        return {"Distance to the limit, linear tets solid and quadratic dashed.": to_svg(figure)}
+
+
+def quantities_of(coarse: Body, body: Body, scene: Scene, solution: Solution) -> dict[str, list[float]]:
+    """Give the benchmark's quantities of a solution on one of a coarse body's meshes."""
+    return measure(
+        describe_measures(coarse),
+        body.level,
+        solution.positions - scene.vertices,
+        solution.reactions,
+        solution.cauchy,
+        body.shares,
+    )
+
+
+def unit_of(quantity: str) -> str:
+    """Give the unit of a quantity by its name."""
+    return "kPa" if quantity.startswith("stress") else "mN" if quantity.startswith("force") else "mm"
+
+
+def extrapolate(coarse: Floats, medium: Floats) -> Floats:
+    """Extrapolate answers of quadratic tets on two meshes."""
+    limit: Floats = medium + (medium - coarse) / (2.0**ORDER - 1.0)
+    return limit
+
+
+def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
+    """A list of quantities: converged value, its size, band, the distance of codes over it, and each method's size."""
+    by = {name: {key: np.array(value) for key, value in each.items()} for name, each in values.items()}
+    lines = []
+    for quantity, medium in by[QUADRATIC[1].name].items():
+        coarse = by[QUADRATIC[0].name][quantity]
+        value = extrapolate(coarse, medium)
+        pairs = ((LINEAR[0], CHECKS[0]), (QUADRATIC[0], CHECKS[1]))
+        codes = max(float(np.linalg.norm(by[a.name][quantity] - by[b.name][quantity])) for a, b in pairs)
+        size = float(np.linalg.norm(value))
+        lines.append(
+            {
+                "name": quantity,
+                "unit": unit_of(quantity),
+                "value": value.tolist(),
+                "size": size,
+                "band": max(SAFETY * float(np.linalg.norm(value - medium)) + codes, LEAST_BAND * size),
+                "codes": codes / max(size, 1e-12),
+                "by": {name: float(np.linalg.norm(each[quantity])) for name, each in by.items()},
+                "off": {name: float(np.linalg.norm(each[quantity] - value)) for name, each in by.items()},
+            }
+        )
+    return {"answers": lines}
+
+
+def _limits(rows: Sequence[Row]) -> dict[str, list[dict]]:
+    return {row.case: list(row.values["answers"]) for row in rows if row.method == CONVERGED}
+
+
+def _mean(rows: Sequence[Row], problem: str, method: str) -> float:
+    """Mean distance [mm] of a method's named points to the limit."""
+    return float(np.mean([line["off"][method] for line in _limits(rows)[problem] if line["name"].startswith("at ")]))
