@@ -15,7 +15,7 @@ from ..reference import Sequence, SettledFace, Solution
 from ..reference.face.dynamics import extrapolate_turns
 from ..reference.face.sequence import TOLERANCE, State
 from ..reference.face.settle import carry_skin
-from ..surrogate.certified import DOUBT, CertifiedFace, Reached, estimate_errors, find_counted
+from ..surrogate.certified import DOUBT, CertifiedFace, Reached, find_counted
 from .play import blend_linearly
 
 TIGHTER, TIGHTEST = 0.1, 1e-9
@@ -134,12 +134,12 @@ class SimulatedFrames:
 
     def _estimate(self, expression: Floats, solution: Solution) -> tuple[float | None, bool]:
         """Return a frame's error [mm], and whether it is certain; None where surfaces in contact hide it."""
-        left = None if self._has_contact else self._sequence.estimate_left()
-        if left is None:
+        estimate = None if self._has_contact else self._sequence.estimate_left()
+        if estimate is None:
             return None, False
+        left, certain = estimate
         counted = find_counted(self._sequence.skin(expression, solution) + left, expression + self._carried)
-        errors, certain = estimate_errors(left, counted)
-        return float(errors[counted].mean()), certain
+        return float(np.linalg.norm(left, axis=1)[counted].mean()), certain
 
 
 def _record(reason: str, solution: Solution | None = None) -> dict[str, Any]:

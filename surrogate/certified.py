@@ -6,9 +6,9 @@
 
 The error is to the converged simulator: the mean distance [mm] over the skin vertices that the ruler counts, those that
 physics moves by more than 0.05 mm beyond blendshapes and bones (`ruler`); over all of them where it moves none so far.
-It is estimated from forces: a frame's tets are placed, and the Hessian at rest says how far their forces would move
-them (see `reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network
-has seen are told as well.
+It is estimated from forces: a frame's tets are placed, and Newton's step says how far their forces would move them (see
+`reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network has seen are
+told as well.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, repeat
 from typing import Literal
 
 import numpy as np
@@ -30,6 +29,7 @@ from ..reference import Parameters
 from ..reference.face.correction import Correction, FaceFrames
 from ..reference.face.derivatives import Analysis, differentiate_head
 from ..reference.face.settle import carry_skin
+from ..reference.projective.newton_step import NewtonStep
 from ..reference.solution import OnIteration
 from .codes import nearest_code
 from .local import on_wraps
@@ -43,28 +43,14 @@ ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
 FINEST = 1e-6
 """[mm] Accuracy below which rounding is asked for."""
-SMOOTHING = (1, 2, 2, 4, 4, 8, 8, 16, 16)
-"""Local iterations of each round, after which the error is estimated anew."""
+MOST_SMOOTHING = 16
+"""Local iterations of a round at most: they double while Newton's step is not near its end, and are one otherwise."""
 CONVERGED = 1e-6
 """Gradient norm, relative to that of the targets' springs each 1 mm long, from which a frame counts as converged."""
 MOST_SOLVES = 2000
 """Solves of a frame before it is given up, as where lids that are pressed into each other find no rest."""
-CLIP = 2.0
-"""Distances count at most as this multiple of their 95th percentile: folded tets claim centimetres and move little."""
-MOVED = 0.25
-"""Exponent of how far the last local iterations moved the skin, beside the clipped mean of what is left: the geometric
-mean of both is nearer to the truth than either."""
-FIRST_SCALE, LATER_SCALE = 1.05, 0.97
-"""True over this mean, after one local iteration and later: the best on 118 frames of 23 people, whom the study of the
-dial does not have."""
-WORST, DOUBTED_SHARE = 0.02, 0.35
-"""An estimate is not certain where this share of the vertices bears more than that share of the sum."""
-STEADY = 0.8
-"""Nor where the last local iterations moved the skin by less than this multiple of what is said to be left."""
 DOUBT = 3.0
 """What is not certain is off by at most this factor, but for some in a hundred."""
-TINY = 1e-12
-"""[mm] In place of a length of zero that is divided by."""
 RIDGE = 1e-6
 """[mm²] Of the code that is fitted to a skin for the network."""
 
@@ -188,14 +174,16 @@ class CertifiedFace:
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
         correction = self.frames.begin(known, self._start(known, after))
-        stepping = True
-        for rounds in chain(SMOOTHING, repeat(SMOOTHING[-1])):
-            before = correction.point.u
+        rounds, is_first = 1, True
+        while True:
             correction.smooth(rounds)
-            yield self._tell(correction, correction.point.u - before, begin)
+            ahead = correction.newton_step()
+            yield self._tell(correction, ahead, begin, is_first)
             if correction.residual <= CONVERGED or correction.solves >= MOST_SOLVES:
                 return
-            stepping = stepping and correction.take_step()
+            goes = correction.take(ahead.step)
+            rounds = 1 if goes and ahead.is_near else min(2 * rounds, MOST_SMOOTHING)
+            is_first = False
 
     def _start(self, weights: Floats, after: Reached | None) -> Floats | None:
         """Return the first order, and on it the correction of the frame before."""
@@ -206,36 +194,28 @@ class CertifiedFace:
             raise InputError(f"after: a frame of another face, of {len(after.positions)} vertices, not {len(start)}")
         return start + (after.positions - self.frames.predict(after.weights))
 
-    def _tell(self, correction: Correction, moved: Floats, begin: float) -> CertifiedFrame:
-        """Estimate the error of where a correction is, its vertices just `moved` [mm], and of the rig's own frame."""
+    def _tell(self, correction: Correction, ahead: NewtonStep, begin: float, is_first: bool) -> CertifiedFrame:
+        """Tell the error of where a correction is, or first of the rig's own frame if that is nearer to the answer."""
         head = self.frames.linear.face.head
         expression = self.frames.expression(correction.weights)
         skin: Floats | Floats32 = correction.skin()
-        left = head.skin_from_wrap @ correction.move_wrap(correction.step())
-        answer = skin + left
+        answer = skin + head.skin_from_wrap @ correction.move_wrap(ahead.step)
         counted = find_counted(answer, expression + self.carried)
-        is_first = correction.iterations <= SMOOTHING[0]
-        errors, certain = estimate_errors(left, counted)
-        there = np.linalg.norm(head.skin_from_wrap @ moved[: len(head.bone)], axis=1)[counted].mean()
-        steady = float(there / max(errors[counted].mean(), TINY))
-        factor = (FIRST_SCALE if is_first else LATER_SCALE) * max(steady, TINY) ** MOVED
+        errors = np.linalg.norm(answer - skin, axis=1)
         method: Method = "converged" if correction.residual <= CONVERGED else "corrected"
         if is_first:
             guess = self.rig.frame(correction.weights.astype(np.float32))
-            others, other_certain = estimate_errors(guess - answer, counted)
+            others = np.linalg.norm(answer - guess, axis=1)
             if others[counted].mean() < errors[counted].mean():
-                skin, errors, certain = guess, others, other_certain
+                skin, errors = guess, others
                 method = "network" if self.has_network else "derivatives"
-        certain = certain and steady >= STEADY and self.frames.linear.is_exact
-        errors = factor * errors
-        certain = certain or method == "converged"
         return CertifiedFrame(
             weights=correction.weights,
             positions=correction.positions,
             skin=skin.astype(np.float32),
             error=float(errors[counted].mean()),
             errors=errors.astype(np.float32),
-            certain=certain,
+            certain=ahead.is_near or method == "converged",
             method=method,
             seconds=time.perf_counter() - begin,
             solves=correction.solves,
@@ -246,16 +226,6 @@ def find_counted(skin: Floats, carried: Floats) -> np.ndarray:
     """Return which vertices an error counts, shape (n,): those more than MOVES from carried blendshapes, or all."""
     moves = np.linalg.norm(skin - carried, axis=1) > MOVES
     return moves if moves.any() else np.ones_like(moves)
-
-
-def estimate_errors(left: Floats, counted: np.ndarray) -> tuple[Floats, bool]:
-    """Return the lengths [mm] of displacements (n, 3) that are left, and whether no few of the counted decide them."""
-    lengths = np.linalg.norm(left, axis=1)
-    those = lengths[counted]
-    few = max(1, int(WORST * len(those)))
-    worst = np.partition(those, len(those) - few)[-few:].sum()
-    clipped: Floats = np.minimum(lengths, CLIP * np.percentile(those, 95.0))
-    return clipped, bool(worst <= DOUBTED_SHARE * those.sum())
 
 
 def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:

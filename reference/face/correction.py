@@ -1,9 +1,7 @@
 """Frames of a settled face on the way from first order to the answer, and how far there is still to go.
 
-Two metrics lead there. The PD matrix bounds the energy, so its L-BFGS settles what is local, even where tets fold. The
-factored Hessian at rest carries what is smooth over the whole face in one step, and says how far the answer is:
-K⁻¹ ∇E. After two local iterations this is right within a quarter on most frames; at the first order it is not, for
-there a few folded tets have large forces that mean little.
+L-BFGS with the PD matrix settles what is local, even where tets fold. Newton's step, solved for with the factored
+Hessian at rest, says how far the answer is, and leads there.
 """
 
 from __future__ import annotations
@@ -17,13 +15,14 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..projective.descent import Point, Problem, lbfgs_step, search_line
 from ..projective.energy import Energy
 from ..projective.memory import Memory
+from ..projective.newton_step import NewtonStep, newton_step
 from ..projective.springs import Springs
 from . import palsy
 from .derivatives import FaceDerivatives, spring_norm
 from .facial import PD_ENERGY
 
-STEP_HALVINGS = 2
-"""Halvings of a step by the Hessian at rest before it is given up: elsewhere it may bound nothing."""
+STEP_HALVINGS = 3
+"""Halvings of Newton's step before it is given up: where tets fold, its model may hold for less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,7 @@ class Correction:
         self._coordinates = linear.prepared.system.coordinates
         self._memory = Memory(self._coordinates.size)
         self._problem = Problem(self._at, self._coordinates.move, self._solve_matrix, bounded=False)
-        self._step: tuple[Point, Floats] | None = None
+        self._newton = Problem(self._at, self._coordinates.move, self._solve_tangent, bounded=False)
         self.iterations = self.solves = 0
         self.point = self._at(place)
 
@@ -102,16 +101,13 @@ class Correction:
             self.point = lbfgs_step(self._problem, self.point, self._memory)
         self.iterations += iterations
 
-    def step(self) -> Floats:
-        """Return the step [mm] over the unknowns to the minimum that gradient and Hessian at rest tell of."""
-        if self._step is None or self._step[0] is not self.point:
-            self.solves += 1
-            self._step = self.point, -self.frames.linear.tangent.solve(self.point.gradient)
-        return self._step[1]
+    def newton_step(self) -> NewtonStep:
+        """Solve for Newton's step from here; whether it is near its end is asked of the skin wrap."""
+        return newton_step(self._newton, self.point, slice(len(self.frames.linear.face.head.bone)))
 
-    def take_step(self) -> bool:
-        """Go along `step` as far as the energy falls enough; False, and nothing moves, where it does not soon."""
-        taken = search_line(self._problem, self.point, self.step(), STEP_HALVINGS)
+    def take(self, step: Floats) -> bool:
+        """Go along a step as far as the energy falls enough; False, and nothing moves, where it does not soon."""
+        taken = search_line(self._problem, self.point, step, STEP_HALVINGS)
         if taken is None:
             return False
         step, ahead = taken
@@ -131,6 +127,10 @@ class Correction:
     def _at(self, place) -> Point:
         energy, gradient = self._energy.evaluate(place.u)
         return Point(place, energy, self._coordinates.pull(gradient, place))
+
+    def _solve_tangent(self, vector: Floats, point: Point) -> Floats:
+        self.solves += 1
+        return self.frames.linear.tangent.solve(vector)
 
     def _solve_matrix(self, vector: Floats, point: Point) -> Floats:
         self.solves += 1

@@ -179,11 +179,11 @@ class Sequence:
             self.state = self._state_after(self._last_frame)
         return solution
 
-    def estimate_left(self) -> Floats | None:
+    def estimate_left(self) -> tuple[Floats, bool] | None:
         """Estimate how far the last frame's skin is from converged [mm], shape (skin vertices, 3); None where unknown.
 
-        By the Hessian of the neutral face, whose factor costs a second once. Contact, and other solvers than PD,
-        have none. SceneError before there is a frame.
+        By Newton's step with the Hessian of the neutral face, whose factor costs a second once; also returns whether
+        the step is near its end. Contact, and other solvers than PD, have none. SceneError before there is a frame.
         """
         frame = self._frame_before()
         prepared = frame.prepared
@@ -194,9 +194,9 @@ class Sequence:
             springs = replace(_target(scene), stiffness=_target(frame.scene).stiffness)
             scene = replace(scene, terms=tuple(springs if term is _target(scene) else term for term in scene.terms))
             self._tangent = prepared.tangent(replace(frame.solution, positions=self._neutral.positions), scene)
-        left = prepared.estimate_left(frame.solution.positions, self._tangent, frame.scene)
-        moved: Floats = self.head.skin_from_wrap @ left[: len(self.head.bone)]
-        return moved
+        wrap = slice(len(self.head.bone))
+        left, is_near = prepared.estimate_left(frame.solution.positions, self._tangent, wrap, frame.scene)
+        return self.head.skin_from_wrap @ left[wrap], is_near
 
     def _frame_before(self) -> _LastFrame:
         if self._last_frame is None:

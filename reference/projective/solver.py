@@ -13,7 +13,7 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.cholesky import LinearSolver
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Ints
 from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
@@ -22,6 +22,7 @@ from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .energy import PARTS, Energy, recover
 from .memory import Memory
+from .newton_step import newton_step
 from .system import System
 from .tangent import Pattern, Tangent
 from .tets import TetBlocks
@@ -190,19 +191,23 @@ class ProjectivePrepared:
         energy = self.energy.for_scene(scene)
         return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
 
-    def estimate_left(self, positions: Floats, tangent: Tangent, scene: Scene | None = None) -> Floats:
+    def estimate_left(
+        self, positions: Floats, tangent: Tangent, vertices: Ints | slice, scene: Scene | None = None
+    ) -> tuple[Floats, bool]:
         """Estimate how far vertices still are from a scene's minimum [mm], shape (n, 3), by a tangent of near by.
 
-        scene as of `solve`. SceneError for a tangent of other unknowns.
+        vertices: those that count; scene as of `solve`. Also returns whether the estimate is good (`newton_step`).
+        SceneError for a tangent of other unknowns.
         """
         scene = self.scene if scene is None else scene
         coordinates = self.system.coordinates
         if tangent.coordinates.size != coordinates.size:
             raise SceneError(f"tangent: it has {tangent.coordinates.size} unknowns, the scene {coordinates.size}")
-        place = coordinates.start(positions - scene.vertices)
-        gradient = self.energy.for_scene(scene).evaluate(place.u)[1]
-        step = tangent.solve(coordinates.pull(gradient, place))
-        return coordinates.move(place, -step).u - place.u
+        work = _Work(self.system)
+        problem = Problem(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
+        point = problem.at(coordinates.start(positions - scene.vertices))
+        ahead = newton_step(problem, point, vertices)
+        return coordinates.move(point.place, ahead.step).u - point.u, ahead.is_near
 
 
 def prepare(
