@@ -230,13 +230,13 @@ def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dic
     for name, named in rows:
         scan = folder / name
         if scan in by_scan:
-            raise InputError(f"{name}: it stands there twice")
+            raise InputError(f"{name:.80}: it stands there twice")
         try:
             by_scan[scan] = weights_of(named)
         except InputError as error:
-            raise InputError(f"{name}: {error}") from None
+            raise InputError(f"{name:.80}: {error}") from None
         if not is_plain_file(scan):
-            raise InputError(f"{name}: no such file beside it")
+            raise InputError(f"{name:.80}: no such file beside it")
     if not any(weights.any() for weights in by_scan.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
     return by_scan
