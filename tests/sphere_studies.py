@@ -8,11 +8,13 @@ from typing import ClassVar
 import numpy as np
 from conftest import layered_sphere, with_regions
 
+from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.heads.shapes import Shapes
 from softdeca.benchmarks.studies.mesh.convergence import Convergence
+from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.locking import Locking
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.iterations import Scaling
@@ -159,3 +161,14 @@ def _shapes(head):
     deltas = np.zeros((52, len(head.skin.vertices), 3))
     deltas[expressions.index("jawOpen")] = [0.0, 0.0, 1.0]
     return deltas
+
+
+@dataclass(frozen=True)
+class SphereFaceBenchmark(FaceBenchmark):
+    def bodies(self):
+        return sphere_bodies()
+
+
+@lru_cache
+def sphere_bodies():
+    return nested_bodies(body_of(layered_sphere(1)))
