@@ -20,6 +20,7 @@ STUDIES = {
     "table-1": "surrogate.table_1:Table1",
     "surrogate": "surrogate.study:SurrogateOnCorpus",
     "work-precision": "work_precision.study:WorkPrecision",
+    "arena": "arena.study:Arena",
     "throughput": "scaling.throughput:Throughput",
     "scaling": "scaling.iterations:Scaling",
     "minimal": "scaling.minimal:Minimal",

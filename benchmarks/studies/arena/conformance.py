@@ -1,0 +1,72 @@
+"""What every solver of the arena has to do: stay where nothing acts, follow what holds it, and hang as it says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....reference.materials.material import lame
+from ....reference.problems.meshes import block, vertices_at
+from . import problems
+from .contest import check, run_outside, summarise
+from .laws import NEO_HOOKEAN
+from .problems import Problem
+from .study import load_file
+
+STILL_MM, FOLLOWS_MM = 1e-3, 0.05
+"""[mm] that a block may move of itself, and be away from where its held end was carried by 4 mm."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How far a solver ends from where it has to be, and how far it may [mm]; None where it had no end."""
+
+    what: str
+    away_mm: float | None
+    bound_mm: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is near enough."""
+        return self.away_mm is not None and self.away_mm <= self.bound_mm
+
+
+def conform(name: str, budget: float = 3.0) -> list[Finding]:
+    """Run a solver's file (a name in `solvers`, or a path) on three small problems, by its best setting.
+
+    A block with a held end that nothing acts on, the same block carried along by that end, and the hanging bar. A
+    problem that the solver refuses is left out. Raises MissingDependencyError without its packages.
+    """
+    file = load_file(name)
+    still, carried = _block(np.zeros(3)), _block(np.array([3.0, 2.0, 1.0]))
+    tests: list[tuple[str, Problem, np.ndarray, float]] = [
+        ("a block that is left alone", still, still.vertices, STILL_MM),
+        ("a block that is carried along", carried, carried.vertices + [3.0, 2.0, 1.0], FOLLOWS_MM),
+    ]
+    if np.isfinite(file.TOLERANCE):
+        law = file.LAW or NEO_HOOKEAN
+        tests.append(("a hanging bar", problems.make("bar"), problems.answer("bar", law), file.TOLERANCE))
+    return [Finding(what, _end(name, problem, answer, budget), bound) for what, problem, answer, bound in tests]
+
+
+def _end(name: str, problem: Problem, answer: np.ndarray, budget: float) -> float | None:
+    """The largest distance [mm] to an answer at the end of the best setting."""
+    file, answers = load_file(name), {"own": answer, "neo": answer}
+    ends = []
+    for settings in file.SETTINGS.values():
+        lines = run_outside(name, problem.arrays(), answers, settings, budget)
+        check(lines, file.TITLE, file.PACKAGES)
+        values: Mapping = summarise(lines)
+        if values["max_mm"] is not None:
+            ends.append(values["max_mm"])
+    return min(ends, default=None)
+
+
+def _block(by: np.ndarray) -> Problem:
+    """A soft cube of 20 mm whose bottom is held where it is, moved by so much [mm]."""
+    X, tets = block(3, 20.0)
+    mu, lmbda = lame(problems.FLESH_YOUNG, problems.FLESH_POISSON)
+    held, full = vertices_at(X, 2, 0.0), np.ones(len(tets))
+    return Problem(X, tets, held, X[held] + by, [], mu * full, lmbda * full, np.arange(len(X)))

@@ -1,0 +1,79 @@
+"""The laws of the arena's solvers, each as terms that FEniCSx models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....lhm.base.mesh import Floats, Ints
+from ....reference import materials, terms
+from ....reference.materials import EnergyLaw, Material
+from ....reference.materials.material import LameLaw
+
+
+@dataclass(frozen=True)
+class PlainStable(LameLaw, EnergyLaw):
+    """psi = mu/2 (I1 - 3) + (lmbda + mu)/2 ((J - a)² - (1 - a)²), a = 1 + mu/(lmbda + mu); mu and lmbda [kPa].
+
+    Smith, de Goes and Kim 2018, "Stable neo-Hookean flesh simulation", Eq. 13: without the logarithm of Eq. 14.
+    """
+
+    finite_inverted = True
+
+    @staticmethod
+    def density(F, p):
+        """See HasDensity."""
+        import ufl
+
+        bulk = p.lmbda + p.mu
+        shift = p.mu / bulk
+        return p.mu / 2 * (ufl.inner(F, F) - 3) + bulk / 2 * ((ufl.det(F) - 1 - shift) ** 2 - shift**2)
+
+    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
+        """See HasInvariants."""
+        bulk = self.lmbda + self.mu
+        away = J - 1 - self.mu / bulk
+        psi = self.mu / 2 * (I1 - 3) + bulk / 2 * (away**2 - (self.mu / bulk) ** 2)
+        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
+        gradient[:, 0], gradient[:, 2], hessian[:, 2, 2] = self.mu / 2, bulk * away, bulk
+        return psi, gradient, hessian
+
+
+Solid = Callable[[float, float, Ints], list[terms.Term]]
+"""The terms of tets (k,) with Lamé's mu and lmbda [kPa] at rest."""
+
+
+def _hyperelastic(law: Callable[[float, float], Material]) -> Solid:
+    return lambda mu, lmbda, tets: [terms.Hyperelastic(law(mu, lmbda), tets=tets)]
+
+
+def _isochoric(mu: float, lmbda: float) -> materials.IsochoricNeoHookean:
+    return materials.IsochoricNeoHookean(mu, lmbda + 2.0 / 3.0 * mu)
+
+
+def _projective(mu: float, lmbda: float, tets: Ints) -> list[terms.Term]:
+    return [terms.Strain(2.0 * mu, tets=tets), terms.Volume(3.0 * lmbda, tets=tets)]
+
+
+def _rigid(mu: float, lmbda: float, tets: Ints) -> list[terms.Term]:
+    return [terms.Strain(2.0 * mu, tets=tets)]
+
+
+NEO_HOOKEAN, PROJECTIVE, ST_VENANT, RIGID = (
+    "neo-Hookean",
+    "projective dynamics",
+    "St. Venant-Kirchhoff",
+    "as rigid as possible",
+)
+LAWS: Mapping[str, Solid] = {
+    NEO_HOOKEAN: _hyperelastic(materials.NeoHookean),
+    ST_VENANT: _hyperelastic(materials.StVenantKirchhoff),
+    "isochoric neo-Hookean": _hyperelastic(_isochoric),
+    "stable neo-Hookean": _hyperelastic(materials.StableNeoHookean),
+    "stable neo-Hookean without logarithm": _hyperelastic(PlainStable),
+    PROJECTIVE: _projective,
+    RIGID: _rigid,
+}
+"""By the name that a solver's file gives; libigl's answer does not hang on mu, nor projective dynamics' on a factor."""

@@ -1,0 +1,190 @@
+"""The arena's problems as data: what is held, moved and loaded, of which stiffness, and FEniCSx' answer by law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats, Ints
+from ....lhm.head import FREE, MANDIBLE
+from ....reference import Parameters, Scene, facial_scene, materials, push_cheek_scene, terms
+from ....reference.face.facial import TISSUE_DENSITY
+from ....reference.problems.meshes import block, box, triangles_at, vertices_at
+from ..measures import TIGHT, solve_to_end
+from ..person import person
+from .laws import LAWS, NEO_HOOKEAN, ST_VENANT
+from .solvers.protocol import ArenaProblem
+
+STANDARD_GRAVITY = 9810.0
+"""[mm/s²]"""
+FLESH_YOUNG, FLESH_POISSON = 15.0, 0.45
+"""[kPa] and 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Tets with `held` vertices (k,) that go to `places` (k, 3) [mm], loads, and moduli [kPa] per tet (m,).
+
+    Errors are measured at the vertices `skin`. `closed` gives the exact positions of a law [mm], None without a form.
+    """
+
+    vertices: Floats
+    tets: Ints
+    held: Ints
+    places: Floats
+    loads: Sequence[terms.Term]
+    mu: Floats
+    lmbda: Floats
+    skin: Ints
+    closed: Callable[[str], Floats | None] = lambda law: None
+
+    def scene(self, law: str) -> Scene:
+        """Give the scene of a law, by its name in `LAWS`."""
+        pairs, which = np.unique(np.column_stack([self.mu, self.lmbda]), axis=0, return_inverse=True)
+        solids = [
+            term
+            for number, (mu, lmbda) in enumerate(pairs)
+            for term in LAWS[law](float(mu), float(lmbda), np.flatnonzero(which.ravel() == number))
+        ]
+        return Scene(self.vertices, self.tets, (*solids, terms.Fixed(self.held, self.places), *self.loads))
+
+    def arrays(self, start: Floats | None = None) -> ArenaProblem:
+        """Give the problem as arrays, with a start [mm], (n, 3); by default rest."""
+        return ArenaProblem(
+            self.vertices, self.tets, self.held, self.places, self.scene(NEO_HOOKEAN).loads(), self.mu, self.lmbda,
+            self.skin, np.array(self.vertices if start is None else start),
+        )  # fmt: skip
+
+
+def _of(vertices, tets, held, places, loads, young, poisson, skin, **more) -> Problem:
+    """Make a problem of one material."""
+    mu, lmbda = materials.material.lame(young, poisson)
+    full = np.ones(len(tets))
+    return Problem(vertices, tets, held, places, loads, mu * full, lmbda * full, skin, **more)
+
+
+BAR_CELLS, BAR_HEIGHT, BAR_YOUNG, BAR_DENSITY = 20, 1000.0, 125.0, 1e-6
+"""Layers, [mm], [kPa] and [kg/mm³]."""
+
+
+def bar() -> Problem:
+    """Make a bar that hangs from its top under its weight, of Poisson's ratio 0.
+
+    Each layer's weight is shared by the areas of a cross-section's vertices, so that the exact answer of a law on
+    these tets is one stretch per layer, which moves no vertex aside.
+    """
+    X, tets = box((4, 4, BAR_CELLS), (200.0, 200.0, BAR_HEIGHT))
+    layer = BAR_HEIGHT / BAR_CELLS
+    heights = np.linspace(0.0, BAR_HEIGHT, BAR_CELLS + 1)
+    bottom = triangles_at(X, tets, 2, 0.0)
+    weight = BAR_DENSITY * STANDARD_GRAVITY * layer
+    loads = []
+    for number, height in enumerate(heights[:-1]):
+        share = 0.5 if number == 0 else 1.0
+        # The same triangles one layer up after another: cells number their vertices alike.
+        loads.append(terms.Traction(bottom + number, np.array([0.0, 0.0, -share * weight])))
+        assert np.allclose(X[bottom + number, 2], height)
+    top = vertices_at(X, 2, BAR_HEIGHT)
+    mu = BAR_YOUNG / 2.0
+    stress = {
+        NEO_HOOKEAN: lambda s: mu * (s - 1.0 / s),
+        ST_VENANT: lambda s: mu * (s**3 - s),
+    }
+
+    def closed(law: str) -> Floats | None:
+        if law not in stress:
+            return None
+        pulls = weight * (np.arange(BAR_CELLS) + 0.5)
+        stretches = np.array([brentq(lambda s, t=t: stress[law](s) - t, 1.0, 2.0, xtol=1e-14) for t in pulls])
+        drop = np.append(np.cumsum((stretches - 1.0)[::-1])[::-1] * layer, 0.0)
+        x = np.array(X)
+        x[:, 2] -= drop[np.searchsorted(heights, X[:, 2] - 1e-9)]
+        return x
+
+    return _of(X, tets, top, X[top], loads, BAR_YOUNG, 0.0, np.arange(len(X)), closed=closed)
+
+
+def cube(poisson: float, contrast: float = 1.0) -> Problem:
+    """Make a cube of 40 mm whose top turns by 90 degrees over its bottom; one half is `contrast` times as stiff."""
+    X, tets = block(8, 40.0)
+    low, high = vertices_at(X, 2, 0.0), vertices_at(X, 2, 40.0)
+    turn = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
+    centre = np.array([20.0, 20.0, 0.0])
+    held = np.concatenate([low, high])
+    places = np.concatenate([X[low], (X[high] - centre) @ turn.T + centre])
+    problem = _of(X, tets, held, places, [], FLESH_YOUNG, poisson, np.arange(len(X)))
+    factor = np.where(X[tets].mean(axis=1)[:, 0] < 20.0, contrast, 1.0)
+    return replace(problem, mu=problem.mu * factor, lmbda=problem.lmbda * factor)
+
+
+def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float = 1.0, seed: int | None = None):
+    """Make the head's flesh with its skull held: under 2 g, its jaw moved 5 mm down, or its cheek pushed by 0.1 kPa.
+
+    Muscle is `contrast` times as stiff as what lies over it. With the jaw, only bones hold the inner side.
+    """
+    of = person(seed=seed, level=level).head
+    scene = facial_scene(of, Parameters(), of.skin.vertices)
+    X, count = scene.vertices, len(of.bone)
+    inner = np.arange(len(X) - count, len(X))
+    places, loads = np.array(X[inner]), []
+    if what == "gravity":
+        loads = [terms.Gravity(np.array([0.0, -2.0 * STANDARD_GRAVITY, 0.0]), TISSUE_DENSITY)]
+    elif what == "cheek":
+        loads = push_cheek_scene(of, Parameters(), pressure=0.1).of(terms.Traction)
+    elif what == "jaw":
+        places[of.bone == MANDIBLE, 1] -= 5.0
+        inner, places = inner[of.bone != FREE], places[of.bone != FREE]
+    else:
+        raise InputError(f"head: gravity, cheek or jaw, got {what!r}")
+    problem = _of(X, scene.tets, inner, places, loads, FLESH_YOUNG, poisson, np.arange(count))
+    factor = np.ones(len(scene.tets))
+    factor[scene.tets_of(scene.of(terms.Strain)[-1])] = contrast
+    return replace(problem, mu=problem.mu * factor, lmbda=problem.lmbda * factor)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem by name, as rows have it; `quick` ones are solved without being asked for."""
+
+    name: str
+    make: Callable[[], Problem]
+    quick: bool = True
+    start_at_answer: bool = False
+    """Whether solvers also start from FEniCSx' answer, which shows a bias."""
+
+
+def _cases() -> tuple[Case, ...]:
+    small, large = "14.5 k tets", "58 k tets"
+    return (
+        Case("bar", bar, start_at_answer=True),
+        Case("cube twisted, nu 0.45", lambda: cube(0.45)),
+        Case(f"head under 2 g, {small}", lambda: head("gravity", 1), quick=False, start_at_answer=True),
+        Case(f"head's jaw opened, {small}", lambda: head("jaw", 1)),
+        Case("cube twisted, nu 0.3", lambda: cube(0.3), quick=False),
+        Case("cube twisted, nu 0.4999", lambda: cube(0.4999), quick=False),
+        Case("cube twisted, half 100 times as stiff", lambda: cube(0.45, 100.0), quick=False),
+        Case(f"head's cheek pushed, {small}", lambda: head("cheek", 1), quick=False),
+        Case(f"head under 2 g, {large}", lambda: head("gravity", 2), quick=False),
+        Case(f"head's jaw opened, {large}", lambda: head("jaw", 2), quick=False),
+    )
+
+
+CASES = {case.name: case for case in _cases()}
+
+
+@lru_cache(maxsize=4)
+def make(case: str) -> Problem:
+    """Make a problem once per process."""
+    return CASES[case].make()
+
+
+@lru_cache(maxsize=24)
+def answer(case: str, law: str) -> Floats:
+    """Give FEniCSx' answer [mm], (n, 3); SoftdecaError where it does not converge."""
+    return solve_to_end(make(case).scene(law), f"{case}, {law} by FEniCSx", solver="fenicsx", tolerance=TIGHT).positions

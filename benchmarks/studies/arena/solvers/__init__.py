@@ -1,0 +1,16 @@
+"""One file per solver of another package, and what runs one of them in a process of its own.
+
+A solver's file needs numpy and its own package, nothing of softdeca, so that an environment without it can run it.
+"""
+
+NAMES = (
+    "felupe_newton",
+    "sfepy_newton",
+    "mujoco_flex",
+    "newton_vbd",
+    "newton_semi_implicit",
+    "newton_xpbd",
+    "torch_fem",
+    "libigl_arap",
+)
+"""The files of this folder that are solvers, in the order of tables."""

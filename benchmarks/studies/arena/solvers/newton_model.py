@@ -1,0 +1,98 @@
+"""What the three solvers of the package newton share: the model in metres, in float32, and the march to rest.
+
+Coordinates are centred, since float32 resolves 1e-7 of one. Loads are forces on particles, never the package's masses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .protocol import ArenaProblem, Clock, Floats
+from .rest import RAMP, KineticDamping, ramp
+
+PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0")
+DTYPE = "float32"
+DENSITY = 1.04e-6
+"""[kg/mm³]; it does not matter at rest."""
+METRE = 1e-3
+"""[m/mm]"""
+
+
+def march(
+    problem: ArenaProblem,
+    settings: Mapping[str, Any],
+    clock: Clock,
+    *,
+    moduli: Callable[[Floats, Floats], tuple[Floats, Floats]],
+    make: Callable[[Any, Any], Any],
+) -> None:
+    """Step until the budget is spent.
+
+    moduli: the package's k_mu and k_lambda [kPa] of Lamé's, both (m,); make: the solver, of the package and its model.
+    """
+    import warp
+
+    config: Any = warp.config
+    config.quiet = True
+    import newton
+
+    clock.end("imports")
+    centre = problem.vertices.mean(axis=0)
+    masses = problem.nodal_volumes() * DENSITY
+    model = _build(newton, warp, problem, centre, masses, *moduli(problem.mu, problem.lmbda))
+    solver = make(newton, model)
+    state, ahead, control = model.state(), model.state(), model.control()
+    forces = (problem.forces * METRE).astype(np.float32)
+    forces[problem.held] = 0.0
+    clock.end("set-up")
+    substeps = settings.get("substeps", 5)
+    step_s = 1.0 / 60.0 / substeps
+    solver.step(state, ahead, control, None, step_s)
+    clock.end("compilation")
+    state, ahead = model.state(), model.state()
+    for each in (state, ahead):
+        each.particle_q.assign(((problem.start - centre) * METRE).astype(np.float32))
+    moving = bool(problem.moves.any())
+    rest, frame, going = KineticDamping(np.where(problem.free, masses, 0.0)), 0, True
+    while going:
+        if moving and frame < RAMP:
+            share = ramp(frame, RAMP)
+            at = state.particle_q.numpy()
+            at[problem.held] = (problem.places - (1.0 - share) * problem.moves - centre) * METRE
+            for each in (state, ahead):
+                each.particle_q.assign(at)
+        for _ in range(substeps):
+            state.particle_f.assign(forces)
+            solver.step(state, ahead, control, None, step_s)
+            state, ahead = ahead, state
+            if rest.stops(state.particle_qd.numpy()):
+                state.particle_qd.zero_()
+        frame += 1
+        going = clock.see(state.particle_q.numpy() / METRE + centre, frame * substeps)
+
+
+def _build(newton, warp, problem: ArenaProblem, centre, masses, k_mu, k_lambda):
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    builder.add_soft_mesh(
+        pos=(0.0, 0.0, 0.0),
+        rot=warp.quat_identity(),
+        scale=1.0,
+        vel=(0.0, 0.0, 0.0),
+        vertices=[warp.vec3(*place) for place in (problem.vertices - centre) * METRE],
+        indices=problem.tets.ravel().tolist(),
+        density=DENSITY / METRE**3,
+        k_mu=k_mu / METRE,
+        k_lambda=k_lambda / METRE,
+        k_damp=0.0,
+        add_surface_mesh_edges=False,
+        particle_radius=0.0,
+    )
+    held = set(problem.held.tolist())
+    builder.particle_mass = [0.0 if k in held else float(mass) for k, mass in enumerate(masses)]
+    builder.color()
+    model = builder.finalize(device="cpu")
+    model.set_gravity((0.0, 0.0, 0.0))
+    return model

@@ -1,0 +1,154 @@
+"""What a solver's file gets and gives: a problem, and a clock that it shows its positions to. numpy alone."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, Protocol, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+STILL, WAIT = 1e-6, 1.25
+"""A run ends where nothing has moved by more than that [mm] while its time grew by that factor."""
+
+
+class RefusalError(Exception):
+    """A solver cannot model a problem; the row says why."""
+
+
+class SpentError(Exception):
+    """The budget is spent; a solver's callback raises it where that is the way out of its package."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArenaProblem:
+    """A problem as arrays: mm, kPa, mN.
+
+    Rest vertices (n, 3), tets (m, 4), `held` vertices (k,) that go to `places` (k, 3), dead nodal forces (n, 3), Lamé's
+    moduli at rest per tet (m,), the vertices `skin` (s,) where errors are measured, and positions (n, 3) to start from.
+    """
+
+    vertices: Floats
+    tets: NDArray[np.int64]
+    held: NDArray[np.int64]
+    places: Floats
+    forces: Floats
+    mu: Floats
+    lmbda: Floats
+    skin: NDArray[np.int64]
+    start: Floats
+
+    @classmethod
+    def read(cls, path: Path) -> ArenaProblem:
+        """Read a problem of a file that `numpy.savez` wrote."""
+        with np.load(path) as file:
+            return cls(**{key: file[key] for key in cls.__dataclass_fields__})
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Say which vertices are not held, shape (n,)."""
+        mask = np.ones(len(self.vertices), dtype=bool)
+        mask[self.held] = False
+        return mask
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Say whether the start is the rest shape."""
+        return np.array_equal(self.start, self.vertices)
+
+    @property
+    def moves(self) -> Floats:
+        """Give how far held vertices go from the start [mm], (k, 3)."""
+        return self.places - self.start[self.held]
+
+    def nodal_volumes(self) -> Floats:
+        """Give a quarter of the volumes of each vertex' tets [mm³], (n,)."""
+        edges = self.vertices[self.tets[:, 1:]] - self.vertices[self.tets[:, :1]]
+        quarter = np.abs(np.linalg.det(edges)) / 24.0
+        volumes = np.zeros(len(self.vertices))
+        np.add.at(volumes, self.tets, quarter[:, None])
+        return volumes
+
+    def one_material(self) -> tuple[float, float]:
+        """Give mu and lmbda [kPa] where all tets have the same; RefusalError where they have not."""
+        if np.ptp(self.mu) > 1e-12 * self.mu[0] or np.ptp(self.lmbda) > 1e-12 * max(self.lmbda[0], 1.0):
+            self.refuse("it takes one material per body")
+        return float(self.mu[0]), float(self.lmbda[0])
+
+    def refuse(self, why: str) -> NoReturn:
+        """Raise the RefusalError that makes the row."""
+        raise RefusalError(why)
+
+
+class Clock:
+    """Processor time [s] of a run by phase, and the errors of what it shows.
+
+    Phases end by `end`: "imports", "set-up", "compilation". What comes after is the solve, whose errors are written a
+    line each, as they come: a run that is killed leaves what it had. Measuring and writing do not count.
+    """
+
+    def __init__(self, problem: ArenaProblem, answers: Mapping[str, Floats], budget: float, out: TextIO):
+        self._problem, self._answers, self._budget, self._out = problem, answers, budget, out
+        self._begin, self._paused = time.process_time(), 0.0
+        self._wall = time.perf_counter()
+        self._mark, self._marked_at = problem.start, 0.2
+
+    def seconds(self) -> float:
+        """Give the processor time [s] of the phase so far."""
+        return time.process_time() - self._begin - self._paused
+
+    def end(self, phase: str) -> None:
+        """End a phase; the next one begins."""
+        self._write({"phase": phase, "cpu_s": self.seconds()})
+        self._begin, self._paused = time.process_time(), 0.0
+        self._wall = time.perf_counter()
+
+    def see(self, positions: Any, work: int) -> bool:
+        """Measure positions (n, 3) [mm] after so much `work` (iterations or steps).
+
+        False once the budget is spent, and where nothing moves any more (STILL).
+        """
+        seconds, wall, begin = self.seconds(), time.perf_counter() - self._wall, time.process_time()
+        x = np.asarray(positions, dtype=np.float64)
+        line: dict[str, Any] = {"cpu_s": seconds, "wall_s": wall, "work": int(work)}
+        if not np.isfinite(x).all():
+            self._write(line | {"error": "positions are not finite"})
+            return False
+        for name, answer in self._answers.items():
+            away = np.linalg.norm(x - answer, axis=1)[self._problem.skin]
+            line[name] = [float(away.mean()), float(away.max())]
+        self._write(line)
+        moves = True
+        if seconds > WAIT * self._marked_at:
+            moves = bool(np.abs(x - self._mark).max() > STILL)
+            self._mark, self._marked_at = np.array(x), seconds
+        self._paused += time.process_time() - begin
+        return moves and seconds < self._budget
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        self._out.write(json.dumps(line) + "\n")
+        self._out.flush()
+
+
+class SolverFile(Protocol):
+    """What a solver's file defines.
+
+    TITLE for tables; PACKAGES as pip names them, with the versions that were tested, the first the solver's own; LAW
+    as `laws.LAWS` has it, or "" for one that FEniCSx is not given; DTYPE; SETTINGS by name, the first the package's
+    defaults; TOLERANCE [mm]: how near to a hanging bar's answer it ends by one of them, infinite where nothing is said.
+    """
+
+    TITLE: str
+    PACKAGES: tuple[str, ...]
+    LAW: str
+    DTYPE: str
+    SETTINGS: Mapping[str, Mapping[str, Any]]
+    TOLERANCE: float
+    run: Callable[[ArenaProblem, Mapping[str, Any], Clock], None]

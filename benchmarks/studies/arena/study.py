@@ -1,0 +1,260 @@
+"""Error against processor time: solvers of other packages beside ours, on one set of problems."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
+from ....reference.added import added_solvers
+from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
+from . import problems
+from .claims import judge_all
+from .contest import ACCURACIES, check, run_outside, run_own, summarise
+from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
+from .solvers import NAMES
+from .solvers.__main__ import load
+from .solvers.protocol import SolverFile
+
+REST, ANSWER = "from rest", "from the answer"
+OWN_SETTING = "default"
+NEWTON, SKFEM, OURS, PLAIN, ANDERSON, OURS_RIGID = (
+    "FEniCSx Newton",
+    "scikit-fem Newton",
+    "PD, L-BFGS",
+    "PD, plain",
+    "PD, Anderson",
+    "PD, L-BFGS on ARAP",
+)
+OWN: Mapping[str, tuple[str, dict[str, str]]] = {
+    NEWTON: (NEO_HOOKEAN, {"solver": "fenicsx"}),
+    SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
+    OURS: (PROJECTIVE, {"method": "lbfgs"}),
+    ANDERSON: (PROJECTIVE, {"method": "anderson"}),
+    PLAIN: (PROJECTIVE, {"method": "plain"}),
+    OURS_RIGID: (RIGID, {"method": "lbfgs"}),
+}
+"""Our solvers: law, and the options of `prepare`."""
+FLOOR = 1e-9
+"""[mm] below which a figure draws nothing."""
+QUICK_BUDGET, BUDGET, LARGE = 1.0, 6.0, 20_000
+"""[s] of a solve, by default and of the whole study; twice that beyond so many tets."""
+
+
+@dataclass(frozen=True)
+class Arena(Study):
+    """Each problem by each solver and setting."""
+
+    name = "arena"
+    heading = "How do other people's solvers do on the same problems?"
+    question = (
+        "How near to the answer of its own law is each solver after a given processor time, and where does it end?"
+    )
+    columns = (
+        Column("law", "law"),
+        Column("law_mm", "law to neo-Hookean [mm]"),
+        Column("set_up_s", "set-up [s]", cost=True),
+        Column("compile_s", "compilation [s]", cost=True),
+        Column("solve_s", "solve [s]", cost=True),
+        Column("to_tenth_s", "to 0.1 mm [s]", cost=True),
+        Column("to_hundredth_s", "to 0.01 mm [s]", cost=True),
+        Column("mean_mm", "end, mean [mm]"),
+        Column("max_mm", "end, max [mm]"),
+        Column("ended", "ended early"),
+    )
+    note = (
+        "All solvers have the same tets, held vertices, nodal loads and moduli at rest, and one thread. The error is "
+        "the largest distance of a skin vertex to FEniCSx' answer of the solver's own law at a gradient of 1e-10; the "
+        "distance of that answer to the neo-Hookean one has its own column. Seconds are processor time; imports, "
+        "set-up and compilation are told apart. What only moves in time is brought to rest by setting all velocities "
+        "to zero whenever the kinetic energy falls. A run ends when its budget is spent or nothing moves by 1e-6 mm. "
+        "newton is made for GPUs, and runs here on its CPU kernels. Settings are the package's defaults first. "
+        "A solver that starts from the answer should stay there: where it goes is its bias."
+    )
+    timed = True
+
+    whole: bool = option(False, "all problems with large heads, Poisson's ratios and stiffness contrasts: an hour")
+    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 6 to 12 of the whole")
+    files: tuple[str, ...] = option(
+        (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
+    )
+
+    def tasks(self) -> Sequence[Task]:
+        """List each problem by each solver, setting and start; InputError for a negative budget."""
+        if self.budget < 0:
+            raise InputError(f"budget: expected at least 0 s, got {self.budget:g}")
+        return [
+            Task(case.name, f"{title}; {setting}; {start}")
+            for case in problems.CASES.values()
+            if self.whole or case.quick
+            for title, settings in self._rivals().items()
+            for start in (REST, ANSWER)
+            if start == REST or (case.start_at_answer and title not in OWN)
+            for setting in settings[: None if self.whole else 2]
+        ]
+
+    def measure(self, task: Task) -> Values:
+        """Run one solver on one problem."""
+        title, setting, start = task.method.split("; ")
+        problem = problems.make(task.case)
+        files = self._files()
+        law = files[title].LAW or NEO_HOOKEAN if title in files else OWN.get(title, (NEO_HOOKEAN,))[0]
+        answers = {"own": problems.answer(task.case, law), "neo": problems.answer(task.case, NEO_HOOKEAN)}
+        begin = answers["own"] if start == ANSWER else None
+        budget = self.budget or (BUDGET * (1 + (len(problem.tets) > LARGE)) if self.whole else QUICK_BUDGET)
+        if title in files:
+            file = files[title]
+            name = next(name for name, other in self._named().items() if other is file)
+            lines = run_outside(name, problem.arrays(begin), answers, file.SETTINGS[setting], budget)
+            check(lines, title, file.PACKAGES)
+            about = {"law": file.LAW or "its own, not given to FEniCSx", "dtype": file.DTYPE}
+        else:
+            how: dict[str, Any] = OWN[title][1] if title in OWN else {"solver": title}
+            lines = run_own(problem, law, begin, answers, budget, **how)
+            about = {"law": law, "dtype": "float64"}
+        values = {"solver": title, "setting": setting, "start": start, **about, **summarise(lines)}
+        values["law_mm"] = _largest(answers["own"], answers["neo"], problem)
+        reached = values.get("seconds_to") or [None] * len(ACCURACIES)
+        values["to_tenth_s"], values["to_hundredth_s"] = reached[1], reached[2]
+        closed = problem.closed(law)
+        if closed is not None:
+            values["closed_mm"] = _largest(answers["own"], closed, problem)
+        return values
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Check that FEniCSx has the closed form, and that solvers have the bar within their own tolerance."""
+        gates = []
+        closed = [row.values["closed_mm"] for row in rows if "closed_mm" in row.values]
+        if closed:
+            gates.append(at_most("FEniCSx to the bar's closed form [mm]", max(closed), 1e-6))
+        for title, file in self._files().items():
+            ends = [
+                row.values["floor_mm"]
+                for row in rows
+                if row.case == "bar" and row.values["solver"] == title and row.values["start"] == REST
+                and row.values["max_mm"] is not None
+            ]  # fmt: skip
+            if ends and np.isfinite(file.TOLERANCE):
+                gates.append(at_most(f"{title} on the bar, best setting [mm]", min(ends), file.TOLERANCE))
+        return gates
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Tell who was first to 0.01 mm on each problem, and whom the start from the answer moved."""
+        sentences = []
+        for case in dict.fromkeys(row.case for row in rows):
+            times = sorted(
+                (row.values["set_up_s"] + row.values["to_hundredth_s"], row.values["solver"])
+                for row in rows
+                if row.case == case and row.values["start"] == REST and row.values["to_hundredth_s"] is not None
+            )
+            first = dict((title, seconds) for seconds, title in reversed(times))
+            ranked = sorted(first.items(), key=lambda item: item[1])[:4]
+            sentences.append(f"{case}: " + ", ".join(f"{title} {seconds:.2g} s" for title, seconds in ranked))
+        moved = [
+            f"{row.values['solver']} ({row.values['setting']}) {row.values['max_mm']:.2g} mm on {row.case}"
+            for row in rows
+            if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[2]
+        ]
+        words = "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
+        return words + (f" Started at the answer, these left it: {', '.join(moved)}." if moved else "")
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Tabulate times to accuracies, what starts from the answer do, and the claims."""
+        head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm [s]" for accuracy in ACCURACIES), "peak [MB]"]
+        times = [
+            (
+                row.case,
+                row.values["solver"],
+                row.values["setting"],
+                *(row.values.get("seconds_to") or [None] * len(ACCURACIES)),
+                row.values["peak_mb"],
+            )
+            for row in rows
+            if row.values["start"] == REST
+        ]
+        biases = [
+            (row.case, row.values["solver"], row.values["setting"], row.values["max_mm"], row.values["solve_s"])
+            for row in rows
+            if row.values["start"] == ANSWER and row.values["max_mm"] is not None
+        ]
+        judged = [
+            (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(rows)
+        ]  # fmt: skip
+        return [
+            Table("Processor time of the solve to an accuracy of the solver's own law", head, times),
+            Table("Where a start from the answer goes",
+                  ["problem", "solver", "setting", "from the answer [mm]", "after [s]"], biases),
+            Table("Claims, as these problems have them", ["claim", "source", "verdict", "figures"], judged),
+        ]  # fmt: skip
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
+        cases = list(dict.fromkeys(row.case for row in rows))
+        wide = 3
+        figure, axes = subplots(-(-len(cases) // wide), wide, figsize=(13, 4.0 * -(-len(cases) // wide)), squeeze=False)
+        colours = {title: f"C{number}" for number, title in enumerate(self._rivals())}
+        labels: dict[str, Any] = {}
+        for axis, case in zip(axes.ravel(), cases, strict=False):
+            firsts: set[str] = set()
+            for row in rows:
+                values = row.values
+                if row.case != case or values["start"] != REST or not values["seconds"]:
+                    continue
+                title = values["solver"]
+                points = [
+                    (values["set_up_s"] + seconds, max(error, FLOOR))
+                    for seconds, error in zip(values["seconds"], values["error_mm"], strict=True)
+                ]
+                style = {"lw": 0.7, "ls": ":"} if title in firsts else {"lw": 1.4}
+                marker = "o" if len(points) == 1 else None
+                drawn = axis.plot(*zip(*points, strict=True), color=colours[title], marker=marker, ms=3, **style)
+                labels.setdefault(title, drawn[0])
+                firsts.add(title)
+            axis.set(xscale="log", yscale="log", title=case, ylim=(FLOOR, 100.0), xlabel="processor time [s]")
+        for axis in axes.ravel()[len(cases) :]:
+            axis.set_axis_off()
+        for axis in axes[:, 0]:
+            axis.set_ylabel("largest error on the skin [mm]")
+        figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncol=5, frameon=False)
+        return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
+
+    def _named(self) -> Mapping[str, SolverFile]:
+        """Load the solvers' files, by what a run is asked for."""
+        return {name: load_file(name) for name in (*NAMES, *self.files)}
+
+    def _files(self) -> Mapping[str, SolverFile]:
+        """Load the solvers' files, by title."""
+        return {file.TITLE: file for file in self._named().values()}
+
+    def _rivals(self) -> Mapping[str, Sequence[str]]:
+        """Give settings by title: those of files, then ours and those that `add_solver` added."""
+        outside = {title: list(file.SETTINGS) for title, file in self._files().items()}
+        return outside | dict.fromkeys((*OWN, *added_solvers()), [OWN_SETTING])
+
+
+_loaded: dict[str, SolverFile] = {}
+
+
+def load_file(name: str) -> SolverFile:
+    """Load a solver's file once per process; InputError for one that cannot be loaded or lacks a name."""
+    if name not in _loaded:
+        try:
+            module: Any = load(name)
+        except (Exception, SystemExit) as error:
+            raise InputError(f"solver {name}: {type(error).__name__}: {error}") from error
+        lacks = [key for key in (*SolverFile.__annotations__,) if not hasattr(module, key)]
+        if lacks:
+            raise InputError(f"solver {name}: it defines no {', '.join(lacks)}; see docs/arena.md")
+        _loaded[name] = module
+    return _loaded[name]
+
+
+def _largest(a: Floats, b: Floats, problem: problems.Problem) -> float:
+    """The largest distance [mm] of skin vertices."""
+    return float(np.linalg.norm(a - b, axis=1)[problem.skin].max())
