@@ -81,6 +81,7 @@ ELSEWHERE = {
     ),
     "softdeca bench agreement": "test_agreement.py::test_the_study_of_a_sphere",
     "softdeca bench agreement --cases effects": "test_effects.py::test_palsy_is_measured",
+    "softdeca bench arena": "test_arena.py::test_our_solvers_meet_fenicsx_and_the_study_writes_its_page",
     "softdeca bench work-precision": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling --cases throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from scipy.sparse import identity
 
+from softdeca.benchmarks.studies.arena.conformance import conform
 from softdeca.lhm import expressions, load_template
 from softdeca.lhm.registration import register_by_mapping
 from softdeca.reference import Parameters, facial_scene, solve
@@ -46,8 +47,17 @@ def test_every_block_is_run_here():
         "meshio.read",
         "fit_scan",
         "read_scene",
+        "TITLE =",
     )
     assert {example(words) for words in run} == set(EXAMPLES) and len(EXAMPLES) == len(run)
+
+
+def test_a_solver_for_the_arena(tmp_path):
+    pytest.importorskip("dolfinx")
+    path = tmp_path / "linear.py"
+    path.write_text(example("TITLE ="))
+    findings = conform(str(path))
+    assert len(findings) == 3 and all(finding.passed for finding in findings), findings
 
 
 def test_a_face_by_three_solvers():

@@ -1,9 +1,7 @@
 """The arena: a solver's file from the page alone, rows of solvers that fail, refuse or are absent, and the claims."""
 
 import json
-import re
 import textwrap
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from softdeca.benchmarks.studies.arena.study import Arena, load_file
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference.problems.meshes import block, vertices_at
 
-PAGE = Path(__file__).parents[2] / "docs" / "arena.md"
 HEAD = """
 TITLE, PACKAGES, LAW, DTYPE, TOLERANCE = {title!r}, {packages!r}, "neo-Hookean", "float64", 1.0
 SETTINGS = {{"default": {{}}}}
@@ -60,23 +57,6 @@ def small(monkeypatch):
     problems.answer.cache_clear()
 
 
-def read_example():
-    """The page's solver."""
-    return re.search(r"```python\n(TITLE.*?|\"\"\".*?)```", PAGE.read_text(), re.DOTALL).group(1)
-
-
-def test_the_pages_solver_conforms(tmp_path):
-    path = tmp_path / "linear.py"
-    path.write_text(read_example())
-    findings = conform(str(path))
-    assert [finding.what for finding in findings] == [
-        "a block that is left alone",
-        "a block that is carried along",
-        "a hanging bar",
-    ]
-    assert all(finding.passed for finding in findings), findings
-
-
 def test_a_solver_that_stays_at_rest_is_told_to_fail(solver):
     still, carried, bar = conform(solver("lazy", "clock.see(problem.vertices, 1)"))
     assert still.passed and not carried.passed and not bar.passed
@@ -86,7 +66,7 @@ def test_a_solver_that_stays_at_rest_is_told_to_fail(solver):
 @pytest.mark.parametrize("name", NAMES)
 def test_each_solver_conforms(name):
     try:
-        findings = conform(name)
+        findings = conform(name, budget=1.0)
     except MissingDependencyError as missing:
         pytest.skip(str(missing))
     # XPBD creeps after its held end for longer than this budget.
