@@ -18,13 +18,17 @@ from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, StrainRule, T
 class Scene:
     """Rest vertices [mm], shape (n, 3), tets (m, 4) and terms; checked when made.
 
+    `columns` are a hint for solvers: arrays (k, m) of k rows of m vertices, one behind the other through thin layers of
+    tets. A mesh without those inside a row, which has only their ends, models all but what is finer than a row.
     Raises SceneError for a tet that is inverted, flat or there twice (by index), where nothing is there to be deformed,
-    and for a term that names vertices, tets or triangles that are not there, or that is no term.
+    for a term that names vertices, tets or triangles that are not there, or that is no term, and for columns that are
+    no indices or share a vertex inside a row.
     """
 
     vertices: Floats
     tets: Ints
     terms: tuple[Term, ...]
+    columns: tuple[Ints, ...] = field(default=(), repr=False, kw_only=True)
     volumes: Floats = field(init=False, repr=False)
     in_parts: ClassVar[bool] = False
     """Whether each of several processes has another part of it, as solver "fenicsx" takes it."""
@@ -50,8 +54,31 @@ class Scene:
                 term.check(self)
             except SceneError as error:
                 raise SceneError(f"term {position} ({term.name}): {error}") from None
+        object.__setattr__(self, "columns", tuple(np.asarray(column) for column in self.columns))
+        self._check_columns()
         held, _ = self.dirichlet()
         self._check_bodies(held.any(axis=1))
+
+    def _check_columns(self):
+        """Raise SceneError for columns that are no indices (k, m) of vertices, or that share one inside a row."""
+        n = len(self.vertices)
+        for position, column in enumerate(self.columns):
+            if column.ndim != 2 or column.shape[1] < 2 or column.dtype.kind not in "iu":
+                raise SceneError(
+                    f"columns {position}: expected indices of shape (k, m), m at least 2, got {column.dtype} of shape "
+                    f"{column.shape}"
+                )
+            if column.size and not (0 <= column.min() and column.max() < n):
+                raise SceneError(f"columns {position}: expected indices from 0 to {n - 1}, got {column.max()}")
+        if not self.columns:
+            return
+        inside = np.bincount(np.concatenate([column[:, 1:-1].ravel() for column in self.columns]), minlength=n)
+        ends = np.concatenate([column[:, [0, -1]].ravel() for column in self.columns])
+        twice = np.flatnonzero(inside > 1)
+        if not twice.size:
+            twice = ends[inside[ends] > 0]
+        if twice.size:
+            raise SceneError(f"columns: vertex {twice[0]} is inside one row and in another one too")
 
     def _check_bodies(self, held: np.ndarray):
         """Raise SceneError for bodies in line, that share a vertex, or that have one held by a Fixed term."""

@@ -112,7 +112,8 @@ def facial_scene(
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
         parts.append(terms.Contact(_contact_triangles(head, contact), thickness=GAP))
-    return Scene(vertices, np.vstack(tissue.tets), (*parts, *bodies))
+    tets = np.vstack(tissue.tets)
+    return Scene(vertices, tets, (*parts, *bodies), columns=stack.find_columns(tets))
 
 
 @dataclass

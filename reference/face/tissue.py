@@ -112,6 +112,23 @@ class Stack:
             )
         return cls(vertices, tets, None, layers * n, (layers,), sound=sound)
 
+    def find_columns(self, tets: Ints) -> tuple[Ints, ...]:
+        """Find the columns (k, m) of vertices through each tissue's layers, where it has several, that tets (t, 4) use.
+
+        A column counts where all of its vertices belong to a tet; there is none where single tets are left out.
+        """
+        if self.counts is None or self.sound is not None:
+            return ()
+        n = len(self.vertices) // (sum(self.counts) + 1)
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[tets[tets < len(used)]] = True
+        columns = []
+        for first, count in zip(np.cumsum([0, *self.counts]), self.counts, strict=False):
+            rows = n * np.arange(first, first + count + 1) + np.arange(n)[:, None]
+            if count > 1:
+                columns.append(rows[used[rows].all(axis=1)])
+        return tuple(columns)
+
     def interpolate(self, skin: Floats, muscle: Floats, skull: Floats) -> Floats:
         """Positions [mm] of the whole stack for those of the wraps, each of shape (n, 3)."""
         if self.counts is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -10,15 +10,8 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc, free_dropped
+from .multigrid import CoarseLevel, Multigrid
 
-# The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
-# and Newton stalls without a word.
-MULTIGRID = {
-    "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_pc_type": "jacobi",
-    "mg_levels_esteig_ksp_max_it": 30,
-    "mg_levels_ksp_chebyshev_esteig": "0,0.1,0,1.2",
-}
 _PREFIX = "softdeca_cg_"
 MAX_LINEAR_ITERATIONS = 1000
 SETUP = 16  # iterations
@@ -46,15 +39,14 @@ class LinearSolver(Protocol):
 
 
 class ConjugateGradients:
-    """CG with GAMG; the aggregates come from the matrix' near-null space of rigid motions.
+    """CG with multigrid; GAMG's aggregates come from the matrix' near-null space of rigid motions.
 
-    A set-up of GAMG costs as much as SETUP iterations. It is kept while the matrix' values change, until it has cost
-    that much in iterations beyond those that it took when it was new.
+    A set-up of multigrid costs as much as SETUP iterations. It is kept while the matrix' values change, until it has
+    cost that much in iterations beyond those that it took when it was new. `levels` are as of `Multigrid`.
     """
 
-    def __init__(self, matrix: PETSc.Mat):
-        self._matrix = matrix
-        set_options(_PREFIX, MULTIGRID)
+    def __init__(self, matrix: PETSc.Mat, levels: Sequence[CoarseLevel] = ()):
+        self._matrix, self._multigrid = matrix, Multigrid(matrix, levels)
         self._start_over()
 
     def _start_over(self):
@@ -63,12 +55,10 @@ class ConjugateGradients:
         self._ksp.setType(PETSc.KSP.Type.CG)
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         self._ksp.setOperators(self._matrix)
-        self._ksp.getPC().setType(PETSc.PC.Type.GAMG)
-        self._ksp.setFromOptions()
         self._discard_setup()
 
     def _discard_setup(self):
-        """Have GAMG set up anew at the next solve."""
+        """Have multigrid set up anew at the next solve."""
         self._per_decade, self._wear, self._doubtful = 0.0, 0.0, False
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
@@ -80,6 +70,7 @@ class ConjugateGradients:
                 return answer
             before = answer.iterations
         self._ksp.getPC().setReusePreconditioner(False)
+        self._multigrid.set_up(self._ksp.getPC())
         answer = self._solve(b, relative, MAX_LINEAR_ITERATIONS)
         if answer.converged:
             self._ksp.getPC().setReusePreconditioner(True)
@@ -198,14 +189,6 @@ class Mumps:
 
 
 LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
-
-
-def set_options(prefix: str, values: Mapping[str, object]):
-    """Put options into PETSc's database; each counts as used, for at its end PETSc warns of what it had no need of."""
-    options = PETSc.Options()
-    for key, value in values.items():
-        options[prefix + key] = value
-        options.hasName(prefix + key)
 
 
 def petsc_vector(values: Floats, comm, size: int = 1) -> PETSc.Vec:

@@ -49,7 +49,8 @@ class Numbering:
     `ends` (n, 2) are the scene's vertices between which a node lies in the middle, twice the same at a corner;
     `corners` (k,) are the nodes at vertices, `vertex` (k,) theirs, and `dof` (scene vertices,) the inverse, -1 for a
     vertex in no tet; `tet` (m,) is the scene's tet per cell, `cell` its inverse; `X` [mm], shape (n, 3), are rest
-    positions by node. Of several ranks these are what each knows of, -1 what it does not; `nodes` says what it
+    positions by node. `own_vertices` are this rank's, `own_corners` its nodes there, and `all_vertices` those of all
+    ranks, one after the other. Of several ranks these are what each knows of, -1 what it does not; `nodes` says what it
     owns, and `function_nodes` counts the nodes of its cells.
     """
 
@@ -75,14 +76,14 @@ class Numbering:
         ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
         self._number(ends)
         ids = seam.global_dofs(self.space)
-        self._own_vertices = self.vertex
+        self.own_vertices = self.vertex
         if self.divided:
-            self._own_vertices = self.vertex[self.corners < owned]
+            self.own_vertices = self.vertex[self.corners < owned]
             ids = self._with_distant(scene, skin, ids, owned)
         self.nodes = IndexMap(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        self._all_vertices = gather(self.asked, self._own_vertices)
-        self.own_corners = self.dof[self._own_vertices]
+        self.all_vertices = gather(self.asked, self.own_vertices)
+        self.own_corners = self.dof[self.own_vertices]
 
     @property
     def asked(self) -> MPI.Intracomm:
@@ -102,11 +103,11 @@ class Numbering:
 
     def _with_distant(self, scene: Scene, skin: Ints | None, ids: Ints, owned: int) -> Ints:
         """Take vertices of triangles and rings that no cell here has; the numbers over all ranks, theirs too."""
-        vertices = gather(self.comm, self._own_vertices)
+        vertices = gather(self.comm, self.own_vertices)
         owner = np.full(len(self.dof), -1)
-        owner[vertices] = np.repeat(np.arange(self.comm.size), self.comm.allgather(len(self._own_vertices)))
+        owner[vertices] = np.repeat(np.arange(self.comm.size), self.comm.allgather(len(self.own_vertices)))
         number = np.full(len(self.dof), -1, dtype=np.int64)
-        number[vertices] = gather(self.comm, ids[self.dof[self._own_vertices]])
+        number[vertices] = gather(self.comm, ids[self.dof[self.own_vertices]])
         self._owner = owner
         needed = [np.empty(0, dtype=np.int64)]
         triangles = [term.triangles for term in scene.of(OnTriangles)] + ([] if skin is None else [skin])
@@ -219,7 +220,7 @@ class Numbering:
         a field and has its own.
         """
         result = np.array(elsewhere)
-        result[self._all_vertices] = gather(self.asked, values[self.own_corners])
+        result[self.all_vertices] = gather(self.asked, values[self.own_corners])
         return result
 
     def all_nodes(self, values: Floats) -> tuple[Ints, Floats]:

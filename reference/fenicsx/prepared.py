@@ -29,9 +29,10 @@ from .bodies import RigidProblem
 from .dolfinx_version import ALONE
 from .dynamics import March
 from .fields import Fields, NodalAnswer, Sampling, recover
-from .linear_solvers import LINEAR_SOLVERS, LinearSolver, Mumps
+from .linear_solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
+from .multigrid import find_levels
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same
@@ -110,7 +111,11 @@ class PreparedFenicsx:
         small = 3 * self._numbering.nodes.total < LARGE_SADDLE
         by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
-        self._linear, self._direct = make(self._problem.matrix), Mumps(self._problem.matrix)
+        levels = find_levels(self._numbering, scene)
+        self._linear: LinearSolver = (
+            Mumps(self._problem.matrix) if by_factors else ConjugateGradients(self._problem.matrix, levels)
+        )
+        self._direct = Mumps(self._problem.matrix)
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)

@@ -14,16 +14,8 @@ import ufl
 from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc, SLEPc, free_dropped
-from .linear_solvers import (
-    MULTIGRID,
-    Factorisation,
-    LinearAnswer,
-    hold,
-    multiply,
-    petsc_vector,
-    set_options,
-    solve_with,
-)
+from .linear_solvers import Factorisation, LinearAnswer, hold, multiply, petsc_vector, solve_with
+from .multigrid import GAMG, set_options
 from .parallel import dot, irregular_vector
 from .problem import Problem, State
 
@@ -44,7 +36,7 @@ _PREFIX, _PRESSURE_PREFIX = "softdeca_block_", "softdeca_pressure_"
 _OPTIONS = {
     "fieldsplit_0_ksp_type": "preonly",
     "fieldsplit_0_pc_type": "gamg",
-    **{f"fieldsplit_0_{key}": value for key, value in MULTIGRID.items()},
+    **{f"fieldsplit_0_{key}": value for key, value in GAMG.items()},
     "fieldsplit_1_ksp_type": "preonly",
     "fieldsplit_1_pc_type": "ksp",
     "fieldsplit_1_ksp_ksp_type": "chebyshev",

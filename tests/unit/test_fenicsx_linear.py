@@ -1,13 +1,16 @@
 """Linear solvers over a sequence of matrices: what they promise of the residual, whatever set-up they have kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
-from softdeca.reference import Scene, materials, terms
-from softdeca.reference.fenicsx.linear_solvers import LINEAR_SOLVERS, SETUP, hold
+from softdeca.reference import Scene, SceneError, materials, prepare, terms
+from softdeca.reference.fenicsx.linear_solvers import LINEAR_SOLVERS, SETUP, ConjugateGradients, hold
+from softdeca.reference.fenicsx.multigrid import find_levels
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.surface_strain import _planar_svd
@@ -67,6 +70,53 @@ def test_a_kept_set_up_costs_little(box):
         alone = solved(LINEAR_SOLVERS["cg"](box[0].matrix), box[0], box[1], stretch, 0.0, box[2], 1e-6)[0].iterations
         extra += iterations - alone
     assert extra <= 2 * SETUP
+
+
+def flat_prisms():
+    """Thin layers of tissue that are held below, and their columns from face to face."""
+    X, tets = meshes.box((10, 10, 8), (10.0, 10.0, 0.8))
+    solid = terms.Hyperelastic(materials.NeoHookean.from_young(15.0, 0.45))
+    return Scene(X, tets, (solid, terms.Fixed(meshes.vertices_at(X, 2, 0.0)))), np.arange(len(X)).reshape(-1, 9)
+
+
+@pytest.mark.parametrize(("degree", "layered", "share"), [(1, True, 0.5), (2, False, 0.45), (2, True, 0.35)])
+def test_levels_of_the_mesh_spare_iterations_and_keep_the_residual(degree, layered, share):
+    scene, columns = flat_prisms()
+    if layered:
+        scene = replace(scene, columns=(columns[:, :5], columns[:, 4:]))
+    problem = Problem(scene, Numbering(scene, degree))
+    x = problem.numbering.X
+    held = problem.held_dofs(problem.numbering.held(scene.dirichlet()[0]))
+    b = np.random.default_rng(0).normal(size=x.size)
+    counts = []
+    for levels in ([], find_levels(problem.numbering, scene)):
+        solver = ConjugateGradients(problem.matrix, levels)
+        steps = [solved(solver, problem, held, stretch, 0.0, b, 1e-6) for stretch in (1.0, 1.1)]
+        assert all(answer.converged and residual <= 1.01e-6 for answer, residual in steps)
+        counts.append(sum(answer.iterations for answer, _ in steps))
+    assert counts[1] <= share * counts[0], counts
+
+
+def test_levels_follow_what_is_held():
+    """A level below that is made for other held dofs than before is as good as a new one."""
+    scene, columns = flat_prisms()
+    scene = replace(scene, columns=(columns,))
+    problem = Problem(scene, Numbering(scene))
+    levels, x = find_levels(problem.numbering, scene), problem.numbering.X
+    first, second = (np.flatnonzero(np.repeat(x[:, 0] == place, 3)) for place in (0.0, 10.0))
+    b = np.random.default_rng(0).normal(size=x.size)
+    used, new = ConjugateGradients(problem.matrix, levels), ConjugateGradients(problem.matrix, levels)
+    solved(used, problem, first, 1.0, 0.0, b, 1e-6)
+    used._start_over()
+    after, alone = (solved(each, problem, second, 1.0, 0.0, b, 1e-6)[0] for each in (used, new))
+    assert after.converged and after.iterations == alone.iterations
+
+
+def test_columns_that_are_none_are_named():
+    scene, columns = flat_prisms()
+    mixed = np.random.default_rng(0).permuted(columns, axis=0)
+    with pytest.raises(SceneError, match=r"columns 0: row 0: vertices \d+ and \d+, .* are no edge"):
+        prepare(replace(scene, columns=(mixed,)), solver="fenicsx")
 
 
 def test_frames_of_triangles():

@@ -89,6 +89,7 @@ def boxes():
     neo = Hyperelastic(NeoHookean.from_young(10.0, 0.4))
     plain = stretched(large, neo)
     few = stretched(small, neo)
+    rows = np.arange(len(plain.vertices)).reshape(-1, large[2] + 1)
     outside = triangles_at(plain.vertices, plain.tets, 0, 1.0)
     pulled, bone = (vertices_at(plain.vertices, c, 1.0) for c in (0, 2))
     grown = Hyperelastic(Corotated.from_young(10.0, 0.3), growth=by_tet(m, 0.9, 1.1))
@@ -105,6 +106,8 @@ def boxes():
         "neo-Hookean, MUMPS": (plain, {"linear_solver": "mumps"}),
         "by tet": (stretched(large, Strain(by_tet(big, 4.0, 8.0), 1.05), Volume(9.0, by_tet(big, 0.9, 1.1))), {}),
         "quadratic": (stretched(small, Hyperelastic(StableNeoHookean.from_young(10.0, 0.4))), {"element": "P2"}),
+        "sub-layers": (replace(plain, columns=(rows[:, :6], rows[:, 5:])), {}),
+        "quadratic sub-layers": (replace(few, columns=(np.arange(6**3).reshape(-1, 6),)), {"element": "P2"}),
         "fibres": (stretched(small, Hyperelastic(Guccione(2.0, 3.0, 1.0, 2.0, fibres, 20.0))), {}),
         "growth and weight": (stretched(small, grown, Gravity((1e5, 0.0, 0.0), 1e-6)), {}),
         "a law on few tets": (stretched(small, neo, Strain(5.0, tets=np.arange(40))), {}),

@@ -81,6 +81,21 @@ def test_a_scene_names_the_term_that_does_not_fit(term, message):
 
 
 @pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ([[0, 1, 2]], r"columns 0: expected indices of shape \(k, m\), m at least 2, got int64 of shape \(3,\)"),
+        ([[[0.0, 1.0]]], "columns 0: expected indices .* got float64"),
+        ([[[0, 1]], [[0, 9]]], r"columns 1: expected indices from 0 to 4, got 9"),
+        ([[[0, 1, 2]], [[3, 1, 4]]], "columns: vertex 1 is inside one row and in another one too"),
+        ([[[0, 1, 2], [1, 3, 4]]], "columns: vertex 1 is inside one row"),
+    ],
+)
+def test_a_scene_names_columns_that_do_not_fit(columns, message):
+    with pytest.raises(SceneError, match=message):
+        Scene(CORNERS, TETS, [], columns=columns)
+
+
+@pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: terms.Strain(-1.0), "Strain.stiffness: must be finite and at least 0"),
