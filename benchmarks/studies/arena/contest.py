@@ -30,7 +30,7 @@ POINTS = 40
 """Of a curve that are kept at most, evenly in the logarithm of the time."""
 SET_UP_LIMIT = 240
 """[s] of processor time that imports, set-up and compilation may take together, beside twice the budget."""
-GRACE = 15.0
+GRACE = 6.0
 """[s] of processor time that a solve which cannot look at the clock may take beside twice its budget."""
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "IGL", "VECLIB_MAXIMUM")
 

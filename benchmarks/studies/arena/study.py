@@ -43,7 +43,7 @@ OWN: Mapping[str, tuple[str, dict[str, str]]] = {
 """Our solvers: law, and the options of `prepare`."""
 FLOOR = 1e-9
 """[mm] below which a figure draws nothing."""
-QUICK_BUDGET, BUDGET, LARGE = 1.0, 6.0, 20_000
+QUICK_BUDGET, BUDGET, LARGE = 1.0, 4.0, 20_000
 """[s] of a solve, by default and of the whole study; twice that beyond so many tets."""
 
 
@@ -80,7 +80,7 @@ class Arena(Study):
     timed = True
 
     whole: bool = option(False, "all problems with large heads, Poisson's ratios and stiffness contrasts: an hour")
-    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 6 to 12 of the whole")
+    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 4 to 8 of the whole")
     files: tuple[str, ...] = option(
         (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
     )

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-STILL, WAIT = 1e-6, 1.25
-"""A run ends where nothing has moved by more than that [mm] while its time grew by that factor."""
+STILL, WAIT, LOOKS = 1e-6, 1.25, 8
+"""A run ends where nothing has moved by more than that [mm] while its time grew by that factor, in so many looks."""
 
 
 class RefusalError(Exception):
@@ -76,9 +76,14 @@ class ArenaProblem:
         np.add.at(volumes, self.tets, quarter[:, None])
         return volumes
 
+    @property
+    def is_uniform(self) -> bool:
+        """Say whether all tets have the same moduli."""
+        return all(np.ptp(each) <= 1e-12 * self.mu[0] for each in (self.mu, self.lmbda))
+
     def one_material(self) -> tuple[float, float]:
         """Give mu and lmbda [kPa] where all tets have the same; RefusalError where they have not."""
-        if np.ptp(self.mu) > 1e-12 * self.mu[0] or np.ptp(self.lmbda) > 1e-12 * max(self.lmbda[0], 1.0):
+        if not self.is_uniform:
             self.refuse("it takes one material per body")
         return float(self.mu[0]), float(self.lmbda[0])
 
@@ -98,7 +103,7 @@ class Clock:
         self._problem, self._answers, self._budget, self._out = problem, answers, budget, out
         self._begin, self._paused = time.process_time(), 0.0
         self._wall = time.perf_counter()
-        self._mark, self._marked_at = problem.start, 0.2
+        self._mark, self._marked_at, self._looks = problem.start, 0.2, 0
 
     def seconds(self) -> float:
         """Give the processor time [s] of the phase so far."""
@@ -126,9 +131,10 @@ class Clock:
             line[name] = [float(away.mean()), float(away.max())]
         self._write(line)
         moves = True
-        if seconds > WAIT * self._marked_at:
+        self._looks += 1
+        if seconds > WAIT * self._marked_at and self._looks >= LOOKS:
             moves = bool(np.abs(x - self._mark).max() > STILL)
-            self._mark, self._marked_at = np.array(x), seconds
+            self._mark, self._marked_at, self._looks = np.array(x), seconds, 0
         self._paused += time.process_time() - begin
         return moves and seconds < self._budget
 
