@@ -30,7 +30,7 @@ JAW_ANGLE = 6.0
 """[degrees]"""
 JAW_AXIS = (0.0, -3.0, 57.0)
 """A point [mm] of the axis along x about which the mandible turns: a centimetre in front of the ears."""
-PUSH = 0.3
+PUSH = 0.1
 """[kPa] on the cheek, against its mean normal at rest."""
 PUSH_RADIUS = 15.0
 SKIN_POINTS = {

@@ -152,7 +152,7 @@ class FaceBenchmark(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell the width of the bands."""
-        bands = [line["band"] / line["size"] for lines in _limits(rows).values() for line in lines if line["size"] > 0]
+        bands = [line["share"] for lines in _limits(rows).values() for line in lines]
         if not bands:
             return "No problem has been solved by all methods yet."
         middle = float(np.median(bands))
@@ -209,7 +209,7 @@ def extrapolate(coarse: Floats, medium: Floats) -> Floats:
 
 
 def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
-    """A list of quantities: converged value, its size, band, the distance of codes over it, and each method's size."""
+    """A list of quantities: converged value and its size, band, what codes differ by, and each method's."""
     by = {name: {key: np.array(value) for key, value in each.items()} for name, each in values.items()}
     lines = []
     for quantity, medium in by[QUADRATIC[1].name].items():
@@ -218,13 +218,15 @@ def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
         pairs = ((LINEAR[0], CHECKS[0]), (QUADRATIC[0], CHECKS[1]))
         codes = max(float(np.linalg.norm(by[a.name][quantity] - by[b.name][quantity])) for a, b in pairs)
         size = float(np.linalg.norm(value))
+        band = max(SAFETY * float(np.linalg.norm(value - medium)) + codes, LEAST_BAND * size)
         lines.append(
             {
                 "name": quantity,
                 "unit": unit_of(quantity),
                 "value": value.tolist(),
                 "size": size,
-                "band": max(SAFETY * float(np.linalg.norm(value - medium)) + codes, LEAST_BAND * size),
+                "band": band,
+                "share": band / max(size, 1e-12),
                 "codes": codes / max(size, 1e-12),
                 "by": {name: float(np.linalg.norm(each[quantity])) for name, each in by.items()},
                 "off": {name: float(np.linalg.norm(each[quantity] - value)) for name, each in by.items()},
