@@ -97,5 +97,8 @@ for command, study in (
 # %% [markdown]
 # A law of the package itself is such a file in `reference/materials/`, named in the `__init__.py` there. It has no
 # `add_law`, so its problems stand in `reference/problems/`: see [](../architecture.md).
-# `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it, and
-# `by_stretches`, a tangent by hand for FEniCSx. A law of one's own may have them too.
+# `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it. A law
+# of one's own may have them too.
+#
+# FEniCSx turns `density` into compiled code, derivatives included. A density with functions that this code does not know,
+# such as `ufl.erf`, is assembled by DOLFINx' own forms instead: the same answers, ten times as slowly.

@@ -1,7 +1,6 @@
-"""Integrals over cells of laws that are known at quadrature points: F there, and forces and stiffness from P and dP/dF.
+"""Quadrature points of cells: F there, and the stiffness of laws whose dP/dF is known there as arrays.
 
-Mesh, nodes, rule and shape functions are FEniCSx'; the loops over points are compiled. They do what FEniCSx' own
-assembly of forms with functions of such points does (a test compares them), without its arrays of 81 numbers a point.
+Mesh, nodes, rule and shape functions are FEniCSx'; the loops over points are compiled.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .assembly import Stiffness, place_of
 from .numbering import Numbering
-from .principal import Modes
 
 DEGREES = {1: 1, 2: 4}
 """Degree of the rule by that of the element: one point for linear tets, whose F is constant."""
@@ -40,19 +38,8 @@ class Quadrature:
         """F at the points, shape (k q, 3, 3), of a displacement [mm] by node, shape (n, 3)."""
         return _deformation(self._nodes, self._inverse, self._derivatives, u)
 
-    def add_gradient(self, P: Floats, into: Floats):
-        """Add the integral of P : grad v [mN], P [kPa] of shape (k q, 3, 3), to an array by node (n, 3)."""
-        _add_forces(self._nodes, self._inverse, self._derivatives, self.volume, P, into)
-
-    def add_modes(self, U: Floats, V: Floats, modes: Modes, into: Stiffness):
-        """Add the integral of grad v : dP/dF : grad u [mN/mm], dP/dF [kPa] by its modes in the frames U, V of F."""
-        same, crossed = 0.5 * (modes.flip + modes.twist), 0.5 * (modes.flip - modes.twist)
-        frames = (U, V, modes.block, same, crossed)
-        _add_modes(self._nodes, self._inverse, self._derivatives, self.volume, *frames, *self._where(into))
-        into.touch()
-
     def add_tangent(self, points: Ints, C: Floats, into: Stiffness):
-        """The same with dP/dF [kPa] as arrays, shape (p, 9, 9), at some of the points, shape (p,)."""
+        """Add the integral of grad v : dP/dF : grad u [mN/mm], dP/dF [kPa] (p, 9, 9) at some of the points (p,)."""
         _add_tangent(self._nodes, self._inverse, self._derivatives, self.volume, points, C, *self._where(into))
         into.touch()
 
@@ -95,22 +82,6 @@ def _deformation(nodes, inverse, derivatives, u):
     return F
 
 
-@njit(cache=True)
-def _add_forces(nodes, inverse, derivatives, volume, P, into):
-    m, k = nodes.shape
-    q = len(derivatives)
-    gradients = np.empty((k, 3))
-    for e in range(m):
-        for p in range(q):
-            at = e * q + p
-            _shape_gradients(derivatives[p], inverse[e], gradients)
-            for a in range(k):
-                node = nodes[e, a]
-                for i in range(3):
-                    pull = P[at, i, 0] * gradients[a, 0] + P[at, i, 1] * gradients[a, 1] + P[at, i, 2] * gradients[a, 2]
-                    into[node, i] += volume[at] * pull
-
-
 @njit(inline="always")
 def _add_pairs(local, nodes, starts, slots, values):
     """Add the blocks of pairs a < b, those of b and a, and on the diagonal what makes translations free of forces."""
@@ -128,49 +99,6 @@ def _add_pairs(local, nodes, starts, slots, values):
                     values[ba + j * width_b + i] += value
                     values[aa + i * width_a + j] -= value
                     values[bb + j * width_b + i] -= value
-
-
-@njit(cache=True)
-def _add_modes(nodes, inverse, derivatives, volume, U, V, block, same, crossed, starts, slots, values):
-    m, k = nodes.shape
-    q = len(derivatives)
-    gradients, turned, local = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, k, 3, 3))
-    K, KU = np.empty((3, 3)), np.empty((3, 3))
-    for e in range(m):
-        local[:] = 0.0
-        for p in range(q):
-            at = e * q + p
-            _shape_gradients(derivatives[p], inverse[e], gradients)
-            for a in range(k):
-                for j in range(3):
-                    turned[a, j] = (
-                        gradients[a, 0] * V[at, 0, j] + gradients[a, 1] * V[at, 1, j] + gradients[a, 2] * V[at, 2, j]
-                    )
-            w, h = volume[at], block[at]
-            s01, s02, s12 = same[at, 0], same[at, 1], same[at, 2]
-            c01, c02, c12 = crossed[at, 0], crossed[at, 1], crossed[at, 2]
-            for a in range(k):
-                a0, a1, a2 = w * turned[a, 0], w * turned[a, 1], w * turned[a, 2]
-                for b in range(a + 1, k):
-                    b0, b1, b2 = turned[b, 0], turned[b, 1], turned[b, 2]
-                    K[0, 0] = h[0, 0] * a0 * b0 + s01 * a1 * b1 + s02 * a2 * b2
-                    K[1, 1] = h[1, 1] * a1 * b1 + s01 * a0 * b0 + s12 * a2 * b2
-                    K[2, 2] = h[2, 2] * a2 * b2 + s02 * a0 * b0 + s12 * a1 * b1
-                    K[0, 1] = h[0, 1] * a0 * b1 + c01 * a1 * b0
-                    K[1, 0] = h[1, 0] * a1 * b0 + c01 * a0 * b1
-                    K[0, 2] = h[0, 2] * a0 * b2 + c02 * a2 * b0
-                    K[2, 0] = h[2, 0] * a2 * b0 + c02 * a0 * b2
-                    K[1, 2] = h[1, 2] * a1 * b2 + c12 * a2 * b1
-                    K[2, 1] = h[2, 1] * a2 * b1 + c12 * a1 * b2
-                    for i in range(3):
-                        for j in range(3):
-                            KU[i, j] = K[i, 0] * U[at, j, 0] + K[i, 1] * U[at, j, 1] + K[i, 2] * U[at, j, 2]
-                    for i in range(3):
-                        for j in range(3):
-                            local[a, b, i, j] += (
-                                U[at, i, 0] * KU[0, j] + U[at, i, 1] * KU[1, j] + U[at, i, 2] * KU[2, j]
-                            )
-        _add_pairs(local, nodes[e], starts, slots[e], values)
 
 
 @njit(cache=True)

@@ -1,33 +1,32 @@
-"""The energies of tets: laws by singular values at quadrature points, and laws by UFL's forms, all together.
+"""The energies of tets, all together: laws by compiled kernels, and by UFL's forms what kernels do not model.
 
-Singular values s (m, 3) come ordered as `principal.signed_svd` orders them. Hyperelastic laws by singular values are in
-`materials`.
+Forms model mixed elements, and a law of one's own whose density is no kernel's.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import compress
 
 import numpy as np
-from numba import njit
+import ufl
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..materials import Incompressible
+from ..clock import count_compilation
+from ..materials import Incompressible, Isotropic, Material
 from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Volume
 from ..terms import Solid as SolidTerm
 from . import dolfinx_version as seam
-from . import principal
 from .assembly import Stiffness
 from .hyperelastic import HyperelasticForms, check_mixed
-from .nearest import nearest_derivative, nearest_with_determinant
+from .kernels import Kernel
+from .law_code import Law, UnknownOperationError
 from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
-
-Law = tuple[Ints, HasStretches]
-"""A law and the quadrature points, counted within Quadrature, that it acts on."""
 
 
 def check_solids(scene: Scene, element: str):
@@ -43,54 +42,63 @@ def check_solids(scene: Scene, element: str):
         raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
 
 
-@dataclass(frozen=True, eq=False)
-class StrainLaw:
+def strain_law(stiffness: Floats, limit: Floats, growth: Floats) -> Law:
     """stiffness/2 times the squared distance of s to [1/limit, limit] growth^(1/3).
 
-    stiffness [kPa], limit and growth are (m,).
+    All are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
     """
 
-    stiffness: Floats
-    limit: Floats
-    growth: Floats
+    def by_stretches(s, p):
+        psi = 0
+        for value in s:
+            above = ufl.Or(ufl.gt(value, p.high), ufl.eq(p.limit, 1.0))
+            below = ufl.conditional(ufl.lt(value, p.low), value - p.low, 0.0)
+            psi += p.stiffness / 2 * ufl.conditional(above, value - p.high, below) ** 2
+        return psi
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches; at a limit above 1 the curvature is that of the free side."""
-        limit, stiffness = self.limit[:, None], self.stiffness[:, None]
-        size = np.cbrt(self.growth)[:, None]
-        beyond = s - np.clip(s, size / limit, size * limit)
-        h = np.zeros((len(s), 3, 3))
-        h[:, range(3), range(3)] = stiffness * ((beyond != 0.0) | (limit == 1.0))
-        return 0.5 * self.stiffness * np.sum(beyond**2, axis=1), stiffness * beyond, h
-
-
-@dataclass(frozen=True, eq=False)
-class VolumeLaw:
-    """stiffness/2 times the squared distance of F to {det = target}; stiffness [kPa] and target are (m,)."""
-
-    stiffness: Floats
-    target: Floats
-
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches; the nearest point's derivative is implicit (see `nearest_derivative`)."""
-        t = nearest_with_determinant(s, self.target)
-        away = s - t
-        h = self.stiffness[:, None, None] * (np.eye(3) - nearest_derivative(s, t))
-        return 0.5 * self.stiffness * np.sum(away**2, axis=1), self.stiffness[:, None] * away, h
+    size = np.cbrt(growth)
+    values = {"stiffness": stiffness, "limit": limit, "low": size / limit, "high": size * limit}
+    return Law(values, by_stretches=by_stretches)
 
 
-@dataclass(frozen=True, eq=False)
-class Grown:
-    """growth psi(s growth^(-1/3)) of another law; growth is (m,)."""
+class VolumeLaw(Law):
+    """stiffness/2 times the squared distance of F to {det = target}; stiffness [kPa] and target are (k,)."""
 
-    law: HasStretches
-    growth: Floats
+    def __init__(self, stiffness: Floats, target: Floats):
+        super().__init__({"stiffness": stiffness, "target": target})
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches."""
-        size = np.cbrt(self.growth)
-        psi, p, h = self.law.by_stretches(s / size[:, None])
-        return self.growth * psi, (size**2)[:, None] * p, size[:, None, None] * h
+    @cached_property
+    def functions(self) -> dict[str, str]:
+        """See Law; the nearest point is found by iteration, which is written by hand."""
+        return {"law_stretches": "  psi = volume_law(s, parameters[0], parameters[1], p, h);"}
+
+
+def hyperelastic_law(material: Material, growth: Floats) -> Law:
+    """Growth psi(F growth^(-1/3)) of a law; growth is (k,)."""
+    values = {field.name: getattr(material, field.name) for field in fields(material)}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            values[name] = np.broadcast_to(value, (len(growth), 3))
+        elif isinstance(value, (int, float, np.number)):
+            values[name] = np.full(len(growth), float(value))
+    grows = bool(np.any(growth != 1.0))
+    if grows:
+        values |= {"_growth": growth, "_size": np.cbrt(growth)}
+
+    def density(F, p):
+        return p._growth * material.density(F / p._size, p) if grows else material.density(F, p)
+
+    def by_stretches(s, p):
+        if isinstance(material, HasDensity):
+            return density(ufl.as_matrix([[s[0], 0, 0], [0, s[1], 0], [0, 0, s[2]]]), p)
+        assert isinstance(material, HasStretches)
+        return p._growth * material.by_stretches([x / p._size for x in s], p) if grows else material.by_stretches(s, p)
+
+    return Law(
+        values,
+        density=density if isinstance(material, HasDensity) else None,
+        by_stretches=by_stretches if isinstance(material, Isotropic) else None,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,78 +124,85 @@ class Solid:
             changes["material"] = replace(law, **by_tet) if by_tet else law
         return cls(replace(term, **changes), cells[mine])
 
+    @cached_property
+    def law(self) -> Law:
+        """The term's law on its cells."""
+        term = self.term
+
+        def per_cell(values: Floats | float) -> Floats:
+            return np.broadcast_to(values, len(self.cells)).astype(np.float64)
+
+        if isinstance(term, Strain):
+            return strain_law(per_cell(term.stiffness), per_cell(term.limit), per_cell(term.growth))
+        if isinstance(term, Volume):
+            return VolumeLaw(per_cell(term.stiffness), per_cell(term.target))
+        assert isinstance(term, Hyperelastic)
+        return hyperelastic_law(term.material, per_cell(term.growth))
+
 
 def _per_tet(value, dimensions: int) -> bool:
     return isinstance(value, np.ndarray) and value.ndim == dimensions
 
 
 class Solids:
-    """What a scene's solids have in common: quadrature, forms, and the present numbers of their laws.
+    """What a scene's solids have in common: kernels, forms, and the quadrature of all their cells.
 
-    A law goes by UFL's forms if it has a density, or with a pressure, if one is given; else by its singular values.
-    `forms` are the former, `softness` (cells,) [1/kPa] the sum of 1/mu of laws with a pressure.
+    A hyperelastic law with a pressure goes by UFL's forms, and one that cannot be written as a kernel; all others go by
+    kernels. `softness` (cells,) [1/kPa] is the sum of 1/mu of laws with a pressure.
     """
 
     def __init__(self, scene: Scene, order: Numbering, pressure):
         self._order, self._pressure = order, pressure
         self._displacement = seam.function(order.space)
-        solids = self._solids(scene)
-        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
-        degree = DEGREES[order.degree]
-        self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
-        self.forms: list[HyperelasticForms] = []
-        self._tensors: list[tuple[Ints, HyperelasticForms]] = []
         self.softness = np.zeros(len(order.cell_dofs))
-        for solid in solids:
+        degree = DEGREES[order.degree]
+        solids = self._solids(scene)
+        self._by_forms = [self._needs_forms(solid) for solid in solids]
+        self.forms: list[HyperelasticForms] = []
+        for solid in compress(solids, self._by_forms):
             term = solid.term
-            if not self._is_by_ufl(term):
-                continue
             assert isinstance(term, Hyperelastic)
             forms = HyperelasticForms(self._displacement, solid.cells, term.material, degree, term.growth, pressure)
             self.forms.append(forms)
             if pressure is not None:
                 self.softness[solid.cells] += 1.0 / term.material.shear_modulus
-            if pressure is not None or not isinstance(term.material, HasStretches):
-                self._tensors.append((self._points(solid.cells), forms))
-        self.set(scene)
+        self.kernels = [Kernel(order, cells, degree, laws) for cells, laws in self._laws(solids)]
+        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
+        self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
 
     def set(self, scene: Scene):
         """Take a scene's numbers."""
-        self._laws: list[Law] = []
-        self._stretched: list[Law] = []
-        for solid in self._solids(scene):
-            term = solid.term
-            if not self._is_by_ufl(term):
-                self._laws.append(self._law(solid))
-            elif self._pressure is None and isinstance(term, Hyperelastic) and isinstance(term.material, HasStretches):
-                self._stretched.append(self._law(solid))
+        for kernel, (_, laws) in zip(self.kernels, self._laws(self._solids(scene)), strict=True):
+            kernel.set(laws)
 
     def _solids(self, scene: Scene) -> list[Solid]:
         return [Solid.from_term(scene, term, self._order) for term in scene.of(SolidTerm)]
 
-    def _points(self, cells: Ints) -> Ints:
+    def _needs_forms(self, solid: Solid) -> bool:
+        if isinstance(solid.term, Hyperelastic) and self._pressure is not None:
+            return True
+        try:
+            with count_compilation():
+                return not solid.law.functions
+        except UnknownOperationError:
+            return True
+
+    def _laws(self, solids: list[Solid]) -> list[tuple[Ints, list[Law]]]:
+        """The laws of kernels by their cells: one of F has its own, those by stretches on the same cells share one."""
+        groups: list[tuple[Ints, list[Law]]] = []
+        for solid in compress(solids, [not by_forms for by_forms in self._by_forms]):
+            for cells, laws in groups:
+                if solid.law.is_by_stretches and laws[0].is_by_stretches and np.array_equal(cells, solid.cells):
+                    laws.append(solid.law)
+                    break
+            else:
+                groups.append((solid.cells, [solid.law]))
+        return groups
+
+    def points(self, cells: Ints) -> Ints:
         """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
         q = self.quadrature.per_cell
         return (np.searchsorted(self.cells, cells)[:, None] * q + np.arange(q)).ravel()
-
-    def _is_by_ufl(self, term: SolidTerm) -> bool:
-        by_density = self._pressure is not None or isinstance(getattr(term, "material", None), HasDensity)
-        return isinstance(term, Hyperelastic) and by_density
-
-    def _law(self, solid: Solid) -> Law:
-        term = solid.term
-
-        def at_points(values: Floats | float) -> Floats:
-            per_cell = np.broadcast_to(values, len(solid.cells))
-            return np.repeat(per_cell, self.quadrature.per_cell).astype(np.float64)
-
-        points = self._points(solid.cells)
-        if isinstance(term, Strain):
-            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
-        if isinstance(term, Volume):
-            return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        assert isinstance(term, Hyperelastic) and isinstance(term.material, HasStretches)
-        return points, term.material if np.all(term.growth == 1.0) else Grown(term.material, at_points(term.growth))
 
     def at(self, u: Floats, p: Floats) -> SolidState:
         """The solids at a displacement [mm], (n, 3), and a pressure [kPa], (n_p,), if there is one."""
@@ -195,13 +210,10 @@ class Solids:
 
 
 class SolidState:
-    """Energy, gradient and Hessian of the solids at one displacement and pressure; what they share is computed once."""
+    """Energy, gradient and Hessian of the solids at one displacement and pressure."""
 
     def __init__(self, solids: Solids, u: Floats, p: Floats):
-        self._solids, self._u, self._pressure = solids, u, p
-        self._frame: tuple[Floats, Floats, Floats] | None = None
-        if solids._laws:
-            self._psi, self._p, self._h = self._by_stretches(solids._laws)
+        self._solids, self._u, self._pressure = solids, np.ascontiguousarray(u), p
 
     def place(self):
         """Have the forms take this displacement and pressure."""
@@ -210,32 +222,22 @@ class SolidState:
         if solids._pressure is not None:
             solids._pressure.x.array[:] = self._pressure
 
-    def _svd(self) -> tuple[Floats, Floats, Floats]:
-        """U, s, V of F at the quadrature points."""
-        if self._frame is None:
-            self._frame = principal.signed_svd(self._solids.quadrature.deformation_gradient(self._u))
-        return self._frame
-
-    def _by_stretches(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
-        """Sum up psi, its gradient and its Hessian by the singular values at all points."""
-        s = self._svd()[1]
-        psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
-        for points, law in laws:
-            add_at(points, *law.by_stretches(s[points]), psi, p, h)
-        return psi, p, h
+    @cached_property
+    def _by_kernels(self) -> tuple[float, Floats]:
+        """The kernels' energy [µJ] and gradient [mN], a field (n, 3), which cost little more than one of them."""
+        gradient = np.zeros_like(self._u)
+        return sum(kernel.add_energy(self._u, gradient) for kernel in self._solids.kernels), gradient
 
     def energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where a law does not hold."""
         self.place()
-        energy = float(self._psi @ self._solids.quadrature.volume) if self._solids._laws else 0.0
-        return energy + sum(forms.assemble_energy() for forms in self._solids.forms)
+        energy = self._by_kernels[0] + sum(forms.assemble_energy() for forms in self._solids.forms)
+        return energy if np.isfinite(energy) else np.inf
 
     def add_gradient(self, into: Floats):
         """Add the gradient [mN] of this process' cells to a field (n, 3)."""
         self.place()
-        if self._solids._laws:
-            U, _, V = self._svd()
-            self._solids.quadrature.add_gradient(principal.stress(U, V, self._p), into)
+        into += self._by_kernels[1]
         for forms in self._solids.forms:
             forms.add_gradient(into.reshape(-1))
 
@@ -243,19 +245,14 @@ class SolidState:
         """Add the Hessian [mN/mm], every negative eigenvalue of every point's tangent multiplied by `kept`."""
         solids = self._solids
         self.place()
-        for points, forms in solids._tensors:
+        for forms in solids.forms:
             if kept == 1.0:
                 seam.add_matrix(forms.tangent, into.local)
             else:
-                solids.quadrature.add_tangent(points, forms.softened_tangent(kept), into)
+                solids.quadrature.add_tangent(solids.points(forms.cells), forms.softened_tangent(kept), into)
         into.local.assemble()
-        if solids._laws or solids._stretched:
-            U, s, V = self._svd()
-            if solids._stretched:
-                _, p, h = self._by_stretches([*solids._laws, *solids._stretched])
-            else:
-                p, h = self._p, self._h
-            solids.quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), into)
+        for kernel in solids.kernels:
+            kernel.add_hessian(self._u, kept, into)
 
     def add_strain(self, into: Floats):
         """Add the energy's derivative by the pressure [mm³], if there is one, to a field (n_p,)."""
@@ -269,21 +266,8 @@ class SolidState:
         self.place()
         F = solids.quadrature.deformation_gradient(self._u)
         P = np.zeros_like(F)
-        if solids._laws:
-            U, _, V = self._svd()
-            P += principal.stress(U, V, self._p)
+        for kernel in solids.kernels:
+            P[solids.points(kernel.cells)] += kernel.stress(self._u)
         for forms in solids.forms:
-            P[solids._points(forms.cells)] += forms.point_stress()
+            P[solids.points(forms.cells)] += forms.point_stress()
         return F, P
-
-
-@njit(cache=True)
-def add_at(points, psi, p, h, into_psi, into_p, into_h):
-    """Add what a law gives at some points (m,) to the sums of all laws at all points."""
-    for n in range(len(points)):
-        at = points[n]
-        into_psi[at] += psi[n]
-        for i in range(3):
-            into_p[at, i] += p[n, i]
-            for j in range(3):
-                into_h[at, i, j] += h[n, i, j]

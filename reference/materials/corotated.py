@@ -18,13 +18,11 @@ class Corotated(LameLaw):
     inverted one has a negative principal stretch. Raises SceneError unless mu > 0 and lmbda > -2/3 mu.
     """
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches: mu Σ(s - 1)² + lmbda/2 (Σ(s - 1))²."""
-        strain = s - 1.0
-        trace = strain.sum(axis=1)
-        psi = self.mu * np.sum(strain**2, axis=1) + 0.5 * self.lmbda * trace**2
-        h = np.tile(2.0 * self.mu * np.eye(3) + self.lmbda, (len(s), 1, 1))
-        return psi, 2.0 * self.mu * strain + (self.lmbda * trace)[:, None], h
+    @staticmethod
+    def by_stretches(s, p):
+        """See HasStretches."""
+        trace = s[0] + s[1] + s[2] - 3
+        return p.mu * sum((value - 1) ** 2 for value in s) + p.lmbda / 2 * trace**2
 
     def by_rotation(self, d: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasRotation."""

@@ -9,6 +9,7 @@ the form it needs.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
@@ -79,10 +80,10 @@ class HasMixedDensity(Protocol):
 
 @runtime_checkable
 class HasStretches(Protocol):
-    """A law whose tangent FEniCSx takes by hand, in principal stretches, where it is cheap to make semi-definite."""
+    """A law that FEniCSx models on displacement elements though UFL cannot write it as a function of F."""
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Psi (m,), its gradient (m, 3) and Hessian (m, 3, 3) [kPa] by signed singular values s (m, 3)."""
+    def by_stretches(self, s: Sequence[Any], p: Any) -> Any:
+        """Psi [kPa] in UFL, of three signed singular values of F and the law's fields as symbols."""
         ...
 
 

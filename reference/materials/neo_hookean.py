@@ -46,17 +46,6 @@ class NeoHookean(LameLaw, EnergyLaw):
         """See HasMixedDensity."""
         check_positive(self, "lmbda")
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches: mu/2 (Σs² - 3) - mu ln J + lmbda/2 ln²J; needs J > 0."""
-        log_J = np.log(np.prod(s, axis=1))
-        psi = 0.5 * self.mu * (np.sum(s**2, axis=1) - 3.0) - self.mu * log_J + 0.5 * self.lmbda * log_J**2
-        inverse = 1.0 / s
-        pull = (self.lmbda * log_J - self.mu)[:, None]
-        p = self.mu * s + pull * inverse
-        h = self.lmbda * inverse[:, :, None] * inverse[:, None, :]
-        h[:, range(3), range(3)] += self.mu - pull * inverse**2
-        return psi, p, h
-
     def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasInvariants."""
         holds, J = J > 0, np.where(J > 0, J, 1.0)

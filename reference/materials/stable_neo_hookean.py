@@ -49,22 +49,6 @@ class StableNeoHookean(LameLaw, EnergyLaw):
     def check_mixed(self):
         """See HasMixedDensity; l is positive already."""
 
-    def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches."""
-        m, k = 4.0 * self.mu / 3.0, self.lmbda + 5.0 * self.mu / 6.0
-        squares, away = np.sum(s**2, axis=1), np.prod(s, axis=1) - 1.0
-        psi = 0.5 * m * (squares - 3.0 - np.log((squares + 1.0) / 4.0)) + 0.5 * k * away**2 - 0.75 * m * away
-        pull, shear = k * away - 0.75 * m, m * squares / (squares + 1.0)
-        cofactors = np.roll(s, 1, axis=1) * np.roll(s, 2, axis=1)
-        p = shear[:, None] * s + pull[:, None] * cofactors
-        h = (2.0 * m / (squares + 1.0) ** 2)[:, None, None] * s[:, :, None] * s[:, None, :]
-        h += k * cofactors[:, :, None] * cofactors[:, None, :]
-        for i, j, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            h[:, i, i] += shear
-            h[:, i, j] += pull * s[:, c]
-            h[:, j, i] += pull * s[:, c]
-        return psi, p, h
-
     def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasInvariants."""
         m, k = 4 * self.mu / 3, self.lmbda + 5 * self.mu / 6

@@ -1,0 +1,218 @@
+"""Compiled kernels against FEniCSx' own assembly of UFL's forms, and how they are compiled and kept."""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+pytest.importorskip("dolfinx")
+
+from softdeca.lhm.base.errors import MissingDependencyError
+from softdeca.reference import Scene, materials, terms
+from softdeca.reference.clock import Clock
+from softdeca.reference.fenicsx import dolfinx_version as seam
+from softdeca.reference.fenicsx import kernels
+from softdeca.reference.fenicsx.assembly import Stiffness
+from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.quadrature import DEGREES, Quadrature
+from softdeca.reference.fenicsx.solids import Solids
+from softdeca.reference.problems import meshes
+
+MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
+X, TETS = meshes.unstructured(2)
+FIBRES = np.random.default_rng(0).normal(size=(len(TETS), 3))
+LAWS = {
+    "neo-Hookean": materials.NeoHookean(MU, LMBDA),
+    "stable": materials.StableNeoHookean(MU, LMBDA),
+    "St. Venant-Kirchhoff": materials.StVenantKirchhoff(MU, LMBDA),
+    "isochoric, quadratic": materials.IsochoricNeoHookean(MU, KAPPA),
+    "isochoric, logarithmic": materials.IsochoricNeoHookean(MU, KAPPA, "kappa/4 (J^2-1-2 ln J)"),
+    "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4),
+    "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRES, KAPPA),
+}
+
+
+def solids_of(degree, law, growth=1.0):
+    scene = Scene(X, TETS, [terms.Hyperelastic(law, growth=growth)])
+    order = Numbering(scene, degree)
+    return order, Solids(scene, order, None)
+
+
+def deformed(order, seed, size=0.4):
+    """A large displacement by node: a linear map that inverts nothing, and noise of a fiftieth of a tet's size."""
+    rng = np.random.default_rng(seed)
+    noise = 0.02 * np.cbrt(order.cell_volumes.min()) * rng.normal(size=order.X.shape)
+    return order.X @ (expm(size * rng.normal(size=(3, 3))) - np.eye(3)) + noise
+
+
+def assert_close(actual, expected, relative):
+    assert np.abs(actual - expected).max() <= relative * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("name", LAWS)
+def test_kernels_are_the_forms_of_ufl(name, degree):
+    growth = np.random.default_rng(1).uniform(0.8, 1.2, len(TETS)) if name == "Mooney-Rivlin" else 1.0
+    order, solids = solids_of(degree, LAWS[name], growth)
+    assert solids.kernels and not solids.forms
+    u = seam.function(order.space)
+    forms = HyperelasticForms(u, order.cell, LAWS[name], DEGREES[degree], growth)
+    points = Quadrature(order, np.arange(len(TETS)), DEGREES[degree])
+    at = solids.points(order.cell)
+    ours, theirs = (Stiffness([order.cell_dofs], order.nodes) for _ in range(2))
+    for seed in range(3):
+        u.x.array[:] = deformed(order, seed).ravel()
+        state = solids.at(u.x.array.reshape(-1, 3), None)
+        energy = forms.assemble_energy()
+        assert np.isfinite(energy) and abs(state.energy() - energy) <= 1e-13 * energy
+        gradient, expected = np.zeros_like(order.X), np.zeros(order.X.size)
+        state.add_gradient(gradient)
+        forms.add_gradient(expected)
+        assert_close(gradient.ravel(), expected, 1e-13)
+        assert_close(state.stresses()[1][at], forms.point_stress(), 1e-13)
+        for kept in (1.0, 0.5, 0.0):
+            ours.clear()
+            theirs.clear()
+            state.add_hessian(ours, kept)
+            if kept == 1.0:
+                seam.add_matrix(forms.tangent, theirs.local)
+                theirs.local.assemble()
+            else:
+                points.add_tangent(at, forms.softened_tangent(kept), theirs)
+            assert_close(ours.values, theirs.values, 1e-13 if kept == 1.0 else 1e-10)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("name", LAWS)
+def test_projected_hessian_is_semi_definite(name, degree):
+    order, solids = solids_of(degree, LAWS[name])
+    matrix = Stiffness([order.cell_dofs], order.nodes)
+    solids.at(deformed(order, 4), None).add_hessian(matrix, 0.0)
+    dense = matrix.assemble().convert("dense").getDenseArray()
+    values = np.linalg.eigvalsh(dense)
+    assert_close(dense, dense.T, 1e-15)
+    assert values.min() >= -1e-12 * values.max()
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("name", set(LAWS) - {"stable", "St. Venant-Kirchhoff"})
+def test_one_inverted_tet_makes_the_energy_infinite(name, degree):
+    order, solids = solids_of(degree, LAWS[name])
+    u = np.zeros_like(order.X)
+    assert np.isfinite(solids.at(u, None).energy())
+    a, *_, b = order.dof[TETS[-1]]
+    u[a], u[b] = order.X[b] - order.X[a], order.X[a] - order.X[b]
+    assert solids.at(u, None).energy() == np.inf
+
+
+@dataclass(frozen=True)
+class Foreign(materials.NeoHookean):
+    """The neo-Hookean law, with a term of no weight whose function kernels do not know."""
+
+    @staticmethod
+    def density(F, p):
+        ufl = seam.ufl
+        return materials.NeoHookean.density(F, p) + 1e-30 * p.mu * ufl.erf(ufl.det(F) - 1)
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.0])
+def test_a_law_that_kernels_cannot_write_goes_by_forms(kept):
+    order, foreign = solids_of(1, Foreign(MU, LMBDA))
+    _, known = solids_of(1, LAWS["neo-Hookean"])
+    assert foreign.forms and not foreign.kernels
+    u, found = deformed(order, 2), []
+    for solids in (foreign, known):
+        matrix, gradient = Stiffness([order.cell_dofs], order.nodes), np.zeros_like(order.X)
+        state = solids.at(u, None)
+        state.add_gradient(gradient)
+        state.add_hessian(matrix, kept)
+        found.append((np.array([state.energy()]), gradient, state.stresses()[1], matrix.values))
+    for one, other in zip(*found, strict=True):
+        assert_close(one, other, 1e-12)
+
+
+@dataclass(frozen=True)
+class Branched(materials.EnergyLaw):
+    """A law of every operation that kernels know; of no physical meaning."""
+
+    mu: float = 1.0
+
+    @property
+    def lame(self):
+        return self.mu, self.mu
+
+    @staticmethod
+    def density(F, p):
+        ufl = seam.ufl
+        C = ufl.variable(F.T * F)
+        I1, J = ufl.tr(C), ufl.det(F)
+        shear = ufl.diff(I1**2, C)  # 2 I1 times the unit matrix
+        away = ufl.conditional(ufl.And(ufl.gt(J, 0.9), ufl.Not(ufl.ge(J, 1.2))), ufl.sin(J), ufl.cos(J) ** 3)
+        bounded = ufl.max_value(I1, 3.1) + ufl.min_value(J, 1.05) + abs(J - 1)
+        bounded += ufl.conditional(ufl.gt(J, 1), ufl.sqrt(J - 1) ** 3 + (J - 1) ** 2.5, 0)  # no numbers below 1
+        smooth = ufl.sqrt(I1) + ufl.exp(-I1) + ufl.tanh(J) + ufl.atan(J) + I1**1.5 + J**p.mu + I1**-3 + J**-0.5
+        return p.mu * ufl.tr(shear) + away + bounded + smooth + ufl.conditional(ufl.ne(J, 1.0), ufl.ln(J), 0)
+
+    def by_invariants(self, I1, I2, J):
+        raise NotImplementedError
+
+
+def test_every_operation_of_ufl_that_kernels_know():
+    order, solids = solids_of(1, Branched())
+    u = seam.function(order.space)
+    forms = HyperelasticForms(u, np.arange(len(TETS)), Branched())
+    assert solids.kernels
+    for seed in range(3):
+        u.x.array[:] = deformed(order, seed, size=0.1).ravel()
+        state = solids.at(u.x.array.reshape(-1, 3), None)
+        gradient, expected = np.zeros_like(order.X), np.zeros(order.X.size)
+        state.add_gradient(gradient)
+        forms.add_gradient(expected)
+        ours, theirs = (Stiffness([order.cell_dofs], order.nodes) for _ in range(2))
+        state.add_hessian(ours, 1.0)
+        seam.add_matrix(forms.tangent, theirs.local)
+        theirs.local.assemble()
+        assert state.energy() == pytest.approx(forms.assemble_energy(), rel=1e-13)
+        assert_close(gradient.ravel(), expected, 1e-13)
+        assert_close(ours.values, theirs.values, 1e-13)
+
+
+def test_compilation_counts_as_such(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
+    kernels.load_library.cache_clear()
+    clock = Clock()
+    solids_of(1, LAWS["neo-Hookean"])
+    assert clock.read().compilation > 0.1
+    assert len(list(tmp_path.glob("kernels/*.so"))) == 1
+
+
+USE = """
+from softdeca.reference import Scene, materials, terms
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.solids import Solids
+from softdeca.reference.problems import meshes
+scene = Scene(*meshes.unstructured(1), [terms.Hyperelastic(materials.NeoHookean(1.0, 2.0))])
+order = Numbering(scene)
+print(Solids(scene, order, None).at(0.1 * order.X, None).energy())
+"""
+
+
+def test_two_processes_at_once_share_one_library(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
+    both = [subprocess.Popen([sys.executable, "-c", USE], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    energies = [process.communicate(timeout=300)[0] for process in both]
+    assert energies[0] == energies[1] and float(energies[0]) > 0.0
+    assert [path.suffix for path in sorted(tmp_path.glob("kernels/*"))] == [".lock", ".so"]
+
+
+def test_no_compiler_is_told_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
+    for compiler, message in (("no-such-compiler", "needs a C compiler .*no-such-compiler"), ("false", "failed")):
+        monkeypatch.setenv("CC", compiler)
+        with pytest.raises(MissingDependencyError, match=message) as refusal:
+            kernels.load_library("#define NODES 4\n")
+        assert "\n" not in str(refusal.value)
