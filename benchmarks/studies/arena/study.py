@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError
+from ....animation.plots import to_svg
+from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference.added import added_solvers
+from ....reference.added import NotModelledError, added_solvers
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from . import problems
 from .claims import judge_all
 from .contest import ACCURACIES, check, run_outside, run_own, summarise
+from .curves import plot_curves
 from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
 from .solvers import NAMES
 from .solvers.__main__ import load
@@ -41,8 +42,6 @@ OWN: Mapping[str, tuple[str, dict[str, str]]] = {
     OURS_RIGID: (RIGID, {"method": "lbfgs"}),
 }
 """Our solvers: law, and the options of `prepare`."""
-FLOOR = 1e-9
-"""[mm] below which a figure draws nothing."""
 QUICK_BUDGET, BUDGET, LARGE = 1.0, 4.0, 20_000
 """[s] of a solve, by default and of the whole study; twice that beyond so many tets."""
 
@@ -105,7 +104,10 @@ class Arena(Study):
         problem = problems.make(task.case)
         files = self._files()
         law = files[title].LAW or NEO_HOOKEAN if title in files else OWN.get(title, (NEO_HOOKEAN,))[0]
-        answers = {"own": problems.answer(task.case, law), "neo": problems.answer(task.case, NEO_HOOKEAN)}
+        try:
+            answers = {"own": problems.answer(task.case, law), "neo": problems.answer(task.case, NEO_HOOKEAN)}
+        except SoftdecaError as without:
+            raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = answers["own"] if start == ANSWER else None
         budget = self.budget or (BUDGET * (1 + (len(problem.tets) > LARGE)) if self.whole else QUICK_BUDGET)
         if title in files:
@@ -196,32 +198,7 @@ class Arena(Study):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
         cases = list(dict.fromkeys(row.case for row in rows))
-        wide = 3
-        figure, axes = subplots(-(-len(cases) // wide), wide, figsize=(13, 4.0 * -(-len(cases) // wide)), squeeze=False)
-        colours = {title: f"C{number}" for number, title in enumerate(self._rivals())}
-        labels: dict[str, Any] = {}
-        for axis, case in zip(axes.ravel(), cases, strict=False):
-            firsts: set[str] = set()
-            for row in rows:
-                values = row.values
-                if row.case != case or values["start"] != REST or not values["seconds"]:
-                    continue
-                title = values["solver"]
-                points = [
-                    (values["set_up_s"] + seconds, max(error, FLOOR))
-                    for seconds, error in zip(values["seconds"], values["error_mm"], strict=True)
-                ]
-                style = {"lw": 0.7, "ls": ":"} if title in firsts else {"lw": 1.4}
-                marker = "o" if len(points) == 1 else None
-                drawn = axis.plot(*zip(*points, strict=True), color=colours[title], marker=marker, ms=3, **style)
-                labels.setdefault(title, drawn[0])
-                firsts.add(title)
-            axis.set(xscale="log", yscale="log", title=case, ylim=(FLOOR, 100.0), xlabel="processor time [s]")
-        for axis in axes.ravel()[len(cases) :]:
-            axis.set_axis_off()
-        for axis in axes[:, 0]:
-            axis.set_ylabel("largest error on the skin [mm]")
-        figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncol=5, frameon=False)
+        figure = plot_curves([(row.case, row.values) for row in rows], cases)
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
     def _named(self) -> Mapping[str, SolverFile]:

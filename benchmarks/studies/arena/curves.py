@@ -1,0 +1,63 @@
+"""Error over processor time, a panel per problem and a line per solver and setting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ....animation.plots import subplots
+
+FLOOR, TOP = 1e-9, 100.0
+"""[mm] below and above which nothing is drawn."""
+WIDE = 3
+"""Panels side by side."""
+COLOURS = {
+    "FElupe": "#d62728",
+    "sfepy": "#ff9896",
+    "torch-fem": "#e377c2",
+    "FEniCSx Newton": "#8c564b",
+    "scikit-fem Newton": "#c49c94",
+    "MuJoCo flex": "#2ca02c",
+    "Newton VBD": "#ff7f0e",
+    "Newton semi-implicit": "#bcbd22",
+    "Newton XPBD": "#7f7f7f",
+    "libigl ARAP": "#9467bd",
+    "PD, L-BFGS": "#1f77b4",
+    "PD, Anderson": "#17becf",
+    "PD, plain": "#aec7e8",
+    "PD, L-BFGS on ARAP": "#c5b0d5",
+}
+"""By solver; others are black."""
+
+
+def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]], cases: Sequence[str]):
+    """Draw largest errors [mm] over set-up and solve [s], of cases and values; a solver's first setting is full."""
+    deep = -(-len(cases) // WIDE)
+    figure, axes = subplots(deep, WIDE, figsize=(13, 3.8 * deep + 0.8), squeeze=False)
+    labels: dict[str, Any] = {}
+    for axis, case in zip(axes.ravel(), cases, strict=False):
+        firsts: set[str] = set()
+        for of, values in rows:
+            if of != case or values["start"] != "from rest" or not values["seconds"]:
+                continue
+            title = values["solver"]
+            points = [
+                (values["set_up_s"] + seconds, max(error, FLOOR))
+                for seconds, error in zip(values["seconds"], values["error_mm"], strict=True)
+                if error <= TOP
+            ]
+            if not points:
+                continue
+            style = {"lw": 0.8, "ls": ":"} if title in firsts else {"lw": 1.4}
+            marker = "o" if len(points) == 1 else None
+            colour = COLOURS.get(title, "k")
+            (line,) = axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)
+            labels.setdefault(title, line)
+            firsts.add(title)
+        axis.set(xscale="log", yscale="log", title=case, ylim=(FLOOR, TOP), xlabel="processor time [s]")
+    for axis in axes.ravel()[len(cases) :]:
+        axis.set_axis_off()
+    for axis in axes[:, 0]:
+        axis.set_ylabel("largest error on the skin [mm]")
+    figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncol=5, frameon=False)
+    return figure
