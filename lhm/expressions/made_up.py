@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -27,6 +28,8 @@ from ..base.limits import SPEECH_LETTERS
 from ..base.mesh import Floats
 from .readers import read_livelink
 from .takes import Take, check_frames, check_rate
+
+_COLUMN = {name: column for column, name in enumerate(ARKIT)}
 
 UNITS: tuple[tuple[str, ...], ...] = (
     *(
@@ -184,6 +187,7 @@ def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
     """
     check_frames(frames, 1.0)
     weights = np.zeros((frames, len(ARKIT)))
+    shut, opened = _COLUMN["mouthClose"], _COLUMN["jawOpen"]
     for row in weights:
         while not row.any():
             count, span = rng.integers(HARD_SHAPES[0], HARD_SHAPES[1] + 1), HARD_RANGES[rng.integers(2)]
@@ -191,11 +195,12 @@ def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
             for name in rng.permutation(ARKIT):
                 if len(active) < count and not any(contradict(name, other) for other in active):
                     active.append(str(name))
-                    row[index(str(name))] = rng.uniform(*span)
-            row[index("mouthClose")] = min(row[index("mouthClose")], row[index("jawOpen")])
+                    row[_COLUMN[name]] = rng.uniform(*span)
+            row[shut] = min(row[shut], row[opened])
     return weights
 
 
+@cache
 def contradict(a: str, b: str) -> bool:
     """Whether two ARKit shapes are kept apart."""
     return any(

@@ -22,8 +22,9 @@ from scipy.sparse import csr_matrix
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending
+from .lanes import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00
 from .part import Part
-from .projections import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00, decompose
+from .singular import decompose
 from .sparsity import add_block
 
 # Share of Σ w⁺ |E|² below which a ring is so far collapsed that its rotation is held.

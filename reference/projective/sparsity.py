@@ -16,8 +16,8 @@ from scipy.sparse import coo_matrix, csc_matrix
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from .coordinates import Coordinates
+from .lanes import COMPILED
 from .part import Part
-from .projections import COMPILED
 
 
 @dataclass(frozen=True, eq=False)

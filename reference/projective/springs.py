@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Inertia, Target
+from .lanes import COMPILED
 from .part import Part
 
 
@@ -46,9 +48,7 @@ class Springs(Part):
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
         """See Part."""
         for vertices, displacements, stiffness in self.drawn:
-            away = u[vertices] - displacements
-            gradient[vertices] += stiffness * away
-            total += 0.5 * float(np.sum(stiffness * away**2))
+            total += _add_springs(vertices, displacements, stiffness, u, gradient)
         return total
 
     def add_anchors(self, anchored: Floats):
@@ -65,6 +65,19 @@ class Springs(Part):
         for vertices, _, stiffness in self.drawn:
             for r in range(3):
                 blocks[slots[vertices], r, r] += stiffness.ravel()
+
+
+@njit(**COMPILED)
+def _add_springs(vertices, displacements, stiffness, u, gradient):
+    """Add the springs' gradient in place; return their energy."""
+    energy = 0.0
+    for k in range(len(vertices)):
+        vertex, weight = vertices[k], stiffness[min(k, len(stiffness) - 1), 0]
+        for r in range(3):
+            away = u[vertex, r] - displacements[k, r]
+            gradient[vertex, r] += weight * away
+            energy += 0.5 * weight * away * away
+    return energy
 
 
 @dataclass(frozen=True, eq=False)

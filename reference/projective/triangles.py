@@ -16,8 +16,8 @@ from numba import njit
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
+from .lanes import COMPILED
 from .part import Part
-from .projections import COMPILED
 from .sparsity import add_block
 
 # Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and
@@ -34,34 +34,36 @@ def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
     ∂N/∂F is the polar factor of F; s0 s1 = |f0 × f1| is what the floor acts on.
     """
     energy = 0.0
-    f, p, n = np.empty((3, 2)), np.empty((3, 2)), np.empty(3)
     for t in range(len(corners)):
         a, b, c = corners[t]
-        for r in range(3):
-            p0, p1 = rest[t, r, 0] + u[b, r] - u[a, r], rest[t, r, 1] + u[c, r] - u[a, r]
-            f[r, 0] = p0 * inverse[t, 0, 0] + p1 * inverse[t, 1, 0]
-            f[r, 1] = p0 * inverse[t, 0, 1] + p1 * inverse[t, 1, 1]
-        c00 = f[0, 0] ** 2 + f[1, 0] ** 2 + f[2, 0] ** 2
-        c11 = f[0, 1] ** 2 + f[1, 1] ** 2 + f[2, 1] ** 2
-        c01 = f[0, 0] * f[0, 1] + f[1, 0] * f[1, 1] + f[2, 0] * f[2, 1]
-        n[0] = f[1, 0] * f[2, 1] - f[2, 0] * f[1, 1]
-        n[1] = f[2, 0] * f[0, 1] - f[0, 0] * f[2, 1]
-        n[2] = f[0, 0] * f[1, 1] - f[1, 0] * f[0, 1]
-        area = sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 + FLOOR)
+        i00, i01, i10, i11 = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0], inverse[t, 1, 1]
+        p0, p1 = rest[t, 0, 0] + u[b, 0] - u[a, 0], rest[t, 0, 1] + u[c, 0] - u[a, 0]
+        f00, f01 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
+        p0, p1 = rest[t, 1, 0] + u[b, 1] - u[a, 1], rest[t, 1, 1] + u[c, 1] - u[a, 1]
+        f10, f11 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
+        p0, p1 = rest[t, 2, 0] + u[b, 2] - u[a, 2], rest[t, 2, 1] + u[c, 2] - u[a, 2]
+        f20, f21 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
+        c00 = f00 * f00 + f10 * f10 + f20 * f20
+        c11 = f01 * f01 + f11 * f11 + f21 * f21
+        c01 = f00 * f01 + f10 * f11 + f20 * f21
+        n0, n1, n2 = f10 * f21 - f20 * f11, f20 * f01 - f00 * f21, f00 * f11 - f10 * f01
+        area = sqrt(n0 * n0 + n1 * n1 + n2 * n2 + FLOOR)
         norm = sqrt(c00 + c11 + 2.0 * area)
         w, growth = weight[t], scale[t]
         # ‖F‖² - 2 r N + 2 r² = (N - r)² - 2 (s0 s1 - r²) - r² has no large terms that cancel near F = r R.
         energy += 0.5 * w * ((norm - 2.0 * growth) * norm - 2.0 * (area - growth * growth))
+        # The stress w (F - r Q), with the polar factor Q = (F + F adj(C) / area) / norm, is F times a matrix.
+        share = w * growth / norm
+        over = share / area
+        m00, m11, m01 = w - share - over * c11, w - share - over * c00, over * c01
+        h00, h01 = m00 * i00 + m01 * i01, m00 * i10 + m01 * i11
+        h10, h11 = m01 * i00 + m11 * i01, m01 * i10 + m11 * i11
         for r in range(3):
-            q0 = (f[r, 0] + (f[r, 0] * c11 - f[r, 1] * c01) / area) / norm
-            q1 = (f[r, 1] + (f[r, 1] * c00 - f[r, 0] * c01) / area) / norm
-            d0, d1 = w * (f[r, 0] - growth * q0), w * (f[r, 1] - growth * q1)
-            p[r, 0] = d0 * inverse[t, 0, 0] + d1 * inverse[t, 0, 1]
-            p[r, 1] = d0 * inverse[t, 1, 0] + d1 * inverse[t, 1, 1]
-        for r in range(3):
-            gradient[a, r] -= p[r, 0] + p[r, 1]
-            gradient[b, r] += p[r, 0]
-            gradient[c, r] += p[r, 1]
+            g0, g1 = (f00, f01) if r == 0 else (f10, f11) if r == 1 else (f20, f21)
+            q0, q1 = g0 * h00 + g1 * h10, g0 * h01 + g1 * h11
+            gradient[a, r] -= q0 + q1
+            gradient[b, r] += q0
+            gradient[c, r] += q1
     return energy
 
 

@@ -22,7 +22,7 @@ from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.solids import VolumeLaw, hyperelastic_law, strain_law
 from softdeca.reference.materials.material import HasDensity, HasInvariants, HasRotation
 from softdeca.reference.problems import meshes
-from softdeca.reference.projective import projections as projective
+from softdeca.reference.projective import volumes as projective
 from softdeca.reference.skfem import solids as skfem
 
 STEP = 1e-5

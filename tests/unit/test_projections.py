@@ -8,7 +8,9 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from softdeca.reference import Scene, SceneError, terms
-from softdeca.reference.projective.projections import F00, LANES, ROWS, S0, U00, V00, decompose
+from softdeca.reference.projective.lanes import F00, LANES, R00, ROWS, S0, U00, V00
+from softdeca.reference.projective.polar import nearest_rotation, stretches
+from softdeca.reference.projective.singular import decompose
 
 from .by_solver import DISCRETE, SOLVERS
 
@@ -138,3 +140,26 @@ def test_decomposition_is_exact_to_rounding(scale):
         np.testing.assert_allclose(np.linalg.det(frame), 1.0, atol=1e-14)
     np.testing.assert_allclose(np.abs(s), np.linalg.svd(F, compute_uv=False), rtol=0, atol=1e-14 * scale)
     np.testing.assert_array_less(np.abs(s[:, 2]), s[:, 1] + 1e-14 * scale)
+
+
+def test_rotation_and_stretches_by_invariants_are_those_of_singular_values():
+    """Also of inverted and nearly round matrices; the lanes without one nearest rotation are counted."""
+    rng = np.random.default_rng(4)
+    rotations = Rotation.random(LANES, random_state=5).as_matrix()
+    F = rotations @ (np.eye(3) + 0.3 * rng.normal(size=(LANES, 3, 3)))
+    F[:4] = rotations[:4] @ (np.eye(3) + 1e-9 * rng.normal(size=(4, 3, 3)))
+    F[4:8] = rotations[4:8] @ np.diag([1.3, 0.9, -0.3]) @ rotations[8:12]
+    F[8] = rotations[8] @ np.diag([1.2, 0.4, -0.4]) @ rotations[9]
+    w = np.zeros(ROWS * LANES)
+    rows = w.reshape(ROWS, LANES)
+    rows[F00 // LANES : F00 // LANES + 9] = F.reshape(LANES, 9).T
+    assert nearest_rotation(w) == 1
+    stretches(w)
+    u, s, vt = np.linalg.svd(F)
+    turn = np.sign(np.linalg.det(u @ vt))
+    s[:, 2] *= turn
+    u[:, :, 2] *= turn[:, None]
+    sure = np.arange(LANES) != 8
+    R = rows[R00 // LANES : R00 // LANES + 9].T.reshape(-1, 3, 3)
+    np.testing.assert_allclose(R[sure], (u @ vt)[sure], atol=1e-12)
+    np.testing.assert_allclose(rows[S0 // LANES : S0 // LANES + 3].T[sure], s[sure], atol=1e-12)
