@@ -15,6 +15,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags
 from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
+from .barrier import Barrier
 from .discretisation import Discretisation
 from .solids import Tets, Treatment, project_spd
 from .surfaces import Bends, Membranes
@@ -120,6 +121,7 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.Bending: Bends,
     terms.Target: Springs,
     terms.Inertia: Springs,
+    terms.Contact: Barrier,
 }
 """The class that models each term that has an energy."""
 TERMS = (*PARTS, terms.Fixed, terms.RigidBody)

@@ -14,6 +14,8 @@ from ..clock import Clock, Seconds
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Recorder, Solution, Stresses, first_positions, volume_ratio
+from ..terms import Contact
+from .barrier import load_ipctk
 from .descent import Descent, carry
 from .discretisation import DEGREES, Discretisation
 from .energy import TERMS, Energy
@@ -106,6 +108,8 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
+    if scene.of(Contact):
+        load_ipctk()
     clock = Clock()
     return Prepared(scene, Discretisation(scene, element), clock.read())
 

@@ -39,7 +39,18 @@ def test_each_package_imported_is_a_dependency():
     # FEniCSx comes from Debian or conda; extras: what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh, speech, live
     # pages.
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "slepc4py"}
-    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "websockets"}
+    elsewhere |= {
+        "torch",
+        "imageio_ffmpeg",
+        "igl",
+        "felupe",
+        "gmsh",
+        "openfacefx",
+        "DracoPy",
+        "sksparse",
+        "websockets",
+        "ipctk",
+    }
     assert {other_names.get(name, name) for name in names} - elsewhere == listed
 
 

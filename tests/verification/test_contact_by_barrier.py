@@ -1,0 +1,66 @@
+"""Projective dynamics' contact against other code: ipctk's barrier in Newton's method over scikit-fem's energy."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.lhm.base.errors import MissingDependencyError, SceneError
+from softdeca.reference import Scene, prepare, solve, terms
+from softdeca.reference.problems import meshes
+
+from ..unit.test_contact import bar, stacked, two_bars
+
+APART = 0.01
+"""[mm] The barrier's reach, within which surfaces in contact come to rest."""
+
+
+def stamp_on_block():
+    """A stamp is pressed down and moved sideways on a block that is stuck to its foot; and where both are held."""
+    X, tets, _ = stacked(bar((6, 2, 6), (9, 3, 9), (0, 0, 0)), bar((2, 2, 2), (3, 3, 3), (2.4, 3.2, 3)))
+    foot, top = np.flatnonzero(X[:, 1] == 0.0), np.flatnonzero(X[:, 1] == X[:, 1].max())
+    values = np.vstack([X[foot], X[top] + [0.6, -0.9, 0]])
+    fixed = terms.Fixed(np.concatenate([foot, top]), values)
+    contact = terms.Contact(meshes.boundary_triangles(tets), 100.0, 0.02)
+    return Scene(X, tets, [terms.Strain(5.0), terms.Volume(5.0), fixed, contact]), top
+
+
+def bars_and_far_end():
+    scene, _, _ = two_bars(thickness=0.05)
+    return scene, np.flatnonzero(scene.vertices[:, 1] == 16.5)
+
+
+@pytest.mark.parametrize("make, most", [(bars_and_far_end, 2.0 * APART), (stamp_on_block, 0.12)])
+def test_both_codes_part_surfaces_alike_in_mm_and_force(make, most):
+    """Of the stamp, vertices at the edge of its sole are off by most: PD stops parting, and with it sliding, early."""
+    pytest.importorskip("ipctk")
+    scene, pressed = make()
+    by_pd = solve(scene, tolerance=1e-9)
+    by_barrier = solve(scene, solver="skfem", tolerance=1e-8)
+    assert by_pd.converged and by_barrier.converged and by_pd.detail["contact_pairs_before"] > 0
+    apart = np.linalg.norm(by_pd.positions - by_barrier.positions, axis=1)
+    free = solve(replace(scene, terms=scene.terms[:-1]), tolerance=1e-9)
+    moved = np.linalg.norm(by_pd.positions - free.positions, axis=1).max()
+    assert moved > 0.2 and apart.mean() <= APART and apart.max() <= most
+    forces = [solution.reactions[pressed, 1].sum() for solution in (by_pd, by_barrier)]
+    assert forces[0] < -1.0 and forces[1] == pytest.approx(forces[0], rel=0.02)
+
+
+def test_pressed_bars_push_back_as_springs_in_line():
+    """In line, w A / L of 12 and 6 mN/mm give 4: by the overlap of 1.2 mm and the gap, as the barrier leaves it."""
+    pytest.importorskip("ipctk")
+    scene, far = bars_and_far_end()
+    force = -solve(scene, solver="skfem", tolerance=1e-8).reactions[far, 1].sum()
+    assert 4.0 * 1.25 <= force * (1.0 + 1e-6) and force <= 4.0 * (1.25 + APART) * (1.0 + 1e-6)
+
+
+def test_what_it_cannot_model_is_named(monkeypatch):
+    scene, _ = bars_and_far_end()
+    monkeypatch.setitem(sys.modules, "ipctk", None)
+    with pytest.raises(MissingDependencyError, match="softdeca\\[contact\\]"):
+        prepare(scene, solver="skfem")
+    monkeypatch.undo()
+    pytest.importorskip("ipctk")
+    with pytest.raises(SceneError, match="linear tets only"):
+        solve(scene, solver="skfem", element="P2")
