@@ -127,7 +127,8 @@ class Graph:
         if operation == "+":
             yield from ((operand, self.number(1.0)) for operand in operands)
         elif operation == "*":
-            yield from (operands, operands[::-1])
+            one, other = operands
+            yield from ((one, other), (other, one))
         elif operation == "select":
             mask, yes, no = operands
             for slopes in zip(inputs, self.gradient(yes, inputs), self.gradient(no, inputs), strict=True):

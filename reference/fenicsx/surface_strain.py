@@ -15,7 +15,6 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
 from . import dolfinx_version as seam
-from .assembly import add_forces
 from .nodal import NodalEnergy
 from .numbering import Numbering
 
@@ -63,7 +62,7 @@ class Membrane(NodalEnergy):
 
     def _svd(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """U (m, 3, 3), s (m, 2) and Vᵀ (m, 2, 2) of F at vertices x."""
-        return _planar_svd(x[self.nodes].transpose(0, 2, 1) @ self.gradients)
+        return _planar_svd(_deformation(self.nodes, self.gradients, x))
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
@@ -74,30 +73,65 @@ class Membrane(NodalEnergy):
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
         U, s, Vt = self._svd(x)
-        P = (U[:, :, :2] * (self.stiffness[:, None] * (s - self.stretch[:, None]))[:, None, :]) @ Vt
-        force = self.area[:, None, None] * self.gradients @ P.transpose(0, 2, 1)
-        add_forces(self.nodes, force, into)
+        pull = (self.area * self.stiffness)[:, None] * (s - self.stretch[:, None])
+        _add_forces(self.nodes, self.gradients, U, Vt, pull, into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """See NodalEnergy."""
         U, s, Vt = self._svd(x)
         w, c = self.stiffness, self.stretch
-        u, n, v = U[:, :, :2], U[:, :, 2], Vt.transpose(0, 2, 1)
         twist = w * (1.0 - 2.0 * c / np.maximum(s.sum(axis=1), FLAT))
         bend = w[:, None] * (1.0 - c[:, None] / np.maximum(s, FLAT))
-        vectors = np.empty((len(s), 3, 3, 2))
-        vectors[:, 0] = (u[:, :, :1] * v[:, None, :, 1] - u[:, :, 1:] * v[:, None, :, 0]) / np.sqrt(2.0)
-        vectors[:, 1] = n[:, :, None] * v[:, None, :, 0]
-        vectors[:, 2] = n[:, :, None] * v[:, None, :, 1]
         curvature = np.column_stack([twist, bend])
         change = np.maximum(curvature, kept * curvature) - w[:, None]
-        B = vectors.reshape(len(s), 9, 2) @ self.gradients.transpose(0, 2, 1)  # mode and component, node
-        k = self.nodes.shape[1]
-        B = B.reshape(len(s), 3, 3 * k)
-        blocks = (B * (self.area[:, None] * change)[:, :, None]).transpose(0, 2, 1) @ B
-        blocks = blocks.reshape(-1, 3, k, 3, k).transpose(0, 2, 4, 1, 3)
-        isotropic = (self.area * w)[:, None, None] * self.gradients @ self.gradients.transpose(0, 2, 1)
-        return blocks + isotropic[..., None, None] * np.eye(3)
+        return _blocks(U, Vt, self.gradients, self.area, w, change)
+
+
+@njit(cache=True)
+def _deformation(nodes, gradients, x):
+    """F (m, 3, 2) of nodes (m, k) with shape gradients (m, k, 2) at vertices x."""
+    F = np.zeros((len(nodes), 3, 2))
+    for e in range(len(nodes)):
+        for a in range(nodes.shape[1]):
+            for i in range(3):
+                for j in range(2):
+                    F[e, i, j] += x[nodes[e, a], i] * gradients[e, a, j]
+    return F
+
+
+@njit(cache=True)
+def _add_forces(nodes, gradients, U, Vt, pull, into):
+    """Add forces of a stress whose principal values, times the area, are pull (m, 2)."""
+    for e in range(len(nodes)):
+        for a in range(nodes.shape[1]):
+            for c in range(2):
+                along = pull[e, c] * (Vt[e, c, 0] * gradients[e, a, 0] + Vt[e, c, 1] * gradients[e, a, 1])
+                for i in range(3):
+                    into[nodes[e, a], i] += along * U[e, i, c]
+
+
+@njit(cache=True)
+def _blocks(U, Vt, gradients, area, stiffness, change):
+    """The Hessian's blocks of a curvature `stiffness` (m,) but for `change` (m, 3) along the twist and n ⊗ v_i."""
+    m, k = gradients.shape[:2]
+    blocks = np.zeros((m, k, k, 3, 3))
+    y, twist = np.empty((k, 2)), np.empty((k, 3))
+    for e in range(m):
+        for a in range(k):
+            y[a, 0] = Vt[e, 0, 0] * gradients[e, a, 0] + Vt[e, 0, 1] * gradients[e, a, 1]
+            y[a, 1] = Vt[e, 1, 0] * gradients[e, a, 0] + Vt[e, 1, 1] * gradients[e, a, 1]
+            for i in range(3):
+                twist[a, i] = U[e, i, 0] * y[a, 1] - U[e, i, 1] * y[a, 0]
+        for a in range(k):
+            for b in range(k):
+                same = area[e] * stiffness[e] * (y[a, 0] * y[b, 0] + y[a, 1] * y[b, 1])
+                across = area[e] * (change[e, 1] * y[a, 0] * y[b, 0] + change[e, 2] * y[a, 1] * y[b, 1])
+                for i in range(3):
+                    blocks[e, a, b, i, i] = same
+                    for j in range(3):
+                        blocks[e, a, b, i, j] += 0.5 * area[e] * change[e, 0] * twist[a, i] * twist[b, j]
+                        blocks[e, a, b, i, j] += across * U[e, i, 2] * U[e, j, 2]
+    return blocks
 
 
 @njit(cache=True)
