@@ -188,13 +188,14 @@ class Multigrid:
         matrices = [self._matrix]
         for transfer in self._transfers:
             matrices.append(transfer.project(matrices[-1]))
-        if pc.getType() is None:
+        if pc.getType() not in (PETSc.PC.Type.MG, PETSc.PC.Type.GAMG):
             self._configure(pc, matrices)
 
     def _configure(self, pc: PETSc.PC, matrices: list[PETSc.Mat]):
         coarsest = len(matrices) - 1
-        set_options(pc.getOptionsPrefix(), _LEVELS if coarsest else GAMG)
-        pc.setType(PETSc.PC.Type.MG if coarsest else PETSc.PC.Type.GAMG)
+        kind = PETSc.PC.Type.MG if coarsest else PETSc.PC.Type.GAMG
+        set_options(pc.getOptionsPrefix(), {"pc_type": kind, **(_LEVELS if coarsest else GAMG)})
+        pc.setType(kind)
         if coarsest:
             pc.setMGLevels(len(matrices))
             for step, transfer in enumerate(self._transfers):

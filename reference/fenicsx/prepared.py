@@ -32,7 +32,6 @@ from .fields import Fields, NodalAnswer, Sampling, recover
 from .linear_solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
-from .multigrid import find_levels
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same
@@ -111,11 +110,9 @@ class PreparedFenicsx:
         small = 3 * self._numbering.nodes.total < LARGE_SADDLE
         by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
-        levels = find_levels(self._numbering, scene)
-        self._linear: LinearSolver = (
-            Mumps(self._problem.matrix) if by_factors else ConjugateGradients(self._problem.matrix, levels)
-        )
-        self._direct = Mumps(self._problem.matrix)
+        problem = self._problem
+        self._direct = Mumps(problem.matrix)
+        self._linear = self._direct if by_factors else ConjugateGradients(problem.matrix, problem.levels)
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)

@@ -17,6 +17,7 @@ from .bending import Rings
 from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
 from .loads import FollowerPressure, Springs, dead_loads
+from .multigrid import find_levels
 from .nodal import NodalEnergy
 from .numbering import Numbering
 from .parallel import IndexMap, anywhere
@@ -42,11 +43,12 @@ class Problem:
 
     Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
     pressure [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
-    `pressure_vertex`; of another one there are none.
+    `pressure_vertex`; of another one there are none. `levels` are those of multigrid below the displacement's nodes.
     """
 
     def __init__(self, scene: Scene, numbering: Numbering, *, mixed: bool = False):
         self.numbering, self.comm = numbering, numbering.comm
+        self.levels = find_levels(numbering, scene)
         self.assemblies = 0
         self.mixed = mixed
         self.pressure: Any = None

@@ -1,7 +1,7 @@
 """The saddle point of displacement and pressure: its matrix, and linear solvers by factors or by GMRES.
 
 GMRES serves where factors are too big. Its preconditioner is block triangular (Elman, Silvester and Wathen 2014,
-"Finite Elements and Fast Iterative Solvers", Chapter 4): one V-cycle of GAMG with rigid motions for the displacement's
+"Finite Elements and Fast Iterative Solvers", Chapter 4): one V-cycle of multigrid for the displacement's
 block, and for the pressure's Schur complement the mass matrix by 1/mu + 1/kappa, a few steps of Chebyshev's iteration
 between bounds that its elements give.
 """
@@ -15,7 +15,7 @@ from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc, SLEPc, free_dropped
 from .linear_solvers import Factorisation, LinearAnswer, hold, multiply, petsc_vector, solve_with
-from .multigrid import GAMG, set_options
+from .multigrid import Multigrid, set_options
 from .parallel import dot, irregular_vector
 from .problem import Problem, State
 
@@ -27,6 +27,7 @@ LARGE_SADDLE = 400_000
 5.6 GB at 305,000, where GMRES takes 2.4."""
 RESTART = 200  # vectors that GMRES keeps
 MAX_LINEAR_ITERATIONS = 400
+PATIENCE = 3  # times the iterations of the hardest projected system so far; beyond, a system counts as indefinite
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
 WEIGHT = 8.0
 STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
@@ -35,8 +36,7 @@ ALIKE = 1e-10  # of the largest product of soft motions: what they have less in 
 _PREFIX, _PRESSURE_PREFIX = "softdeca_block_", "softdeca_pressure_"
 _OPTIONS = {
     "fieldsplit_0_ksp_type": "preonly",
-    "fieldsplit_0_pc_type": "gamg",
-    **{f"fieldsplit_0_{key}": value for key, value in GAMG.items()},
+    "fieldsplit_0_pc_type": "none",  # until it is multigrid
     "fieldsplit_1_ksp_type": "preonly",
     "fieldsplit_1_pc_type": "ksp",
     "fieldsplit_1_ksp_ksp_type": "chebyshev",
@@ -200,8 +200,9 @@ class BlockSaddle:
     """See FactoredSaddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
-    along the answer, which then is no descent direction. `newton_step` looks further, for it ends a solve: at the
-    softest motions, which SLEPc finds by the inverse. Where these curve the energy downwards,
+    along the answer, which then is no descent direction, or GMRES takes PATIENCE times what it took for the first
+    matrix or one after a failure: both are projected, so those get all iterations. `newton_step` looks further, for it
+    ends a solve: at the softest motions, which SLEPc finds by the inverse. Where these curve the energy downwards,
     FactoredSaddle takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
     """
 
@@ -209,11 +210,12 @@ class BlockSaddle:
         self._matrix, self._held, self._comm = matrix, held, matrix.comm
         self.direct = FactoredSaddle(matrix, held)
         self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
+        self._hardest, self._failed = 0, False
         self._by_factors = self._lost = False
         self._softest: list[Floats] | None = None
         self._ksp: PETSc.KSP | None = None
         self._parts: list[PETSc.Mat] = []
-        set_options(_PREFIX, _OPTIONS)
+        self._multigrid = Multigrid(matrix.H, matrix.problem.levels)
 
     @property
     def factored(self) -> int:
@@ -237,10 +239,14 @@ class BlockSaddle:
         self._set_up()
         known = np.concatenate([b, -moved])
         known[self._held] = 0.0
-        z, why = self._solve(known, relative)
+        is_projected = self._failed or not self._hardest
+        z, why = self._solve(known, relative, MAX_LINEAR_ITERATIONS if is_projected else PATIENCE * self._hardest)
+        if is_projected and not why:
+            self._hardest = max(self._hardest, self._last)
         x = z[: len(b)]
         if not (why or dot(self._comm, x, b) > 0.0 or dot(self._comm, given, given) > 0.0):
             why = "negative curvature"
+        self._failed = bool(why)
         x[self._held] = given[self._held]
         return LinearAnswer(x, not why, self._last, why)
 
@@ -341,6 +347,7 @@ class BlockSaddle:
         self._parts = [B, B.transpose(PETSc.Mat()), D, S]
         system = PETSc.Mat().createNest([[matrix.H, B], [self._parts[1], D]], comm=matrix.comm)
         self._parts.append(system)
+        set_options(_PREFIX, _OPTIONS)
         self._ksp = PETSc.KSP().create(matrix.comm)
         self._ksp.setOptionsPrefix(_PREFIX)
         self._ksp.setType(PETSc.KSP.Type.GMRES)
@@ -356,14 +363,16 @@ class BlockSaddle:
         blocks.setFieldSplitSchurFactType(PETSc.PC.SchurFactType.UPPER)
         blocks.setFieldSplitSchurPreType(PETSc.PC.SchurPreType.USER, S)
         self._ksp.setFromOptions()
+        self._ksp.setUp()
+        self._multigrid.set_up(blocks.getFieldSplitSubKSP()[0].getPC())
         self._set_ups += 1
 
-    def _solve(self, known: Floats, relative: float) -> tuple[Floats, str]:
+    def _solve(self, known: Floats, relative: float, limit: int = MAX_LINEAR_ITERATIONS) -> tuple[Floats, str]:
         """Displacements and pressures from forces and volumes, a vector, and why they are none."""
         assert self._ksp is not None
         known = np.array(known)
         known[self._matrix.displacements :] *= self._scale
-        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
         answer, why = solve_with(self._ksp, known, 1)
         answer[self._matrix.displacements :] *= self._scale
         answer[self._held] = 0.0  # GMRES leaves its residual there

@@ -10,7 +10,6 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, SceneError, materials, prepare, terms
 from softdeca.reference.fenicsx.linear_solvers import LINEAR_SOLVERS, SETUP, ConjugateGradients, hold
-from softdeca.reference.fenicsx.multigrid import find_levels
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.surface_strain import _planar_svd
@@ -61,6 +60,19 @@ def test_indefinite_matrices_are_told_and_forgotten(box, kind, first):
     assert answer.converged and residual <= 1.01e-6
 
 
+def test_where_cg_met_negative_curvature_the_way_so_far_descends(box):
+    """By a set-up that was positive definite: its values lower the model of the energy."""
+    solver = ConjugateGradients(box[0].matrix)
+    assert solved(solver, box[0], box[1], 1.0, 0.0, box[2], 1e-6)[0].converged
+    answer = solved(solver, box[0], box[1], 1.0, 3e-4, box[2], 1e-6)[0]
+    indptr, columns, values = box[0].matrix.getValuesCSR()
+    free = np.delete(np.arange(len(box[2])), box[1])
+    x, b = answer.x[free], box[2][free]
+    H = csr_matrix((values, columns, indptr))[free][:, free]
+    assert not answer.converged and answer.descends
+    assert x @ (H @ x) > 0.0 and x @ (H @ x) / 2 - x @ b < 0.0
+
+
 def test_a_kept_set_up_costs_little(box):
     """A sequence takes no more iterations beyond those of solvers new for each matrix than two set-ups are worth."""
     kept = LINEAR_SOLVERS["cg"](box[0].matrix)
@@ -89,7 +101,7 @@ def test_levels_of_the_mesh_spare_iterations_and_keep_the_residual(degree, layer
     held = problem.held_dofs(problem.numbering.held(scene.dirichlet()[0]))
     b = np.random.default_rng(0).normal(size=x.size)
     counts = []
-    for levels in ([], find_levels(problem.numbering, scene)):
+    for levels in ([], problem.levels):
         solver = ConjugateGradients(problem.matrix, levels)
         steps = [solved(solver, problem, held, stretch, 0.0, b, 1e-6) for stretch in (1.0, 1.1)]
         assert all(answer.converged and residual <= 1.01e-6 for answer, residual in steps)
@@ -102,7 +114,7 @@ def test_levels_follow_what_is_held():
     scene, columns = flat_prisms()
     scene = replace(scene, columns=(columns,))
     problem = Problem(scene, Numbering(scene))
-    levels, x = find_levels(problem.numbering, scene), problem.numbering.X
+    levels, x = problem.levels, problem.numbering.X
     first, second = (np.flatnonzero(np.repeat(x[:, 0] == place, 3)) for place in (0.0, 10.0))
     b = np.random.default_rng(0).normal(size=x.size)
     used, new = ConjugateGradients(problem.matrix, levels), ConjugateGradients(problem.matrix, levels)
