@@ -86,6 +86,7 @@ def hyperelastic_law(material: Material, growth: Floats) -> Law:
         values |= {"_growth": growth, "_size": np.cbrt(growth)}
 
     def density(F, p):
+        assert isinstance(material, HasDensity)
         return p._growth * material.density(F / p._size, p) if grows else material.density(F, p)
 
     def by_stretches(s, p):
