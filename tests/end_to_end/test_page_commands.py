@@ -21,6 +21,7 @@ from softdeca.surrogate.corpus.plan import read_plan
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("README", "docs/own-head", "docs/viewer", "docs/corpus", "docs/parallel", "docs/paper", "docs/studies")
+NAMES += ("docs/face-benchmark",)
 PAGES = [ROOT / f"{name}.md" for name in NAMES]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 
@@ -117,6 +118,11 @@ ELSEWHERE = {
     "softdeca bench agreement --cases cube": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mesh --cases locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench mesh --cases face": "test_face_benchmark.py::test_every_problem_has_a_limit_and_its_band",
+    "softdeca bench export face-benchmark.zip": "test_face_benchmark.py::test_every_problem_has_a_limit_and_its_band",
+    "softdeca bench score my-jaw.vtu --archive face-benchmark.zip": (
+        "test_face_benchmark.py::test_the_command_scores_without_our_solvers"
+    ),
     "softdeca bench scaling --cases mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
     "softdeca bench scaling --cases parts": (
         "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory"
