@@ -131,7 +131,7 @@ class WriteReport:
 class ExportFaceBenchmark:
     """Write the archive of the open face benchmark: meshes, materials, loads and converged answers with their bands.
 
-    Solves what RESULTS lacks of `softdeca bench mesh --cases face`, and resumes. All of it takes about an hour of one
+    Solves what RESULTS lacks of `softdeca bench mesh --cases face`, and resumes. All of it takes half an hour of one
     core. Exit status 1 if a gate is missed.
     """
 
