@@ -27,6 +27,7 @@ myst_heading_anchors = 3
 exclude_patterns = [
     "conf.py",
     "tutorials/gent.py",
+    "upstream/*.py",
     "tutorials/quasi_newton.py",
     "tutorials/stopped_early.py",
 ]
@@ -54,6 +55,7 @@ html_sidebars = dict.fromkeys(
         "corpus",
         "parallel",
         "studies",
+        "arena",
         "architecture",
     ),
     [],

@@ -45,6 +45,7 @@ LIVE_PAGE = (
     "animation/eyes_and_teeth.py",
 )
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
+ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}
 Maker = Callable[[Path], bytes]
@@ -213,11 +214,24 @@ def dial(scan: Path) -> bytes:
     return to_png(plot_dial([row["values"] for row in results["rows"]]))
 
 
+def arena(scan: Path) -> bytes:
+    """Draw error over processor time of every solver of the arena, by its kept results."""
+    import json
+
+    from softdeca.animation.plots import to_png
+    from softdeca.benchmarks.studies.arena.curves import plot_curves
+
+    rows = [row for row in json.loads((ROOT / ARENA[0]).read_text())["rows"] if row["status"] == "done"]
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    return to_png(plot_curves([(row["case"], row["values"]) for row in rows], cases))
+
+
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "own-head.png": (own_head, (*HEAD, *DRAWING)),
     "dial.png": (dial, DIAL),
+    "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
     "live.png": (live, (*HEAD, *NETWORK, *LIVE_PAGE)),
 }
