@@ -11,7 +11,6 @@ import numpy as np
 from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc, free_dropped
 from .multigrid import CoarseLevel, Multigrid
-from .parallel import dot
 
 _PREFIX = "softdeca_cg_"
 MAX_LINEAR_ITERATIONS = 1000
@@ -23,17 +22,12 @@ INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames 
 
 @dataclass(frozen=True, eq=False)
 class LinearAnswer:
-    """x, a vector, whether it solves the system, the iterations it took, and a word on why not.
-
-    `descends` is whether x, though no solution, is one on a space where the matrix is positive definite: where CG was
-    when it met negative curvature.
-    """
+    """x, a vector, whether it solves the system, the iterations it took, and a word on why not."""
 
     x: Floats
     converged: bool
     iterations: int
     why: str = ""
-    descends: bool = False
 
 
 class LinearSolver(Protocol):
@@ -101,8 +95,7 @@ class ConjugateGradients:
     def _solve(self, b: Floats, relative: float, limit: int) -> LinearAnswer:
         self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
         x, why = solve_with(self._ksp, b)
-        descends = why == INDEFINITE[0] and dot(self._matrix.comm.tompi4py(), x, b) > 0.0
-        return LinearAnswer(x, not why, self._ksp.its, why, descends)
+        return LinearAnswer(x, not why, self._ksp.its, why)
 
 
 class Factorisation:

@@ -60,19 +60,6 @@ def test_indefinite_matrices_are_told_and_forgotten(box, kind, first):
     assert answer.converged and residual <= 1.01e-6
 
 
-def test_where_cg_met_negative_curvature_the_way_so_far_descends(box):
-    """By a set-up that was positive definite: its values lower the model of the energy."""
-    solver = ConjugateGradients(box[0].matrix)
-    assert solved(solver, box[0], box[1], 1.0, 0.0, box[2], 1e-6)[0].converged
-    answer = solved(solver, box[0], box[1], 1.0, 3e-4, box[2], 1e-6)[0]
-    indptr, columns, values = box[0].matrix.getValuesCSR()
-    free = np.delete(np.arange(len(box[2])), box[1])
-    x, b = answer.x[free], box[2][free]
-    H = csr_matrix((values, columns, indptr))[free][:, free]
-    assert not answer.converged and answer.descends
-    assert x @ (H @ x) > 0.0 and x @ (H @ x) / 2 - x @ b < 0.0
-
-
 def test_a_kept_set_up_costs_little(box):
     """A sequence takes no more iterations beyond those of solvers new for each matrix than two set-ups are worth."""
     kept = LINEAR_SOLVERS["cg"](box[0].matrix)
