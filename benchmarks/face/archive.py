@@ -227,5 +227,5 @@ def _write(body: Body, suffix: str, kind: str, points: dict, cells: dict) -> byt
 
 def _as_npz(arrays: Mapping[str, Floats]) -> bytes:
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # numpy's stub takes the first for another argument
+    np.savez_compressed(file, **arrays)
     return file.getvalue()

@@ -134,7 +134,7 @@ class Body:
             terms.Fixed(ids, self.vertices[ids] + moved),
         ]
         if problem == "gravity":
-            parts.append(terms.Gravity((0.0, -STANDARD_GRAVITY, 0.0), TISSUE_DENSITY))
+            parts.append(terms.Gravity(np.array([0.0, -STANDARD_GRAVITY, 0.0]), TISSUE_DENSITY))
         elif problem == "cheek":
             parts.append(terms.Traction(self.patch, self.push))
         return Scene(self.vertices, self.tets, tuple(parts))

@@ -99,7 +99,7 @@ def test_projected_hessian_is_semi_definite(name, degree):
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("name", set(LAWS) - {"stable", "St. Venant-Kirchhoff"})
+@pytest.mark.parametrize("name", [name for name in LAWS if name not in ("stable", "St. Venant-Kirchhoff")])
 def test_one_inverted_tet_makes_the_energy_infinite(name, degree):
     order, solids = solids_of(degree, LAWS[name])
     u = np.zeros_like(order.X)
