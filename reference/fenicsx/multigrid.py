@@ -83,7 +83,8 @@ def find_levels(numbering: Numbering, scene: Scene) -> list[CoarseLevel]:
 
 def _keep_vertices(numbering: Numbering) -> CoarseLevel:
     """Linear tets below quadratic ones."""
-    nodes, kept = numbering.nodes, numbering.own_corners
+    nodes = numbering.nodes
+    kept = numbering.own_corners[numbering.own_corners < nodes.owned]  # of a scene in parts they have ghosts, too
     number = np.zeros((nodes.owned, 3))
     before = sum(nodes.comm.allgather(len(kept))[: nodes.comm.rank])
     number[kept] = before + np.arange(len(kept))[:, None]

@@ -300,10 +300,11 @@ def plot_dial(people: Sequence[Values]):
         axis.annotate(method, places[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
     told = [row for of in people for row in of["told"]]
     points = []
-    for accuracy in ACCURACIES:
+    for k, accuracy in enumerate(ACCURACIES):
         of = [row for row in told if row["accuracy"] == accuracy]
         points.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
-        axis.annotate(f"{accuracy:g} mm", points[-1], (5, 5), textcoords="offset points", fontsize=7)
+        side, x = ("right", -6) if k % 2 else ("left", 5)  # neighbours lie close together
+        axis.annotate(f"{accuracy:g} mm", points[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
     every = sorted([*places, *points])
     best = [place for k, place in enumerate(every) if all(place[1] < other[1] for other in every[:k])]
     axis.plot(*np.transpose(best), "--", color="#999999", lw=1.0, zorder=0, label="what no other method beats")
