@@ -50,4 +50,4 @@ def _read(file: Path) -> Floats:
     try:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{file}: missing or damaged ({error}); run again with --only all") from None
+        raise InputError(f"{file}: missing or damaged ({error}); run again with an empty folder") from None

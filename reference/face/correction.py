@@ -68,7 +68,7 @@ class FaceFrames:
 
 
 class Correction:
-    """One frame on its way: `point` is where it is, `iterations` the local ones, `solves` those with either matrix.
+    """One frame on its way: `point` is where it is, `solves` counts those with either matrix.
 
     `size` [mN] is the gradient norm of the targets' springs each 1 mm long.
     """
@@ -81,7 +81,7 @@ class Correction:
         self._memory = Memory(self._coordinates.size)
         self._problem = Problem(self._at, self._coordinates.move, self._solve_matrix, bounded=False)
         self._newton = Problem(self._at, self._coordinates.move, self._solve_tangent, bounded=False)
-        self.iterations = self.solves = 0
+        self.solves = 0
         self.point = self._at(place)
 
     @property
@@ -99,7 +99,6 @@ class Correction:
         """Run L-BFGS with the PD matrix."""
         for _ in range(iterations):
             self.point = lbfgs_step(self._problem, self.point, self._memory)
-        self.iterations += iterations
 
     def newton_step(self) -> NewtonStep:
         """Solve for Newton's step from here; whether it is near its end is asked of the skin wrap."""

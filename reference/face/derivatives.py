@@ -38,7 +38,6 @@ STEP = 1e-4
 class Analysis:
     """The symbolic work on a face, which serves every other of the same template and choices."""
 
-    prepared: ProjectivePrepared
     pattern: Pattern
 
 
@@ -62,7 +61,7 @@ class FaceDerivatives:
     @property
     def analysis(self) -> Analysis:
         """Symbolic work for `differentiate(like=...)`, kept when the numbers are let go."""
-        return Analysis(self.prepared, self.tangent.pattern)
+        return Analysis(self.tangent.pattern)
 
     @property
     def offset(self) -> Floats:
@@ -191,7 +190,7 @@ def _solve_neutral(
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """Prepare a scene, solve it by the PD matrix and, where need be, the tangent; factor the tangent there."""
     # By cholespy: its factor takes a tenth of a second more than CHOLMOD's from an analysis, each solve a third less.
-    prepared = prepare(scene, like=None if like is None else like.prepared)
+    prepared = prepare(scene)
     norm, is_quick = spring_norm(scene), accuracy >= QUICK_ACCURACY
     first = (accuracy if is_quick else FRAME_ACCURACY) * norm
     near = prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)

@@ -8,13 +8,11 @@
 | vertices_only  | z(w) L(p, h) at each vertex                          | SoftDECA's ablation |
 | face_wise      | a network at each face, in each frame                | SoftDECA's ablation |
 | softsmpl       | one perceptron of w, p and h to all faces            | SoftSMPL     |
+| softsmpl_gru   | the same with a GRU, of sequences                    | SoftSMPL     |
 | snp            | sequences alone, step by step in one subspace        | Subspace Neural Physics |
 | energy         | all vertices, trained by the energy alone            | Corigliano et al. 2025 |
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
-
-`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and
-`frames` the batches.
 
 `gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and
 `frames` the batches.
