@@ -30,6 +30,9 @@ for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
 
 INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 
+# Open MPI's daemon, which a process alone would start, is for spawning ranks; it outlives the process and prints late.
+os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
+
 try:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources

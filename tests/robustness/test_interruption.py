@@ -135,6 +135,14 @@ def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
             assert shard.keys()
 
 
+def test_fenicsx_starts_no_daemon_that_prints_after_the_process_has_ended():
+    pytest.importorskip("dolfinx")
+    code = "import os, pathlib; import softdeca.reference.fenicsx\n"
+    code += "for task in pathlib.Path('/proc/self/task').iterdir():\n    print((task / 'children').read_text(), end='')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
+
+
 def test_ctrl_c_ends_processes_that_work(tmp_path):
     (tmp_path / "work.py").write_text(WORK)
     arguments = [sys.executable, tmp_path / "work.py"]
