@@ -51,7 +51,7 @@ from .written_file import FOLDER
 @click.option(
     "--start",
     type=click.Path(path_type=Path),
-    help="weights to start from; their part for neutral faces is kept",
+    help="weights to start from; without --neutrals their part for neutral faces is kept",
 )
 @click.option(
     "--share",

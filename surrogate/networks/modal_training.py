@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Floats32, Surface
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.face import Face
 from ..corpus.reading import Faces
@@ -38,8 +38,8 @@ Move = tuple[Floats, Floats, np.ndarray]
 AGAIN = 0.3
 """Of the learning rate, where a training begins with weights that know most already."""
 EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
-"""What a training that begins with weights goes on with: what w does. Neutral faces stay as they were learned: a corpus
-of a few hundred faces without `neutrals` leaves 5 to 10 % more of them."""
+"""What a training that begins with weights, and has no `neutrals`, goes on with: what w does. Neutral faces stay as
+they were learned: a corpus of a few hundred faces alone leaves 5 to 10 % more of them."""
 SOLVED = ("response_table", "response_scale")
 """What a file has in place of the `tables` that are solved for in training; see `response_tables`."""
 RESPONSE_FLOOR, FRAME_FLOOR, SETTLED_FLOOR = 0.002, 0.02, 0.05
@@ -61,6 +61,7 @@ class ModalTraining(TrainerConfig):
     validation: float = 0.04  # share of people held out, for the learning curve alone
     sampled: int = 240  # faces whose principal components the modes start from
     solve_every: int = 100  # steps between two solutions for the tables of responses
+    solved: int = 600  # faces, drawn anew, of each solution but the last, which has all
 
 
 def train_modal(
@@ -74,12 +75,12 @@ def train_modal(
 ) -> Weights:
     """Fit the network to a corpus' training faces, and to more settled `neutrals` of the same space, where given.
 
-    It begins with principal components of what it learns, or with `start`, weights of another corpus of the same space:
-    then it learns what w does alone, neutral faces stay those of the start, and its ranges count as seen. With
-    `state`, a file, the training is kept there now and then, and goes on from there when called again. Under torchrun
-    each process takes a batch of its own, and all end with the same weights. Raises InputError for fewer than ten
-    people, a device that is not there, a `start` with neutrals, of another mesh or of other sizes than the config's,
-    and a state of another training.
+    It begins with principal components of what it learns, or with `start`, weights of another corpus of the same
+    space, whose ranges then count as seen. From a start without `neutrals` it learns what w does alone: neutral faces
+    stay those of the start. With `state`, a file, the training is kept there now and then, and goes on from there when
+    called again. Under torchrun each process takes a batch of its own, and all end with the same weights. Raises
+    InputError for fewer than ten people, a device that is not there, a `start` of another mesh or of other sizes than
+    the config's, and a state of another training.
     """
     config = ModalTraining() if config is None else config
     with start_processes(config.device) as group:
@@ -106,8 +107,7 @@ class ModalLesson:
         device: torch.device | str = "cpu",
     ):
         self.faces, self.config, self.neutrals, self.start, self.device = faces, config, neutrals, start, device
-        if neutrals is not None and start is not None:
-            raise InputError("training: from weights it learns no neutral faces; leave out one of start and neutrals")
+        self.learns_neutral = start is None or neutrals is not None
         if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         people = np.unique(faces.groups[:, 0])
@@ -128,7 +128,7 @@ class ModalLesson:
         network = self._start(rng) if start is None else self._go_on(start)
         self.network = {name: value.detach().to(device) for name, value in network.items()}
         for name, value in self.network.items():
-            learns = start is None or name.startswith(EXPRESSIVE)
+            learns = self.learns_neutral or name.startswith(EXPRESSIVE)
             value.requires_grad_(learns and not name.startswith(("size_", "tables")))
         after = "" if start is None else f"begun after {start.note.steps} steps"
         self.about: Sequence[str] = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
@@ -140,7 +140,7 @@ class ModalLesson:
         """
         config = self.config
         if step % config.solve_every == 0:
-            self.network["tables"].copy_(torch.from_numpy(self.solve_tables()))
+            self.network["tables"].copy_(torch.from_numpy(self.solve_tables(self._some_faces(step))))
         batch = rng.choice(self.training, min(config.faces, len(self.training)), replace=False)
         n = len(self.faces.mean.vertices)
         return self.loss_of(batch, rng, np.sort(rng.choice(n, min(config.vertices, n), replace=False)))
@@ -149,12 +149,12 @@ class ModalLesson:
         """Return the loss of some faces at some vertices."""
         network = self.network
         faces = [self.faces.face(int(index)) for index in batch]
-        loss = 0.0 if self.start is not None else self._settled_loss(faces, rng, vertices)
+        loss = self._settled_loss(faces, rng, vertices) if self.learns_neutral else 0.0
         p = [self.features.at_vertices(face.coefficients) for face in faces]
         local, summary, unmoved = self.inputs_of(faces, p, vertices)
         code = summary[..., : self.code_size]
         hidden = hidden_features(network, local, code, vertices)
-        if self.start is None:
+        if self.learns_neutral:
             effects = self.effects_of(p, [face.skin for face in faces], vertices)
             own = neutral(network, 1, hidden, summary, unmoved, effects, vertices)
             relaxed = self._tensor([face.relaxed[vertices] for face in faces])
@@ -178,19 +178,26 @@ class ModalLesson:
         own = remainder(network, summary)(w) @ basis(network, 2, hidden, vertices)
         return loss + 1.5 * _share((own - nonlinear).unflatten(-1, (-1, 3)), scales)
 
-    def solve_tables(self) -> Floats32:
-        """Solve for the tables of responses over all training faces, shape (k, 52, n, 3)."""
+    def solve_tables(self, faces: Ints) -> Floats32:
+        """Solve for the tables of responses over some faces of `training`, shape (k, 52, n, 3)."""
         network = {name: value.detach().cpu().numpy() for name, value in self.network.items()}
         count, n = self.config.network.response_tables + 1, len(self.faces.mean.vertices)
 
         def rows():
-            for index in self.training:
+            for index in faces:
                 face = self.faces.face(int(index))
                 local = self.features.local(self.features.at_vertices(face.coefficients))
                 shares, lag = mix(network, local, self.inputs.code(face.code).astype(np.float32))
                 yield shares, face.responses + lag * np.asarray(face.shapes, dtype=np.float32), response_scale(face)
 
         return solve_tables(rows(), n, count)
+
+    def _some_faces(self, step: int) -> Ints:
+        if len(self.training) <= self.config.solved:
+            return self.training
+        return np.random.default_rng([self.config.seed, 2, step]).choice(
+            self.training, self.config.solved, replace=False
+        )
 
     def _settled_loss(self, faces: list[Face], rng: np.random.Generator, vertices):
         """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
@@ -240,7 +247,7 @@ class ModalLesson:
         Of the network alone, with exact derivatives (`hybrid`), of these derivatives alone, and of T = S.
         """
         network = {name: value.detach().cpu().numpy() for name, value in self.network.items()}
-        tables = self.solve_tables()
+        tables = self.solve_tables(self._some_faces(0))
         sums, count = dict.fromkeys(("network", "hybrid", "linearised", "blendshapes"), 0.0), 0
         for index in self.validation:
             face, frames = self.faces.face(int(index)), self.faces.frames(int(index))
@@ -278,7 +285,7 @@ class ModalLesson:
         network = {name: value for name, value in trainer.arrays().items() if name != "tables"}
         return Weights(
             "modal", faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale,
-            network | compress(self.solve_tables()), note, looseness,
+            network | compress(self.solve_tables(self.training)), note, looseness,
         )  # fmt: skip
 
     def _go_on(self, start: Weights) -> dict[str, torch.Tensor]:

@@ -206,8 +206,15 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
-    with pytest.raises(InputError, match="learns no neutral faces"):
-        train_modal(faces["train"], CONFIG, start=start, neutrals=object())
+    whole = train_modal(
+        faces["train"], replace(CONFIG, steps=20, validate_every=20), start=start, neutrals=faces["train"]
+    )
+    learned = ("settled", "relaxed", "gain", "modes.0", "modes.1")
+    assert not any(
+        np.array_equal(value, start.network[name])
+        for name, value in whole.network.items()
+        if name.startswith(learned) and start.network[name].any()
+    ), "with neutral faces all that is known of them goes on"
     assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
     assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
     more.save(tmp_path / "more.safetensors")
@@ -217,6 +224,17 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
     with pytest.raises(InputError, match="space and level"):
         train_modal(faces["train"], CONFIG, start=other)
+
+
+def test_tables_are_solved_over_some_faces_in_training_and_over_all_at_its_end(faces, monkeypatch):
+    config, solved = replace(CONFIG, steps=4, validate_every=4, solve_every=2, solved=5), []
+    solve = ModalLesson.solve_tables
+    monkeypatch.setattr(ModalLesson, "solve_tables", lambda self, some: solved.append(some) or solve(self, some))
+    train_modal(faces["train"], config)
+    *some, every = solved
+    assert [len(each) for each in some] == [5, 5, 5]
+    assert len({tuple(each) for each in some[:2]}) == 2, "drawn anew"
+    assert len(every) > 5
 
 
 def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
@@ -244,7 +262,7 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
     lesson = ModalLesson(faces["train"], CONFIG)
-    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables()))
+    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.training)))
     learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
     lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
     lesson._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
