@@ -32,6 +32,7 @@ STUDIES = {
     "dynamics": "agreement.dynamics:Dynamics",
     "ranks": "scaling.ranks:Ranks",
     "parts": "scaling.parts:Parts",
+    "timing": "scaling.timing:Timing",
     "material": "agreement.material:Material",
     "shapes": "heads.shapes:Shapes",
     "heads": "heads.fit:Heads",
@@ -67,6 +68,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
             "throughput": "throughput",
             "mixed": "mixed",
             "pieces": "minimal",
+            "timing": "timing",
         },
     ),
     "mesh": (
