@@ -222,8 +222,7 @@ def arena(scan: Path) -> bytes:
     from softdeca.benchmarks.studies.arena.curves import plot_curves
 
     rows = [row for row in json.loads((ROOT / ARENA[0]).read_text())["rows"] if row["status"] == "done"]
-    cases = list(dict.fromkeys(row["case"] for row in rows))
-    return to_png(plot_curves([(row["case"], row["values"]) for row in rows], cases))
+    return to_png(plot_curves([(row["case"], row["values"]) for row in rows if "seed" not in row["case"]]))
 
 
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {

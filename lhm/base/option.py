@@ -6,13 +6,14 @@ from dataclasses import MISSING, field
 from typing import Any
 
 
-def option(default: Any, help: str, **more: Any) -> Any:
+def option(default: Any, help: str, *, chooses: bool = False, **more: Any) -> Any:
     """Make a dataclass' field that is an option of a command.
 
     default: value where the option is not given; a tuple may be given repeatedly, False makes a flag. help: the words
-    of `--help`. more: `name` of the option, as --json, where it is not the field's; and words of click, such as `type`.
+    of `--help`. chooses: it only chooses what a study does, and rows that were made under another value are kept.
+    more: `name` of the option, as --json, where it is not the field's; and words of click, such as `type`.
     """
-    return field(default=default, metadata={"help": help, **more})
+    return field(default=default, repr=not chooses, metadata={"help": help, **more})
 
 
 def argument(shown: str, default: Any = MISSING, **more: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import json
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,13 @@ from softdeca.benchmarks.studies.arena import claims, contest, problems
 from softdeca.benchmarks.studies.arena.conformance import conform
 from softdeca.benchmarks.studies.arena.laws import LAWS, PlainStable
 from softdeca.benchmarks.studies.arena.solvers import NAMES
+from softdeca.benchmarks.studies.arena.solvers.protocol import RefusalError
 from softdeca.benchmarks.studies.arena.study import Arena, load_file
+from softdeca.benchmarks.studies.arena.summaries import tabulate_series, tabulate_spread
+from softdeca.benchmarks.studies.person import person
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
+from softdeca.reference import Parameters, facial_scene, solve, terms
+from softdeca.reference.face.tissue import is_guard
 from softdeca.reference.problems.meshes import block, vertices_at
 
 HEAD = """
@@ -105,13 +111,16 @@ def test_our_solvers_meet_fenicsx_and_the_study_writes_its_page(small, tmp_path,
     study = Arena(budget=5.0)
     rows = [Row(task.case, task.method, "done", "", study.measure(task), 0.0, None, 0.0, "") for task in study.tasks()]
     assert {row.values["solver"] for row in rows} == {
-        "FEniCSx Newton", "scikit-fem Newton", "PD, L-BFGS", "PD, Anderson", "PD, plain", "PD, L-BFGS on ARAP",
+        "FEniCSx Newton", "FEniCSx P2", "FEniCSx P2-P1", "scikit-fem Newton", "PD, L-BFGS", "PD, Anderson",
+        "PD, plain", "PD, L-BFGS on ARAP",
     }  # fmt: skip
     assert max(row.values["max_mm"] for row in rows) < 1e-5
+    away = {row.values["solver"]: row.values["element_mm"] for row in rows if "element_mm" in row.values}
+    assert away.keys() == {"FEniCSx P2", "FEniCSx P2-P1"} and all(0.01 < each < 0.5 for each in away.values())
     json.dumps([row.values for row in rows], allow_nan=False)
     assert "small block" in study.words(rows) and study.gates(rows) == []
     tables = study.tables(rows)
-    assert len(tables[0].rows) == len(rows) and len(tables[2].rows) == len(claims.CLAIMS)
+    assert len(tables[0].rows) == len(rows) and len(tables[-1].rows) == len(claims.CLAIMS)
     assert all("<svg" in picture for picture in study.pictures(rows).values())
 
 
@@ -122,13 +131,72 @@ def test_the_bar_has_its_closed_form():
     assert bar.closed("stable neo-Hookean") is None
 
 
+def test_the_answer_of_quadratic_tets_is_that_of_another_code(small):
+    scene = problems.make(small).scene("neo-Hookean")
+    other = solve(scene, solver="skfem", element="P2", tolerance=1e-10)
+    assert problems.answer(small, "neo-Hookean", "P2") == pytest.approx(other.positions, abs=1e-7)
+
+
+def test_a_posed_face_is_the_face_of_the_simulator():
+    face, of = problems.face(1), person(seed=None, level=1)
+    targets = of.shape(problems.EXPRESSION)
+    scene = facial_scene(of.head, Parameters(muscle_strain_ratio=1.0), targets, bones="prescribed")
+    guards = {id(term) for term in scene.of(terms.Strain) if is_guard(term)}
+    scene = replace(scene, terms=tuple(term for term in scene.terms if id(term) not in guards))
+    end = solve(scene, tolerance=1e-9).positions
+    assert np.abs(end - scene.vertices).max() > 5.0
+    assert solve(face.scene("projective dynamics"), tolerance=1e-9).positions == pytest.approx(end, abs=1e-3)
+    arrays = face.arrays()
+    assert arrays.springs[face.skin].min() > 0.0 and arrays.springs.sum() == pytest.approx(
+        arrays.springs[face.skin].sum()
+    )
+    with pytest.raises(RefusalError, match="it takes no springs and no membrane"):
+        arrays.check_taken(())
+    with pytest.raises(RefusalError, match="it takes no membrane"):
+        arrays.check_taken(("springs",))
+    problems.face(1, membrane=False).arrays().check_taken(("springs",))
+    assert arrays.one_material() == pytest.approx((2.5, 22.5))
+
+
+def test_random_heads_are_asked_for_and_leave_rows_as_they_are():
+    study = Arena(whole=True, seeds=2)
+    heads = {task.case for task in study.tasks() if "random heads" in task.case}
+    assert len(heads) == 6 and "random heads under 2 g, 232 k tets, seed 1" in heads
+    assert repr(study) == repr(Arena(whole=True)) and not any("seed" in task.case for task in Arena(whole=True).tasks())
+    for wrong in (Arena(seeds=1), Arena(whole=True, seeds=-1), Arena(whole=True, seeds=6)):
+        with pytest.raises(InputError, match="seeds"):
+            wrong.tasks()
+
+
+def test_the_spread_is_over_heads_that_arrive():
+    mean = "random heads under 2 g, 58 k tets"
+    times = ([0, 1.0, 2.0, None], [0, 3.0, None, None], [0, 8.0, 4.0, None])
+    rows = [
+        make_row(f"{mean}, seed {seed}", "a", "default", reached, max_mm=0.1 * (seed + 1))
+        for seed, reached in enumerate(times)
+    ]
+    (line,) = tabulate_spread([*rows, make_row("bar", "a", "default", [0, 1.0, 1.0, 1.0], max_mm=0.0)]).rows
+    assert line[:4] == (mean, "a", "default", 3)
+    assert line[4:8] == (3, 4.0, 2.0, 9.0) and line[8:12] == (2, 4.0, 3.0, 5.0)
+    assert line[12:] == pytest.approx((0.2, 0.1, 0.3))
+
+
+def test_series_have_the_best_setting():
+    rows = [
+        make_row("cube twisted, nu 0.4", "a", "slow", [0, 5.0, None, None]),
+        make_row("cube twisted, nu 0.4", "a", "quick", [0, 1.0, None, None]),
+        make_row("cube twisted, half 10 times as stiff", "a", "slow", [0, 2.0, 3.0, None]),
+    ]
+    tenth, hundredth = tabulate_series(rows).rows
+    assert tenth == ("a", 0.1, None, 2.0, None, None, None, 3.0, None)
+    assert hundredth == ("a", 0.01, None, None, None, None, None, 4.0, None)
+
+
 def test_laws_are_alike_at_rest():
     # A thousandth of the twist moves the cube by laws whose moduli are the same.
     cube = problems.cube(0.45)
     small = cube.vertices[cube.held] + 1e-3 * (cube.places - cube.vertices[cube.held])
     cube = problems.Problem(cube.vertices, cube.tets, cube.held, small, [], cube.mu, cube.lmbda, cube.skin)
-    from softdeca.reference import solve
-
     ends = {
         law: solve(cube.scene(law), solver="fenicsx", tolerance=1e-10).positions
         for law in LAWS

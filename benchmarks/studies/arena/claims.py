@@ -47,8 +47,8 @@ def find_time(row: Row, index: int) -> float | None:
     return None if seconds is None else row.values["set_up_s"] + seconds
 
 
-def _best(rows: Sequence[Row], solver: str, index: int, setting: str = "") -> dict[str, float | None]:
-    """By problem, the least time of a solver's settings to an accuracy."""
+def find_best(rows: Sequence[Row], solver: str, index: int, setting: str = "") -> dict[str, float | None]:
+    """Give the least time [s] of a solver's settings from rest to an accuracy, by problem; None where not reached."""
     best: dict[str, float | None] = {}
     for row in rows:
         values = row.values
@@ -66,7 +66,7 @@ def faster(one: str, other: str, index: int, settings: tuple[str, str] = ("", ""
     """
 
     def figures(rows: Sequence[Row]) -> Sides:
-        mine, its = _best(rows, one, index, settings[0]), _best(rows, other, index, settings[1])
+        mine, its = find_best(rows, one, index, settings[0]), find_best(rows, other, index, settings[1])
         starts: dict[str, float] = {}
         for row in (row for row in rows if row.values["solver"] in (one, other)):
             starts[row.case] = max(starts.get(row.case, 0.0), row.values.get("first_mm", 1e9))
@@ -107,7 +107,7 @@ def grows(solver: str, index: int, easy: str, hard: str, factor: float) -> Calla
     """Give the time on a hard problem over that on an easy one and over `factor`."""
 
     def figures(rows: Sequence[Row]) -> Sides:
-        times = _best(rows, solver, index)
+        times = find_best(rows, solver, index)
         if times.get(easy) is None or hard not in times:
             return {}
         late, soon = times[hard], times[easy]

@@ -1,14 +1,19 @@
-"""What every solver of the arena has to do: stay where nothing acts, follow what holds it, and hang as it says."""
+"""What every solver of the arena has to do: stay where nothing acts, follow what holds it, and hang as it says.
+
+Springs too, where it takes them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ....reference import terms
 from ....reference.materials.material import lame
 from ....reference.problems.meshes import block, vertices_at
+from ..measures import TIGHT, solve_to_end
 from . import problems
 from .contest import check, run_outside, summarise
 from .laws import NEO_HOOKEAN
@@ -36,8 +41,9 @@ class Finding:
 def conform(name: str, budget: float = 3.0) -> list[Finding]:
     """Run a solver's file (a name in `solvers`, or a path) on three small problems, by its best setting.
 
-    A block with a held end that nothing acts on, the same block carried along by that end, and the hanging bar. A
-    problem that the solver refuses is left out. Raises MissingDependencyError without its packages.
+    A block with a held end that nothing acts on, the same block carried along by that end, one that springs pull for a
+    solver that takes them, and the hanging bar. Raises NotModelledError for a problem that the solver refuses, and
+    MissingDependencyError without its packages.
     """
     file = load_file(name)
     still, carried = _block(np.zeros(3)), _block(np.array([3.0, 2.0, 1.0]))
@@ -45,8 +51,12 @@ def conform(name: str, budget: float = 3.0) -> list[Finding]:
         ("a block that is left alone", still, still.vertices, STILL_MM),
         ("a block that is carried along", carried, carried.vertices + [3.0, 2.0, 1.0], FOLLOWS_MM),
     ]
+    law = file.LAW or NEO_HOOKEAN
+    if "springs" in getattr(file, "TAKES", ()) and file.LAW:
+        pulled = _pull(still)
+        end = solve_to_end(pulled.scene(law), f"springs, {law}", solver="fenicsx", tolerance=TIGHT).positions
+        tests.append(("a block that springs pull", pulled, end, FOLLOWS_MM))
     if np.isfinite(file.TOLERANCE):
-        law = file.LAW or NEO_HOOKEAN
         tests.append(("a hanging bar", problems.make("bar"), problems.answer("bar", law), file.TOLERANCE))
     return [Finding(what, _end(name, problem, answer, budget), bound) for what, problem, answer, bound in tests]
 
@@ -62,6 +72,14 @@ def _end(name: str, problem: Problem, answer: np.ndarray, budget: float) -> floa
         if values["max_mm"] is not None:
             ends.append(values["max_mm"])
     return min(ends, default=None)
+
+
+def _pull(problem: Problem) -> Problem:
+    """Draw the top of a block aside by springs of two stiffnesses."""
+    top = vertices_at(problem.vertices, 2, 20.0)
+    goal = problem.vertices[top] + [2.0, -1.0, 1.0]
+    stiffness = np.where(np.arange(len(top)) % 2, 5.0, 20.0)
+    return replace(problem, loads=[terms.Target(top, goal, stiffness)])
 
 
 def _block(by: np.ndarray) -> Problem:

@@ -15,12 +15,16 @@ COLOURS = {
     "FElupe": "#d62728",
     "sfepy": "#ff9896",
     "torch-fem": "#e377c2",
+    "JAX-FEM": "#f7b6d2",
     "FEniCSx Newton": "#8c564b",
+    "FEniCSx P2": "#4d2d26",
+    "FEniCSx P2-P1": "#a0522d",
     "scikit-fem Newton": "#c49c94",
     "MuJoCo flex": "#2ca02c",
     "Newton VBD": "#ff7f0e",
     "Newton semi-implicit": "#bcbd22",
     "Newton XPBD": "#7f7f7f",
+    "PyPBD": "#dbdb8d",
     "libigl ARAP": "#9467bd",
     "PD, L-BFGS": "#1f77b4",
     "PD, Anderson": "#17becf",
@@ -30,8 +34,9 @@ COLOURS = {
 """By solver; others are black."""
 
 
-def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]], cases: Sequence[str]):
+def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
     """Draw largest errors [mm] over set-up and solve [s], of cases and values; a solver's first setting is full."""
+    cases = list(dict.fromkeys(case for case, _ in rows))
     deep = -(-len(cases) // WIDE)
     figure, axes = subplots(deep, WIDE, figsize=(13, 3.8 * deep + 0.8), squeeze=False)
     labels: dict[str, Any] = {}

@@ -19,14 +19,18 @@ from .claims import judge_all
 from .contest import ACCURACIES, check, run_outside, run_own, summarise
 from .curves import plot_curves
 from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
+from .problems import LINEAR, SEEDS
 from .solvers import NAMES
 from .solvers.__main__ import load
 from .solvers.protocol import SolverFile
+from .summaries import tabulate_series, tabulate_spread
 
 REST, ANSWER = "from rest", "from the answer"
 OWN_SETTING = "default"
-NEWTON, SKFEM, OURS, PLAIN, ANDERSON, OURS_RIGID = (
+NEWTON, QUADRATIC, MIXED, SKFEM, OURS, PLAIN, ANDERSON, OURS_RIGID = (
     "FEniCSx Newton",
+    "FEniCSx P2",
+    "FEniCSx P2-P1",
     "scikit-fem Newton",
     "PD, L-BFGS",
     "PD, plain",
@@ -35,6 +39,8 @@ NEWTON, SKFEM, OURS, PLAIN, ANDERSON, OURS_RIGID = (
 )
 OWN: Mapping[str, tuple[str, dict[str, str]]] = {
     NEWTON: (NEO_HOOKEAN, {"solver": "fenicsx"}),
+    QUADRATIC: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
+    MIXED: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
     SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
     OURS: (PROJECTIVE, {"method": "lbfgs"}),
     ANDERSON: (PROJECTIVE, {"method": "anderson"}),
@@ -42,8 +48,10 @@ OWN: Mapping[str, tuple[str, dict[str, str]]] = {
     OURS_RIGID: (RIGID, {"method": "lbfgs"}),
 }
 """Our solvers: law, and the options of `prepare`."""
-QUICK_BUDGET, BUDGET, LARGE = 1.0, 4.0, 20_000
-"""[s] of a solve, by default and of the whole study; twice that beyond so many tets."""
+QUICK_BUDGET = 1.0
+"""[s] of a solve."""
+BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
+"""[s] of a solve of the whole study, up to so many tets."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,7 @@ class Arena(Study):
     columns = (
         Column("law", "law"),
         Column("law_mm", "law to neo-Hookean [mm]"),
+        Column("element_mm", "element to P1 [mm]"),
         Column("set_up_s", "set-up [s]", cost=True),
         Column("compile_s", "compilation [s]", cost=True),
         Column("solve_s", "solve [s]", cost=True),
@@ -70,7 +79,8 @@ class Arena(Study):
     note = (
         "All solvers have the same tets, held vertices, nodal loads and moduli at rest, and one thread. The error is "
         "the largest distance of a skin vertex to FEniCSx' answer of the solver's own law at a gradient of 1e-10; the "
-        "distance of that answer to the neo-Hookean one has its own column. Seconds are processor time; imports, "
+        "distance of that answer to the neo-Hookean one has its own column. Quadratic tets, and those with a pressure, "
+        "have an answer of their own element, and a column likewise. Seconds are processor time; imports, "
         "set-up and compilation are told apart. What only moves in time is brought to rest by setting all velocities "
         "to zero whenever the kinetic energy falls. A run ends when its budget is spent or nothing moves by 1e-6 mm. "
         "newton is made for GPUs, and runs here on its CPU kernels. Settings are the package's defaults first. "
@@ -79,23 +89,29 @@ class Arena(Study):
     timed = True
 
     whole: bool = option(False, "all problems with large heads, Poisson's ratios and stiffness contrasts: an hour")
-    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 4 to 8 of the whole")
+    seeds: int = option(
+        0, f"with --whole: random heads on each of three meshes, up to {SEEDS}, for the spread of times", chooses=True
+    )
+    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 4 to 32 of the whole")
     files: tuple[str, ...] = option(
         (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
     )
 
     def tasks(self) -> Sequence[Task]:
-        """List each problem by each solver, setting and start; InputError for a negative budget."""
+        """List each problem by each solver, setting and start; InputError for options out of range."""
         if self.budget < 0:
             raise InputError(f"budget: expected at least 0 s, got {self.budget:g}")
+        if not 0 <= self.seeds <= (SEEDS if self.whole else 0):
+            raise InputError(f"seeds: expected 0 to {SEEDS}, and 0 without --whole, got {self.seeds}")
         return [
             Task(case.name, f"{title}; {setting}; {start}")
             for case in problems.CASES.values()
-            if self.whole or case.quick
+            if (case.seed < self.seeds if case.mean else self.whole or case.quick)
             for title, settings in self._rivals().items()
+            if not (case.mean and title in (QUADRATIC, MIXED))
             for start in (REST, ANSWER)
             if start == REST or (case.start_at_answer and title not in OWN)
-            for setting in settings[: None if self.whole else 2]
+            for setting in settings[: None if self.whole and not case.mean else 2]
         ]
 
     def measure(self, task: Task) -> Values:
@@ -104,12 +120,19 @@ class Arena(Study):
         problem = problems.make(task.case)
         files = self._files()
         law = files[title].LAW or NEO_HOOKEAN if title in files else OWN.get(title, (NEO_HOOKEAN,))[0]
+        how: dict[str, Any] = OWN[title][1] if title in OWN else {"solver": title}
+        element = how.get("element", LINEAR)
         try:
-            answers = {"own": problems.answer(task.case, law), "neo": problems.answer(task.case, NEO_HOOKEAN)}
+            linear = problems.answer(task.case, law)
+            answers = {
+                "own": linear if element == LINEAR else problems.answer(task.case, law, element),
+                "neo": problems.answer(task.case, NEO_HOOKEAN),
+            }
         except SoftdecaError as without:
             raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = answers["own"] if start == ANSWER else None
-        budget = self.budget or (BUDGET * (1 + (len(problem.tets) > LARGE)) if self.whole else QUICK_BUDGET)
+        whole = next(seconds for most, seconds in BUDGETS if len(problem.tets) <= most)
+        budget = self.budget or (whole if self.whole else QUICK_BUDGET)
         if title in files:
             file = files[title]
             name = next(name for name, other in self._named().items() if other is file)
@@ -117,11 +140,12 @@ class Arena(Study):
             check(lines, title, file.PACKAGES)
             about = {"law": file.LAW or "its own, not given to FEniCSx", "dtype": file.DTYPE}
         else:
-            how: dict[str, Any] = OWN[title][1] if title in OWN else {"solver": title}
             lines = run_own(problem, law, begin, answers, budget, **how)
             about = {"law": law, "dtype": "float64"}
         values = {"solver": title, "setting": setting, "start": start, **about, **summarise(lines)}
-        values["law_mm"] = _largest(answers["own"], answers["neo"], problem)
+        values["law_mm"] = _largest(linear, answers["neo"], problem)
+        if element != LINEAR:
+            values["element_mm"] = _largest(answers["own"], linear, problem)
         reached = values.get("seconds_to") or [None] * len(ACCURACIES)
         values["to_tenth_s"], values["to_hundredth_s"] = reached[1], reached[2]
         closed = problem.closed(law)
@@ -148,7 +172,7 @@ class Arena(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell who was first to 0.01 mm on each problem, and whom the start from the answer moved."""
-        sentences = []
+        sentences, rows = [], _without_seeds(rows)
         for case in dict.fromkeys(row.case for row in rows):
             times = sorted(
                 (row.values["set_up_s"] + row.values["to_hundredth_s"], row.values["solver"])
@@ -167,7 +191,7 @@ class Arena(Study):
         return words + (f" Started at the answer, these left it: {', '.join(moved)}." if moved else "")
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate times to accuracies, what starts from the answer do, and the claims."""
+        """Tabulate times to accuracies, what starts from the answer do, series of moduli, the spread, and claims."""
         head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm [s]" for accuracy in ACCURACIES), "peak [MB]"]
         times = [
             (
@@ -186,19 +210,20 @@ class Arena(Study):
             if row.values["start"] == ANSWER and row.values["max_mm"] is not None
         ]
         judged = [
-            (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(rows)
+            (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(_without_seeds(rows))
         ]  # fmt: skip
         return [
             Table("Processor time of the solve to an accuracy of the solver's own law", head, times),
             Table("Where a start from the answer goes",
                   ["problem", "solver", "setting", "from the answer [mm]", "after [s]"], biases),
+            tabulate_series(rows),
+            tabulate_spread(rows),
             Table("Claims, as these problems have them", ["claim", "source", "verdict", "figures"], judged),
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
-        cases = list(dict.fromkeys(row.case for row in rows))
-        figure = plot_curves([(row.case, row.values) for row in rows], cases)
+        figure = plot_curves([(row.case, row.values) for row in _without_seeds(rows)])
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
     def _named(self) -> Mapping[str, SolverFile]:
@@ -230,6 +255,11 @@ def load_file(name: str) -> SolverFile:
             raise InputError(f"solver {name}: it defines no {', '.join(lacks)}; see docs/arena.md")
         _loaded[name] = module
     return _loaded[name]
+
+
+def _without_seeds(rows: Sequence[Row]) -> list[Row]:
+    """Leave out random heads, which the table of their spread has."""
+    return [row for row in rows if row.case not in problems.CASES or not problems.CASES[row.case].mean]
 
 
 def _largest(a: Floats, b: Floats, problem: problems.Problem) -> float:

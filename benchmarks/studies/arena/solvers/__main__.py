@@ -55,6 +55,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
             out.write(json.dumps({"missing": missing}) + "\n")
             return
         try:
+            problem.check_taken(getattr(solver, "TAKES", ()))
             solver.run(problem, order["settings"], Clock(problem, answers, order["budget_s"], out))
         except RefusalError as refusal:
             out.write(json.dumps({"refused": str(refusal)}) + "\n")

@@ -14,6 +14,7 @@ PACKAGES = ("felupe==11.3.0", "pyamg==5.4.1")
 LAW = "neo-Hookean"
 DTYPE = "float64"
 TOLERANCE = 1e-4
+TAKES = ("springs",)
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "direct (default)": {"linear": "direct"},
     "pyamg": {"linear": "amg"},
@@ -36,6 +37,7 @@ def run(problem: ArenaProblem, settings: Mapping[str, Any], clock: Clock) -> Non
     mu, lmbda = problem.one_material() if problem.is_uniform else (problem.mu, problem.lmbda)
     solid = felupe.SolidBody(felupe.NeoHookeCompressible(mu=mu, lmbda=lmbda), field)
     dead = felupe.PointLoad(field, np.arange(len(X)), values=problem.forces)
+    items = [solid, dead, *([_make_springs(felupe, field, problem)] if problem.springs.any() else [])]
     fixed = np.zeros(X.shape, dtype=bool)
     fixed[problem.held] = True
     held, free = np.flatnonzero(fixed.ravel()), np.flatnonzero(~fixed.ravel())
@@ -62,7 +64,7 @@ def run(problem: ArenaProblem, settings: Mapping[str, Any], clock: Clock) -> Non
         share = (step + 1) / steps
         dead.update(problem.forces * share)
         felupe.newtonrhapson(
-            items=[solid, dead],
+            items=items,
             dof0=held,
             dof1=free,
             ext0=((1 - share) * begin + share * goal).ravel()[held],
@@ -73,6 +75,28 @@ def run(problem: ArenaProblem, settings: Mapping[str, Any], clock: Clock) -> Non
             callback=see,
         )
     clock.see(X + field[0].values, solves)
+
+
+def _make_springs(felupe: Any, field: Any, problem: ArenaProblem) -> Any:
+    """Make an item of the package's protocol, since its own springs have one stiffness for all."""
+    from scipy.sparse import csr_matrix, diags
+
+    class Springs:
+        stiffness = np.repeat(problem.springs, 3)
+        goal = problem.drawn_to - problem.vertices
+
+        def __init__(self):
+            self.field, self.results = field, felupe.mechanics.Results(stress=False, elasticity=False)
+            self.assemble = felupe.mechanics.Assemble(vector=self.pull, matrix=self.give_matrix)
+
+        def pull(self, field=None, parallel=False):
+            force = self.stiffness * (self.field[0].values - self.goal).ravel()
+            return csr_matrix(force[:, None])
+
+        def give_matrix(self, field=None, parallel=False):
+            return diags(self.stiffness).tocsr()
+
+    return Springs()
 
 
 def _rigid_motions(X: Floats) -> Floats:

@@ -1,7 +1,8 @@
 """MuJoCo's flex, St. Venant-Kirchhoff in float64: dynamics that kinetic damping brings to rest.
 
 Held vertices that stay belong to the world. Those that move belong to a heavy body per motion, which is put in place
-before each step. Loads are forces on the bodies of free vertices. Masses are a tissue's and do not matter at rest.
+before each step. Loads are forces on the bodies of free vertices, springs those of their joints. Masses are a tissue's
+and do not matter at rest.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ PACKAGES = ("mujoco==4.0.0",)
 LAW = "St. Venant-Kirchhoff"
 DTYPE = "float64"
 TOLERANCE = 0.01
+TAKES = ("springs",)
 SETTINGS: Mapping[str, Mapping[str, Any]] = {"2 ms (default)": {"step_s": 0.002}, "20 ms": {"step_s": 0.02}}
 DENSITY = 1.04e-6
 """[kg/mm³]"""
 METRE = 1e-3
 """[m/mm]"""
+AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
 def run(problem: ArenaProblem, settings: Mapping[str, Any], clock: Clock) -> None:
@@ -64,14 +67,14 @@ def _write(problem, settings, centre, masses, motions, group, pushed) -> str:
     mu, lmbda = problem.one_material()
     young, poisson = mu * (3 * lmbda + 2 * mu) / (lmbda + mu) / METRE, lmbda / (2 * (lmbda + mu))
     places, free = (problem.vertices - centre) * METRE, problem.free
-    slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in AXES)
     owner = np.array([f"v{k}" for k in range(len(places))], dtype=object)
     owner[problem.held] = [f"held{k}" if motions[k].any() else "world" for k in group]
     heavy = '<inertial pos="0 0 0" mass="1e6" diaginertia="1 1 1"/>'
     bodies = "".join(f'<body name="held{k}">{heavy}{slides}</body>' for k in pushed)
     bodies += "".join(
         f'<body name="v{k}" pos="{_numbers(places[k])}"><inertial pos="0 0 0" mass="{masses[k]:.9g}" '
-        f'diaginertia="1e-12 1e-12 1e-12"/>{slides}</body>'
+        f'diaginertia="1e-12 1e-12 1e-12"/>{_spring(problem, k) if problem.springs[k] else slides}</body>'
         for k in np.flatnonzero(free)
     )
     own = np.where(free[:, None], 0.0, places)
@@ -82,6 +85,15 @@ def _write(problem, settings, centre, masses, motions, group, pushed) -> str:
         f'body="{" ".join(owner)}" vertex="{_numbers(own)}" element="{" ".join(map(str, problem.tets.ravel()))}">'
         f'<contact selfcollide="none"/><elasticity young="{young}" poisson="{poisson}" damping="0"/></flex>'
         "</deformable></mujoco>"
+    )
+
+
+def _spring(problem, k: int) -> str:
+    """The joints of a vertex by what it is drawn to; mN/mm are N/m."""
+    away = (problem.drawn_to[k] - problem.vertices[k]) * METRE
+    return "".join(
+        f'<joint type="slide" axis="{axis}" stiffness="{problem.springs[k]:.12g}" springref="{goal:.12g}"/>'
+        for axis, goal in zip(AXES, away, strict=True)
     )
 
 

@@ -1,6 +1,7 @@
 """What the three solvers of the package newton share: the model in metres, in float32, and the march to rest.
 
 Coordinates are centred, since float32 resolves 1e-7 of one. Loads are forces on particles, never the package's masses.
+Springs go to particles that stand still.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from .rest import RAMP, KineticDamping, ramp
 
 PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0")
 DTYPE = "float32"
+TAKES = ("springs",)
 DENSITY = 1.04e-6
 """[kg/mm³]; it does not matter at rest."""
 METRE = 1e-3
@@ -45,7 +47,8 @@ def march(
     model = _build(newton, warp, problem, centre, masses, *moduli(problem.mu, problem.lmbda))
     solver = make(newton, model)
     state, ahead, control = model.state(), model.state(), model.control()
-    forces = (problem.forces * METRE).astype(np.float32)
+    forces = np.zeros((model.particle_count, 3), dtype=np.float32)
+    forces[: len(problem.vertices)] = problem.forces * METRE
     forces[problem.held] = 0.0
     clock.end("set-up")
     substeps = settings.get("substeps", 5)
@@ -53,8 +56,10 @@ def march(
     solver.step(state, ahead, control, None, step_s)
     clock.end("compilation")
     state, ahead = model.state(), model.state()
+    count, drawn = len(problem.vertices), np.flatnonzero(problem.springs)
+    begin = np.concatenate([problem.start, problem.drawn_to[drawn]])
     for each in (state, ahead):
-        each.particle_q.assign(((problem.start - centre) * METRE).astype(np.float32))
+        each.particle_q.assign(((begin - centre) * METRE).astype(np.float32))
     moving = bool(problem.moves.any())
     rest, frame, going = KineticDamping(np.where(problem.free, masses, 0.0)), 0, True
     while going:
@@ -68,10 +73,10 @@ def march(
             state.particle_f.assign(forces)
             solver.step(state, ahead, control, None, step_s)
             state, ahead = ahead, state
-            if rest.stops(state.particle_qd.numpy()):
+            if rest.stops(state.particle_qd.numpy()[:count]):
                 state.particle_qd.zero_()
         frame += 1
-        going = clock.see(state.particle_q.numpy() / METRE + centre, frame * substeps)
+        going = clock.see(state.particle_q.numpy()[:count] / METRE + centre, frame * substeps)
 
 
 def _build(newton, warp, problem: ArenaProblem, centre, masses, k_mu, k_lambda):
@@ -92,6 +97,11 @@ def _build(newton, warp, problem: ArenaProblem, centre, masses, k_mu, k_lambda):
     )
     held = set(problem.held.tolist())
     builder.particle_mass = [0.0 if k in held else float(mass) for k, mass in enumerate(masses)]
+    for k in np.flatnonzero(problem.springs):
+        place = warp.vec3(*((problem.drawn_to[k] - centre) * METRE))
+        anchor = builder.add_particle(pos=place, vel=(0.0, 0.0, 0.0), mass=0.0, radius=0.0)
+        builder.add_spring(int(k), anchor, ke=float(problem.springs[k]), kd=0.0, control=0.0)  # mN/mm are N/m
+        builder.spring_rest_length[-1] = 0.0
     builder.color()
     model = builder.finalize(device="cpu")
     model.set_gravity((0.0, 0.0, 0.0))

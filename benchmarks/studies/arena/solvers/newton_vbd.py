@@ -9,7 +9,7 @@ from . import newton_model
 from .protocol import ArenaProblem, Clock
 
 TITLE = "Newton VBD"
-PACKAGES, DTYPE = newton_model.PACKAGES, newton_model.DTYPE
+PACKAGES, DTYPE, TAKES = newton_model.PACKAGES, newton_model.DTYPE, newton_model.TAKES
 LAW = "stable neo-Hookean without logarithm"
 TOLERANCE = 1.0
 SETTINGS: Mapping[str, Mapping[str, Any]] = {

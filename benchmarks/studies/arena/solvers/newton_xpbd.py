@@ -9,7 +9,7 @@ from . import newton_model
 from .protocol import ArenaProblem, Clock
 
 TITLE = "Newton XPBD"
-PACKAGES, DTYPE = newton_model.PACKAGES, newton_model.DTYPE
+PACKAGES, DTYPE, TAKES = newton_model.PACKAGES, newton_model.DTYPE, newton_model.TAKES
 LAW = ""
 TOLERANCE = float("inf")
 SETTINGS: Mapping[str, Mapping[str, Any]] = {

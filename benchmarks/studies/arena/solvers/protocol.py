@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TextIO
@@ -33,6 +33,8 @@ class ArenaProblem:
 
     Rest vertices (n, 3), tets (m, 4), `held` vertices (k,) that go to `places` (k, 3), dead nodal forces (n, 3), Lamé's
     moduli at rest per tet (m,), the vertices `skin` (s,) where errors are measured, and positions (n, 3) to start from.
+    Springs of zero length and stiffness (n,) [mN/mm], 0 for most, draw vertices to `drawn_to` (n, 3). A membrane has
+    triangles (t, 3) and stiffness (t,) [mN/mm]: stiffness/2 ‖F - R‖² per rest area, R the rotation next to F.
     """
 
     vertices: Floats
@@ -44,6 +46,10 @@ class ArenaProblem:
     lmbda: Floats
     skin: NDArray[np.int64]
     start: Floats
+    springs: Floats
+    drawn_to: Floats
+    membrane: NDArray[np.int64]
+    membrane_stiffness: Floats
 
     @classmethod
     def read(cls, path: Path) -> ArenaProblem:
@@ -86,6 +92,13 @@ class ArenaProblem:
         if not self.is_uniform:
             self.refuse("it takes one material per body")
         return float(self.mu[0]), float(self.lmbda[0])
+
+    def check_taken(self, takes: Sequence[str]) -> None:
+        """Raise RefusalError for "springs" or a "membrane" that a solver does not take."""
+        has = {"springs": bool(self.springs.any()), "membrane": bool(len(self.membrane))}
+        lacks = [name for name, there in has.items() if there and name not in takes]
+        if lacks:
+            self.refuse(f"it takes no {' and no '.join(lacks)}")
 
     def refuse(self, why: str) -> NoReturn:
         """Raise the RefusalError that makes the row."""
@@ -149,6 +162,8 @@ class SolverFile(Protocol):
     TITLE for tables; PACKAGES as pip names them, with the versions that were tested, the first the solver's own; LAW
     as `laws.LAWS` has it, or "" for one that FEniCSx is not given; DTYPE; SETTINGS by name, the first the package's
     defaults; TOLERANCE [mm]: how near to a hanging bar's answer it ends by one of them, infinite where nothing is said.
+    A file may also define TAKES, which names what it models beside loads: "springs", "membrane". A problem with one
+    that it does not name is refused.
     """
 
     TITLE: str

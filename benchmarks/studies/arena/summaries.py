@@ -1,0 +1,61 @@
+"""What the arena's rows say together: times over Poisson's ratio and contrast, and their spread over random heads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...harness.study import Row, Table
+from . import problems
+from .claims import HUNDREDTH, TENTH, find_best, find_time
+from .contest import ACCURACIES
+
+SERIES = {
+    "nu 0.3": "cube twisted, nu 0.3",
+    "0.4": "cube twisted, nu 0.4",
+    "0.45, all alike": "cube twisted, nu 0.45",
+    "0.49": "cube twisted, nu 0.49",
+    "0.4999": "cube twisted, nu 0.4999",
+    "half 10 times as stiff": "cube twisted, half 10 times as stiff",
+    "100 times": "cube twisted, half 100 times as stiff",
+}
+"""Problems of one shape by what differs."""
+
+
+def tabulate_series(rows: Sequence[Row]) -> Table:
+    """Tabulate each solver's least time with set-up to 0.1 and 0.01 mm on the twisted cube."""
+    lines = []
+    for solver in dict.fromkeys(row.values["solver"] for row in rows if row.case in SERIES.values()):
+        for accuracy in (TENTH, HUNDREDTH):
+            best = find_best(rows, solver, accuracy)
+            lines.append((solver, ACCURACIES[accuracy], *(best.get(case) for case in SERIES.values())))
+    head = ["solver", "to [mm]", *(f"{name} [s]" for name in SERIES)]
+    return Table("Time with set-up over Poisson's ratio and contrast, best setting", head, lines)
+
+
+def tabulate_spread(rows: Sequence[Row]) -> Table:
+    """Tabulate medians and ranges of times with set-up, and of errors at the end, over random heads."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        case = problems.CASES.get(row.case)
+        if case is not None and case.mean:
+            groups.setdefault((case.mean, row.values["solver"], row.values["setting"]), []).append(row)
+    lines = []
+    for names, group in groups.items():
+        line: list = [*names, len(group)]
+        for accuracy in (TENTH, HUNDREDTH):
+            times = [seconds for row in group if (seconds := find_time(row, accuracy)) is not None]
+            line += [len(times), *_spread(times)]
+        ends = [row.values["max_mm"] for row in group if row.values["max_mm"] is not None]
+        lines.append((*line, *_spread(ends)))
+    head = ["problem", "solver", "setting", "heads"]
+    for accuracy in (TENTH, HUNDREDTH):
+        head += [f"reach {ACCURACIES[accuracy]:g} mm", "median [s]", "least [s]", "most [s]"]
+    head += ["end, median [mm]", "least [mm]", "most [mm]"]
+    return Table("Spread over random heads", head, lines, "Times are of those heads that reach the accuracy.")
+
+
+def _spread(values: Sequence[float]) -> tuple[float | None, float | None, float | None]:
+    """Median, least and largest value; None without values."""
+    return (float(np.median(values)), min(values), max(values)) if values else (None, None, None)
