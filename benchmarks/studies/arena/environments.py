@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from .contest import environments
 from .study import load_file
 
-APART = ("torch_fem", "sfepy_newton")
-"""Solvers whose packages need others than softdeca does: a newer pyvista, and another HDF5 beside dolfinx."""
+SHARED = ("jax_fem_newton",)
+"""Solvers that need what the system brings FEniCSx with, petsc4py and basix, but their own versions of the rest."""
+APART = ("torch_fem", "sfepy_newton", "pypbd_xpbd", *SHARED)
+"""Solvers whose packages need others than softdeca does, such as a newer pyvista or another HDF5 beside dolfinx."""
 
 
 def make_environments(names: Sequence[str] = APART) -> None:
@@ -19,7 +21,7 @@ def make_environments(names: Sequence[str] = APART) -> None:
     for name in names:
         folder = environments() / name
         print(f"{folder}: {' '.join(load_file(name).PACKAGES)}", flush=True)
-        venv.create(folder, with_pip=True, clear=True)
+        venv.create(folder, with_pip=True, clear=True, system_site_packages=name in SHARED)
         subprocess.run([folder / "bin" / "python", "-m", "pip", "install", "-q", *load_file(name).PACKAGES], check=True)
 
 

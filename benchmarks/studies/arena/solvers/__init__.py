@@ -10,7 +10,9 @@ NAMES = (
     "newton_vbd",
     "newton_semi_implicit",
     "newton_xpbd",
+    "pypbd_xpbd",
     "torch_fem",
+    "jax_fem_newton",
     "libigl_arap",
 )
 """The files of this folder that are solvers, in the order of tables."""
