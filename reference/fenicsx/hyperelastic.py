@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import ufl
+from ufl.algorithms import expand_derivatives
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
@@ -97,18 +98,33 @@ class HyperelasticForms:
         space = displacement.function_space
         self.cells, self._degree, self._domain = cells, degree, space.mesh
         self._psi, self._F = density(displacement, cells, material, growth, pressure)
-        energy = self._psi * seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
-        gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
-        self.energy, self.gradient = seam.compile_form(energy), seam.compile_form(gradient)
-        self.tangent = seam.compile_form(ufl.derivative(gradient, displacement, ufl.TrialFunction(space)))
+        measure = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
+        self._energy, self._space = self._psi * measure, space
+        self._gradient = ufl.derivative(self._energy, displacement, ufl.TestFunction(space))
+        self._displacement = displacement
         if pressure is not None:
             trial, test = (make(pressure.function_space) for make in (ufl.TrialFunction, ufl.TestFunction))
-            by_pressure = ufl.derivative(energy, pressure, test)
+            by_pressure = ufl.derivative(self._energy, pressure, test)
             self.by_pressure = seam.compile_form(by_pressure)
-            self.coupling = seam.compile_form(ufl.derivative(gradient, pressure, trial))
+            self.coupling = seam.compile_form(ufl.derivative(self._gradient, pressure, trial))
             self.by_pressure_twice = seam.compile_form(ufl.derivative(by_pressure, pressure, trial))
 
-    # The code of these two may be large, and is not always needed.
+    # The code of these may be large, and is not always needed.
+    @cached_property
+    def energy(self):
+        """The energy's form."""
+        return seam.compile_form(self._energy)
+
+    @cached_property
+    def gradient(self):
+        """The form of the gradient by the displacement."""
+        return seam.compile_form(self._gradient)
+
+    @cached_property
+    def tangent(self):
+        """The form of the second derivative by the displacement."""
+        return seam.compile_form(ufl.derivative(self._gradient, self._displacement, ufl.TrialFunction(self._space)))
+
     @cached_property
     def _stress(self) -> Callable[[Ints], Floats]:
         return self._evaluator(ufl.diff(self._psi, self._F))
@@ -118,8 +134,11 @@ class HyperelasticForms:
         return self._evaluator(ufl.diff(ufl.diff(self._psi, self._F), self._F))
 
     def _evaluator(self, expression) -> Callable[[Ints], Floats]:
-        """Compile an expression's evaluator at the rule's points."""
-        return seam.evaluator(expression, seam.quadrature_rule(self._degree)[0], self._domain)
+        """Compile an expression's evaluator at the rule's points.
+
+        Derivatives are taken first: dolfinx would count the constants of what they drop, and take others for them.
+        """
+        return seam.evaluator(expand_derivatives(expression), seam.quadrature_rule(self._degree)[0], self._domain)
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""

@@ -6,7 +6,9 @@
    - HAS_TANGENT: psi and P = dpsi/dF by `law_stress`, dP/dF by `law_tangent`, 9x9, both in the order of F's rows;
    - HAS_STRETCHES: psi(s), gradient and Hessian by `law_stretches`, s the signed singular values of `decompose`.
 
-   With both the second is for the Hessian whose negative eigenvalues are softened. Tets come in rows of an array that
+   With both the second is for the Hessian whose negative eigenvalues are softened. A law of HAS_PRESSURE has a pressure
+   at each point, parameters[PARAMETERS]: the last four parameters are those of the corners, and CORNERS the corners'
+   linear shape functions at the points. Tets come in rows of an array that
    is filled up to whole blocks of WIDTH by tets of volume 0. */
 
 #include <math.h>
@@ -351,8 +353,13 @@ static inline void load(const struct tets *tets, int64_t block, const double *u,
       for (int i = 0; i < 3; i++) at[a][i][l] = u[3 * nodes[NODES * l + a] + i];
 }
 
-/* The shape functions' gradients G in space at a point, and F there. */
-static inline void place(int point, const vec *inverse, const vec at[NODES][3], vec G[NODES][3], vec *F) {
+/* The shape functions' gradients G in space at a point, and F there, and the pressure if there is one. */
+static inline void place(int point, const vec *inverse, const vec at[NODES][3], vec G[NODES][3], vec *F,
+                         vec *parameters) {
+#ifdef HAS_PRESSURE
+  parameters[PARAMETERS] = filled(0.0);
+  for (int k = 0; k < 4; k++) parameters[PARAMETERS] += CORNERS[point][k] * parameters[PARAMETERS - 4 + k];
+#endif
   for (int i = 0; i < 9; i++) F[i] = filled(i % 4 == 0);
   for (int a = 0; a < NODES; a++) {
     const double *shape = SHAPES[point][a];
@@ -370,7 +377,7 @@ double energy(const struct tets *tets, const double *u, double *gradient) {
     vec inverse[9], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9], forces[NODES][3] = {};
     load(tets, block, u, inverse, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F);
+      place(point, inverse, at, G, F, parameters);
       const vec w = WEIGHTS[point] * volume;
       total += w * law_stress(F, parameters, P);
       for (int i = 0; i < 9; i++) P[i] *= w;
@@ -392,7 +399,7 @@ void stress(const struct tets *tets, const double *u, double *into) {
     vec inverse[9], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9];
     load(tets, block, u, inverse, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F);
+      place(point, inverse, at, G, F, parameters);
       law_stress(F, parameters, P);
       for (int l = 0; l < WIDTH; l++)
         for (int i = 0; i < 9; i++) into[((block * WIDTH + l) * POINTS + point) * 9 + i] = P[i][l];
@@ -410,7 +417,7 @@ void hessian(const struct tets *tets, const double *u, double kept, const int64_
     vec local[NODES * (NODES - 1) / 2][9] = {};
     load(tets, block, u, inverse, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F);
+      place(point, inverse, at, G, F, parameters);
       const vec w = WEIGHTS[point] * volume;
 #if defined(HAS_STRETCHES) && defined(HAS_TANGENT)
       if (kept == 1.0)

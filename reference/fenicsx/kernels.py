@@ -60,16 +60,19 @@ class Kernel:
     """The integral over some tets (k,) of the sum of laws, with energy [µJ], gradient [mN] and Hessian [mN/mm].
 
     The rule of a degree has q points on each tet. Several laws on the same tets are laws by stretches. `cells` are the
-    tets, as the numbering counts them.
+    tets, as the numbering counts them. A law that has a pressure takes it from linear elements, whose nodes at the
+    corners of all tets are `pressure_dofs` (tets, 4).
     """
 
-    def __init__(self, order: Numbering, cells: Ints, degree: int, laws: Sequence[Law]):
+    def __init__(
+        self, order: Numbering, cells: Ints, degree: int, laws: Sequence[Law], pressure_dofs: Ints | None = None
+    ):
         self.cells = cells
         points, weights = seam.quadrature_rule(degree)
         self._per_cell = len(points)
-        shapes = seam.shapes(order.degree, points)[1]
+        shapes, corner_shapes = seam.shapes(order.degree, points)[1], seam.shapes(1, points)[0]
         with count_compilation():
-            self._library = load_library(_header(shapes, weights / weights.sum(), laws))
+            self._library = load_library(_header(shapes, weights / weights.sum(), corner_shapes, laws))
         self._width = ctypes.c_int64.in_dll(self._library, "width").value
         self._rows = np.minimum(np.arange(-(-len(cells) // self._width) * self._width), len(cells) - 1)
         padded = cells[self._rows]
@@ -79,19 +82,30 @@ class Kernel:
         self._nodes = np.ascontiguousarray(order.cell_dofs[padded], dtype=np.int64)
         self._inverse = self._by_block(inverse.reshape(-1, 9))
         self._slots: Ints | None = None
+        self._pressure_dofs: Ints | None = None
+        if laws[0].has_pressure:
+            assert pressure_dofs is not None
+            self._pressure_dofs = self._by_block(pressure_dofs[padded])
         self.set(laws)
 
-    def _by_block(self, rows: Floats) -> Floats:
+    def _by_block(self, rows: np.ndarray) -> np.ndarray:
         """Rows (tets, N) in the order of kernels.c, (blocks, N, width)."""
         blocks = rows.reshape(len(rows) // self._width, self._width, rows.shape[1])
-        return np.ascontiguousarray(blocks.transpose(0, 2, 1), dtype=np.float64)
+        return np.ascontiguousarray(blocks.transpose(0, 2, 1))
 
     def set(self, laws: Sequence[Law]):
         """Take the parameters of laws of the same kinds."""
         parameters = np.concatenate([law.parameters for law in laws], axis=1)
+        if self._pressure_dofs is not None:
+            parameters = np.column_stack([parameters, np.zeros((len(parameters), 4))])
         self._parameters = self._by_block(parameters[self._rows])
         arrays = (self._nodes, self._inverse, self._volume, self._parameters)
         self._tets = Tets(len(self._rows) // self._width, *(_address(array) for array in arrays))
+
+    def take_pressure(self, p: Floats):
+        """Take the pressure [kPa] of linear elements by node, shape (n_p,), if the law has one."""
+        if self._pressure_dofs is not None:
+            self._parameters[:, -4:] = p[self._pressure_dofs]
 
     def add_energy(self, u: Floats, gradient: Floats) -> float:
         """Return the energy of a displacement [mm], (n, 3), and add its gradient; not finite where a law is not."""
@@ -118,8 +132,8 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _header(shapes: Floats, weights: Floats, laws: Sequence[Law]) -> str:
-    """Write law.h for kernels.c: shapes (q, nodes, 3), weights (q,) and laws."""
+def _header(shapes: Floats, weights: Floats, corner_shapes: Floats, laws: Sequence[Law]) -> str:
+    """Write law.h for kernels.c: derivatives of shapes (q, nodes, 3), weights (q,), corners' shapes (q, 4) and laws."""
 
     def braces(array: np.ndarray) -> str:
         return repr(float(array)) if array.ndim == 0 else "{" + ", ".join(braces(part) for part in array) + "}"
@@ -128,11 +142,13 @@ def _header(shapes: Floats, weights: Floats, laws: Sequence[Law]) -> str:
     lines = [
         f"#define NODES {nodes}",
         f"#define POINTS {points}",
-        f"#define PARAMETERS {sum(law.parameters.shape[1] for law in laws)}",
+        f"#define PARAMETERS {sum(law.parameters.shape[1] + 4 * law.has_pressure for law in laws)}",
         f"static const double SHAPES[POINTS][NODES][3] = {braces(shapes)};",
         f"static const double WEIGHTS[POINTS] = {braces(weights)};",
     ]
     functions = laws[0].functions
+    if laws[0].has_pressure:
+        lines += ["#define HAS_PRESSURE", f"static const double CORNERS[POINTS][4] = {braces(corner_shapes)};"]
     if len(laws) > 1:
         lines += [_function(f"part{n}", **law.functions) for n, law in enumerate(laws)]
         functions = {"law_stretches": _sum_parts(laws)}

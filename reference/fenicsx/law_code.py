@@ -280,7 +280,7 @@ class Law:
     """A law in UFL [kPa]: psi(F, p), or psi(s, p) of F's signed singular values, or both of an isotropic one.
 
     `values` are the fields of p: arrays (k,) and (k, 3) of a number and a vector per tet become UFL's scalars and
-    vectors, what is no array stays itself.
+    vectors, what is no array stays itself. A law that `has_pressure` finds a point's pressure [kPa] as p._pressure.
     """
 
     def __init__(
@@ -289,7 +289,9 @@ class Law:
         *,
         density: Callable[[Any, Any], Any] | None = None,
         by_stretches: Callable[[Any, Any], Any] | None = None,
+        has_pressure: bool = False,
     ):
+        self.has_pressure = has_pressure
         self._values, self._density, self._by_stretches = values, density, by_stretches
         self.is_by_stretches = density is None
 
@@ -332,4 +334,7 @@ class Law:
                 symbols = [input_symbol() for _ in range(int(np.prod(value.shape[1:])))]
                 setattr(p, key, symbols[0] if value.ndim == 1 else ufl.as_vector(symbols))
                 names |= {symbol: f"parameters[{len(names) + n}]" for n, symbol in enumerate(symbols)}
+        if self.has_pressure:
+            p._pressure = input_symbol()
+            names[p._pressure] = "parameters[PARAMETERS]"
         return names, p

@@ -62,7 +62,7 @@ class Problem:
         self.pressure_vertex: Ints = np.empty(len(ids), dtype=np.int64)
         if mixed:
             self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
-        self.solids = Solids(scene, numbering, self.pressure)
+        self.solids = Solids(scene, numbering, self.pressure, self.pressure_dofs if mixed else None)
         self._parts = self._parts_of(scene)
         nodes = [part.nodes for part in self._parts]
         self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
@@ -113,7 +113,7 @@ class Problem:
     @property
     def mixed_forms(self) -> list[HyperelasticForms]:
         """The forms of laws with a pressure."""
-        return self.solids.forms if self.mixed else []
+        return self.solids.mixed_forms
 
     def force_per_volume(self, diagonal: Floats) -> float:
         """The force that a mean node's displacement causes by its volume [mN/mm³], from a diagonal [mN/mm], a vector.

@@ -1,6 +1,6 @@
 """The energies of tets, all together: laws by compiled kernels, and by UFL's forms what kernels do not model.
 
-Forms model mixed elements, and a law of one's own whose density is no kernel's.
+Forms model a law of one's own whose density is no kernel's, and the derivatives by the pressure of mixed elements.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ..clock import count_compilation
 from ..materials import Incompressible, Isotropic, Material
-from ..materials.material import HasDensity, HasStretches
+from ..materials.material import HasDensity, HasMixedDensity, HasStretches
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Volume
 from ..terms import Solid as SolidTerm
@@ -73,9 +73,10 @@ class VolumeLaw(Law):
         return {"law_stretches": "  psi = volume_law(s, parameters[0], parameters[1], p, h);"}
 
 
-def hyperelastic_law(material: Material, growth: Floats) -> Law:
-    """Growth psi(F growth^(-1/3)) of a law; growth is (k,)."""
-    values = {field.name: getattr(material, field.name) for field in fields(material)}
+def hyperelastic_law(material: Material, growth: Floats, *, mixed: bool = False) -> Law:
+    """Growth psi(F growth^(-1/3)) of a law; growth is (k,). A mixed one has its mixed density, of a pressure."""
+    law = material.law if isinstance(material, Incompressible) else material
+    values = {field.name: getattr(law, field.name) for field in fields(law)}
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             values[name] = np.broadcast_to(value, (len(growth), 3))
@@ -86,36 +87,48 @@ def hyperelastic_law(material: Material, growth: Floats) -> Law:
         values |= {"_growth": growth, "_size": np.cbrt(growth)}
 
     def density(F, p):
-        assert isinstance(material, HasDensity)
-        return p._growth * material.density(F / p._size, p) if grows else material.density(F, p)
+        elastic = F / p._size if grows else F
+        if mixed:
+            assert isinstance(material, (HasMixedDensity, Incompressible))
+            psi = material.mixed_density(elastic, p._pressure, p)
+        else:
+            assert isinstance(material, HasDensity)
+            psi = material.density(elastic, p)
+        return p._growth * psi if grows else psi
 
     def by_stretches(s, p):
-        if isinstance(material, HasDensity):
+        if mixed or isinstance(material, HasDensity):
             return density(ufl.as_matrix([[s[0], 0, 0], [0, s[1], 0], [0, 0, s[2]]]), p)
         assert isinstance(material, HasStretches)
         return p._growth * material.by_stretches([x / p._size for x in s], p) if grows else material.by_stretches(s, p)
 
     return Law(
         values,
-        density=density if isinstance(material, HasDensity) else None,
-        by_stretches=by_stretches if isinstance(material, Isotropic) else None,
+        density=density if mixed or isinstance(material, HasDensity) else None,
+        by_stretches=by_stretches if isinstance(law, Isotropic) else None,
+        has_pressure=mixed,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A term whose values per tet, if any, are those of the cells (k,) that it acts on here."""
+    """A term whose values per tet, if any, are those of the cells (k,) that it acts on here.
+
+    A hyperelastic law that is `mixed` has a pressure.
+    """
 
     term: SolidTerm
     cells: Ints
+    mixed: bool
 
     @classmethod
-    def from_term(cls, scene: Scene, term: SolidTerm, order: Numbering) -> Solid:
+    def from_term(cls, scene: Scene, term: SolidTerm, order: Numbering, *, mixed: bool) -> Solid:
         """The part of a scene's term on the cells of this process."""
+        mixed = mixed and isinstance(term, Hyperelastic)
         cells = order.cell[scene.tets_of(term)]
         mine = cells >= 0
         if mine.all():
-            return cls(term, cells)
+            return cls(term, cells, mixed)
         changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
         changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
         if isinstance(term, Hyperelastic):
@@ -123,7 +136,7 @@ class Solid:
             values = {field.name: getattr(law, field.name) for field in fields(law)}
             by_tet = {key: value[mine] for key, value in values.items() if _per_tet(value, 2)}
             changes["material"] = replace(law, **by_tet) if by_tet else law
-        return cls(replace(term, **changes), cells[mine])
+        return cls(replace(term, **changes), cells[mine], mixed)
 
     @cached_property
     def law(self) -> Law:
@@ -138,7 +151,7 @@ class Solid:
         if isinstance(term, Volume):
             return VolumeLaw(per_cell(term.stiffness), per_cell(term.target))
         assert isinstance(term, Hyperelastic)
-        return hyperelastic_law(term.material, per_cell(term.growth))
+        return hyperelastic_law(term.material, per_cell(term.growth), mixed=self.mixed)
 
 
 def _per_tet(value, dimensions: int) -> bool:
@@ -148,11 +161,12 @@ def _per_tet(value, dimensions: int) -> bool:
 class Solids:
     """What a scene's solids have in common: kernels, forms, and the quadrature of all their cells.
 
-    A hyperelastic law with a pressure goes by UFL's forms, and one that cannot be written as a kernel; all others go by
-    kernels. `softness` (cells,) [1/kPa] is the sum of 1/mu of laws with a pressure.
+    A law that cannot be written as a kernel goes by UFL's `forms`, all others go by kernels. `mixed_forms` are of the
+    laws with a pressure, for what they have by it. `softness` (cells,) [1/kPa] is the sum of 1/mu of these laws.
+    `pressure` is a function of linear elements and `pressure_dofs` its nodes by cell, (cells, 4).
     """
 
-    def __init__(self, scene: Scene, order: Numbering, pressure):
+    def __init__(self, scene: Scene, order: Numbering, pressure, pressure_dofs: Ints | None = None):
         self._order, self._pressure = order, pressure
         self._displacement = seam.function(order.space)
         self.softness = np.zeros(len(order.cell_dofs))
@@ -160,14 +174,19 @@ class Solids:
         solids = self._solids(scene)
         self._by_forms = [self._needs_forms(solid) for solid in solids]
         self.forms: list[HyperelasticForms] = []
-        for solid in compress(solids, self._by_forms):
+        self.mixed_forms: list[HyperelasticForms] = []
+        for solid, by_forms in zip(solids, self._by_forms, strict=True):
             term = solid.term
+            if not (by_forms or solid.mixed):
+                continue
             assert isinstance(term, Hyperelastic)
             forms = HyperelasticForms(self._displacement, solid.cells, term.material, degree, term.growth, pressure)
-            self.forms.append(forms)
-            if pressure is not None:
+            if by_forms:
+                self.forms.append(forms)
+            if solid.mixed:
+                self.mixed_forms.append(forms)
                 self.softness[solid.cells] += 1.0 / term.material.shear_modulus
-        self.kernels = [Kernel(order, cells, degree, laws) for cells, laws in self._laws(solids)]
+        self.kernels = [Kernel(order, cells, degree, laws, pressure_dofs) for cells, laws in self._laws(solids)]
         cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
         self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
 
@@ -177,11 +196,10 @@ class Solids:
             kernel.set(laws)
 
     def _solids(self, scene: Scene) -> list[Solid]:
-        return [Solid.from_term(scene, term, self._order) for term in scene.of(SolidTerm)]
+        mixed = self._pressure is not None
+        return [Solid.from_term(scene, term, self._order, mixed=mixed) for term in scene.of(SolidTerm)]
 
     def _needs_forms(self, solid: Solid) -> bool:
-        if isinstance(solid.term, Hyperelastic) and self._pressure is not None:
-            return True
         try:
             with count_compilation():
                 return not solid.law.functions
@@ -217,11 +235,13 @@ class SolidState:
         self._solids, self._u, self._pressure = solids, np.ascontiguousarray(u), p
 
     def place(self):
-        """Have the forms take this displacement and pressure."""
+        """Have forms and kernels take this displacement and pressure."""
         solids = self._solids
         solids._displacement.x.array[:] = self._u[: solids._order.function_nodes].ravel()
         if solids._pressure is not None:
             solids._pressure.x.array[:] = self._pressure
+            for kernel in solids.kernels:
+                kernel.take_pressure(self._pressure)
 
     @cached_property
     def _by_kernels(self) -> tuple[float, Floats]:
@@ -258,7 +278,7 @@ class SolidState:
     def add_strain(self, into: Floats):
         """Add the energy's derivative by the pressure [mm³], if there is one, to a field (n_p,)."""
         self.place()
-        for forms in self._solids.forms if self._solids._pressure is not None else ():
+        for forms in self._solids.mixed_forms:
             seam.add_vector(forms.by_pressure, into)
 
     def stresses(self) -> tuple[Floats, Floats]:

@@ -18,6 +18,7 @@ from softdeca.reference.fenicsx import kernels
 from softdeca.reference.fenicsx.assembly import Stiffness
 from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms
 from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.quadrature import DEGREES, Quadrature
 from softdeca.reference.fenicsx.solids import Solids
 from softdeca.reference.problems import meshes
@@ -84,6 +85,46 @@ def test_kernels_are_the_forms_of_ufl(name, degree):
             else:
                 points.add_tangent(at, forms.softened_tangent(kept), theirs)
             assert_close(ours.values, theirs.values, 1e-13 if kept == 1.0 else 1e-10)
+
+
+MIXED = {
+    "neo-Hookean": LAWS["neo-Hookean"],
+    "Mooney-Rivlin": LAWS["Mooney-Rivlin"],
+    "Guccione": LAWS["Guccione"],
+    "incompressible": materials.Incompressible(LAWS["isochoric, quadratic"]),
+}
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_kernels_of_laws_with_a_pressure_are_the_forms_of_ufl(name):
+    law, growth = MIXED[name], np.random.default_rng(1).uniform(0.8, 1.2, len(TETS))
+    scene = Scene(X, TETS, [terms.Hyperelastic(law, growth=growth)])
+    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    order, solids = problem.numbering, problem.solids
+    (forms,) = solids.mixed_forms
+    assert solids.kernels and not solids.forms
+    ours, theirs = (Stiffness([order.cell_dofs], order.nodes) for _ in range(2))
+    for seed in range(2):
+        u, p = deformed(order, seed), 0.3 * KAPPA * np.random.default_rng(seed).normal(size=problem.pressures.count)
+        state = solids.at(u, p)
+        gradient, expected = np.zeros_like(order.X), np.zeros(order.X.size)
+        state.add_gradient(gradient)
+        forms.add_gradient(expected)
+        energy = forms.assemble_energy()
+        assert abs(state.energy() - energy) <= 1e-13 * np.abs(gradient).sum()
+        assert_close(gradient.ravel(), expected, 1e-13)
+        assert_close(state.stresses()[1][solids.points(forms.cells)], forms.point_stress(), 1e-13)
+        for kept in (1.0, 0.5, 0.0):
+            ours.clear()
+            theirs.clear()
+            state.add_hessian(ours, kept)
+            if kept == 1.0:
+                seam.add_matrix(forms.tangent, theirs.local)
+                theirs.local.assemble()
+            else:
+                tangent = forms.softened_tangent(kept)
+                solids.quadrature.add_tangent(solids.points(forms.cells), tangent, theirs)
+            assert_close(ours.values, theirs.values, 1e-12)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
