@@ -1,8 +1,11 @@
 """Compiled geometry against closed forms and brute force; deformation transfer, exact for integrable gradients."""
 
+import resource
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import diags
 
 from softdeca.lhm import MeshError, Surface
 from softdeca.lhm.base.geometry import cholesky
@@ -241,6 +244,24 @@ def test_superlu_stands_in_for_cholespy(case, monkeypatch):
     monkeypatch.setattr(cholesky, "CholeskySolverD", None)
     without = DeformationTransfer(reference, still).delta(gradients, before[None])
     np.testing.assert_allclose(without, with_cholespy, atol=1e-9)
+
+
+def test_factors_that_are_forgotten_leave_no_workspace_of_their_widest_solve():
+    n, columns = 4000, 4 * cholesky.WIDEST + 1
+    chain = diags([-1.0, 2.5, -1.0], [-1, 0, 1], shape=(n, n), format="csc")
+    assert not chain.has_sorted_indices, "of such cholespy by itself solves another system"
+    right = np.random.default_rng(0).normal(size=(n, columns))
+
+    def resident_bytes():
+        with open("/proc/self/statm") as statm:
+            return int(statm.read().split()[1]) * resource.getpagesize()
+
+    answer = cholesky.factorise(chain, linear_solver="cholespy")(right)
+    np.testing.assert_allclose(chain @ answer, right, atol=1e-12)
+    before = resident_bytes()
+    for _ in range(50):
+        cholesky.factorise(chain, linear_solver="cholespy")(right)
+    assert resident_bytes() - before < 0.5 * 50 * right.nbytes
 
 
 def test_a_part_without_an_anchor_is_named(sphere_head):
