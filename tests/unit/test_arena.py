@@ -54,7 +54,7 @@ def small(monkeypatch):
         full = np.ones(len(tets))
         return problems.Problem(X, tets, held, places, [], 5.0 * full, 20.0 * full, np.arange(len(X)))
 
-    case = problems.Case("small block", make, start_at_answer=True)
+    case = problems.Case("small block", make, start_at_answer=True, quadratic=True)
     monkeypatch.setattr(problems, "CASES", {case.name: case})
     problems.make.cache_clear()
     problems.answer.cache_clear()
@@ -108,7 +108,7 @@ def test_failures_are_rows(small, solver, monkeypatch):
 
 def test_our_solvers_meet_fenicsx_and_the_study_writes_its_page(small, tmp_path, monkeypatch):
     monkeypatch.setattr("softdeca.benchmarks.studies.arena.study.NAMES", ())
-    study = Arena(budget=5.0)
+    study = Arena(whole=True, budget=5.0)
     rows = [Row(task.case, task.method, "done", "", study.measure(task), 0.0, None, 0.0, "") for task in study.tasks()]
     assert {row.values["solver"] for row in rows} == {
         "FEniCSx Newton", "FEniCSx P2", "FEniCSx P2-P1", "scikit-fem Newton", "PD, L-BFGS", "PD, Anderson",

@@ -52,6 +52,8 @@ QUICK_BUDGET = 1.0
 """[s] of a solve."""
 BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
 """[s] of a solve of the whole study, up to so many tets."""
+QUADRATIC_AS = 8
+"""Linear tets that a quadratic one counts for: those with its nodes."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +110,10 @@ class Arena(Study):
             for case in problems.CASES.values()
             if (case.seed < self.seeds if case.mean else self.whole or case.quick)
             for title, settings in self._rivals().items()
-            if not (case.mean and title in (QUADRATIC, MIXED))
+            if title not in (QUADRATIC, MIXED) or (self.whole and case.quadratic)
             for start in (REST, ANSWER)
             if start == REST or (case.start_at_answer and title not in OWN)
-            for setting in settings[: None if self.whole and not case.mean else 2]
+            for setting in settings[: case.settings if self.whole else 2]
         ]
 
     def measure(self, task: Task) -> Values:
@@ -131,7 +133,8 @@ class Arena(Study):
         except SoftdecaError as without:
             raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = answers["own"] if start == ANSWER else None
-        whole = next(seconds for most, seconds in BUDGETS if len(problem.tets) <= most)
+        size = len(problem.tets) * (1 if element == LINEAR else QUADRATIC_AS)
+        whole = next(seconds for most, seconds in BUDGETS if size <= most)
         budget = self.budget or (whole if self.whole else QUICK_BUDGET)
         if title in files:
             file = files[title]

@@ -20,7 +20,6 @@ DTYPE = "float64"
 TOLERANCE = 1e-4
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "iterative (default)": {"linear": "jax_solver"},
-    "direct": {"linear": "umfpack_solver"},
     "direct, 8 steps": {"linear": "umfpack_solver", "steps": 8},
 }
 
