@@ -161,7 +161,7 @@ def test_a_posed_face_is_the_face_of_the_simulator():
 def test_random_heads_are_asked_for_and_leave_rows_as_they_are():
     study = Arena(whole=True, seeds=2)
     heads = {task.case for task in study.tasks() if "random heads" in task.case}
-    assert len(heads) == 6 and "random heads under 2 g, 232 k tets, seed 1" in heads
+    assert len(heads) == 6 and "random heads' jaws opened, 232 k tets, seed 1" in heads
     assert repr(study) == repr(Arena(whole=True)) and not any("seed" in task.case for task in Arena(whole=True).tasks())
     for wrong in (Arena(seeds=1), Arena(whole=True, seeds=-1), Arena(whole=True, seeds=6)):
         with pytest.raises(InputError, match="seeds"):
@@ -169,7 +169,7 @@ def test_random_heads_are_asked_for_and_leave_rows_as_they_are():
 
 
 def test_the_spread_is_over_heads_that_arrive():
-    mean = "random heads under 2 g, 58 k tets"
+    mean = "random heads' jaws opened, 58 k tets"
     times = ([0, 1.0, 2.0, None], [0, 3.0, None, None], [0, 8.0, 4.0, None])
     rows = [
         make_row(f"{mean}, seed {seed}", "a", "default", reached, max_mm=0.1 * (seed + 1))

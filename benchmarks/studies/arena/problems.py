@@ -223,11 +223,11 @@ def _cases() -> tuple[Case, ...]:
 
 
 def _heads() -> Iterator[Case]:
-    """Random heads under 2 g on three meshes."""
+    """Random heads whose jaw is opened, on three meshes."""
     for level, size in SIZES.items():
         for seed in range(SEEDS):
-            mean = f"random heads under 2 g, {size}"
-            make_one = partial(head, "gravity", level, seed=seed)
+            mean = f"random heads' jaws opened, {size}"
+            make_one = partial(head, "jaw", level, seed=seed)
             yield Case(f"{mean}, seed {seed}", make_one, settings=2, mean=mean, seed=seed)
 
 
