@@ -162,6 +162,8 @@ def test_random_heads_are_asked_for_and_leave_rows_as_they_are():
     study = Arena(whole=True, seeds=2)
     heads = {task.case for task in study.tasks() if "random heads" in task.case}
     assert len(heads) == 6 and "random heads' jaws opened, 232 k tets, seed 1" in heads
+    solvers = {task.method.partition(";")[0] for task in study.tasks() if "random heads" in task.case}
+    assert solvers == {"FEniCSx Newton", "scikit-fem Newton", "PD, L-BFGS", "PD, Anderson", "FElupe"}
     assert repr(study) == repr(Arena(whole=True)) and not any("seed" in task.case for task in Arena(whole=True).tasks())
     for wrong in (Arena(seeds=1), Arena(whole=True, seeds=-1), Arena(whole=True, seeds=6)):
         with pytest.raises(InputError, match="seeds"):

@@ -48,6 +48,8 @@ OWN: Mapping[str, tuple[str, dict[str, str]]] = {
     OURS_RIGID: (RIGID, {"method": "lbfgs"}),
 }
 """Our solvers: law, and the options of `prepare`."""
+ARRIVING = (NEWTON, SKFEM, OURS, ANDERSON, "FElupe")
+"""Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
 QUICK_BUDGET = 1.0
 """[s] of a solve."""
 BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
@@ -111,6 +113,7 @@ class Arena(Study):
             if (case.seed < self.seeds if case.mean else self.whole or case.quick)
             for title, settings in self._rivals().items()
             if title not in (QUADRATIC, MIXED) or (self.whole and case.quadratic)
+            if title in ARRIVING or not case.mean
             for start in (REST, ANSWER)
             if start == REST or (case.start_at_answer and title not in OWN)
             for setting in settings[: case.settings if self.whole else 2]

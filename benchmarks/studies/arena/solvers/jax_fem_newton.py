@@ -14,7 +14,7 @@ import numpy as np
 from .protocol import ArenaProblem, Clock, SpentError
 
 TITLE = "JAX-FEM"
-PACKAGES = ("jax-fem==0.0.11", "jax==0.4.35", "jaxlib==0.4.34", "ml_dtypes", "opt_einsum", "pyfiglet", "meshio", "gmsh")
+PACKAGES = ("jax-fem==0.0.11", "jax==0.4.35", "jaxlib==0.4.34", "numpy==1.26.4", "gmsh", "meshio", "pyfiglet")
 LAW = "neo-Hookean"
 DTYPE = "float64"
 TOLERANCE = 1e-4
