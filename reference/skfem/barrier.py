@@ -7,6 +7,7 @@ other. A solve has to begin where the surfaces do not cross.
 
 from __future__ import annotations
 
+from copy import copy
 from types import ModuleType
 from typing import Any
 
@@ -20,8 +21,11 @@ from ..scene import Scene
 from .discretisation import Discretisation
 from .solids import Treatment, project_spd
 
-REACH = 0.01
-"""[mm] beyond the gap, from which on the barrier acts: surfaces in contact come to rest within it."""
+REACH, WIDE = 0.01, 0.1
+"""[mm] beyond the gap, from which on the barrier acts: surfaces in contact come to rest within it.
+
+A wide one comes first: Newton's method meets it on the way, where a narrow one would cut every step short.
+"""
 
 
 def load_ipctk() -> ModuleType:
@@ -34,7 +38,11 @@ def load_ipctk() -> ModuleType:
 
 
 class Barrier:
-    """The barrier of a Contact term; its stiffness scales it, and its thickness is a distance that is never reached."""
+    """The barrier of a Contact term, whose thickness is a distance that is never reached.
+
+    The term's stiffness times the reach is the barrier's pressure [kPa]. A much larger one would push at the outermost
+    end of the reach alone, where Newton's method hardly finds it.
+    """
 
     def __init__(self, term: terms.Contact, scene: Scene, at: Discretisation):
         if at.element != "P1":
@@ -44,13 +52,20 @@ class Barrier:
         triangles = np.asfortranarray(places.reshape(-1, 3), dtype=np.int32)
         rest = np.asfortranarray(scene.vertices[ids])
         self._mesh = self._ipctk.CollisionMesh(rest, self._ipctk.edges(triangles), triangles)
-        self._potential = self._ipctk.BarrierPotential(REACH, term.stiffness, True)
+        self._stiffness, self._reach = term.stiffness, REACH
+        self._potential = self._ipctk.BarrierPotential(REACH, term.stiffness * REACH, True)
         self._dofs, self._size, self._gap = at.dofs[ids].ravel(), at.size, term.thickness
 
     @classmethod
     def from_scene(cls, scene: Scene, at: Discretisation) -> list[Barrier]:
         """See Part."""
         return [cls(term, scene, at) for term in scene.of(terms.Contact)]
+
+    def widen(self) -> Barrier:
+        """The same barrier with a WIDE reach."""
+        wide = copy(self)
+        wide._reach, wide._potential = WIDE, self._ipctk.BarrierPotential(WIDE, self._stiffness * WIDE, True)
+        return wide
 
     def value(self, x: Floats) -> float:
         """See Part; infinite where surfaces cross or are nearer than the gap."""
@@ -85,5 +100,5 @@ class Barrier:
         """Pairs of vertices, edges and triangles within the barrier's reach."""
         near = self._ipctk.NormalCollisions()
         near.use_area_weighting = True
-        near.build(self._mesh, places, REACH, self._gap)
+        near.build(self._mesh, places, self._reach, self._gap)
         return near

@@ -7,6 +7,7 @@ applied to the tangent at each point. x holds positions [mm] by degree of freedo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -133,6 +134,14 @@ class Energy:
 
     def __init__(self, scene: Scene, at: Discretisation):
         self._parts = [part for kind in dict.fromkeys(PARTS.values()) for part in kind.from_scene(scene, at)]
+
+    def widen(self) -> Energy | None:
+        """The energy with wide barriers, which lead to the narrow ones' answer; None without contact."""
+        if not any(isinstance(part, Barrier) for part in self._parts):
+            return None
+        wide = copy(self)
+        wide._parts = [part.widen() if isinstance(part, Barrier) else part for part in self._parts]
+        return wide
 
     def value(self, x: Floats) -> float:
         """The energy [µJ]; infinite where a law does not hold."""
