@@ -44,6 +44,7 @@ LIVE_PAGE = (
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
 )
+CUT = ("benchmarks/studies/agreement/effect.py", "benchmarks/studies/agreement/effect_pictures.py")
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -109,6 +110,19 @@ def weight(scan: Path) -> bytes:
         panels.append(Panel(f"neutral{named}", head.skin.with_vertices(settled_face.skin)))
         panels.append(Panel(f"smile{named}", head.skin.with_vertices(skin), weights=weights))
     return draw_strip([panels[k] for k in (0, 2, 1, 3)], rest=head.skin)
+
+
+def collisions(scan: Path) -> bytes:
+    """Draw both lips cut open, the lower one raised, without contact and with it."""
+    from softdeca.benchmarks.studies.agreement.effect import parse_effects, run_effect
+    from softdeca.benchmarks.studies.agreement.effect_pictures import draw_lips
+    from softdeca.lhm import expressions
+
+    (effect,), (head, space, code) = parse_effects("collisions"), face()
+    result = run_effect(head, effect, expressions.blend(space, code, effect.weights())[0])
+    if not (result.plain.converged and result.solution.converged):
+        raise SystemExit(f"collisions: {result.solution.reason}")
+    return draw_lips(head, {"without contact": result.plain.positions, "with contact": result.solution.positions})
 
 
 def own_head(scan: Path) -> bytes:
@@ -228,6 +242,7 @@ def arena(scan: Path) -> bytes:
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
+    "collisions.png": (collisions, (*HEAD, *CUT)),
     "own-head.png": (own_head, (*HEAD, *DRAWING)),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
-from ....animation.pictures import VIEW, Panel, draw_strip
 from ....lhm import expressions
 from ....lhm.base.mesh import Floats
 from ....lhm.flesh import cheek_share, flesh_share, mean_on_triangles
@@ -36,22 +35,21 @@ ROUNDING = 1e-12
 """A rise of the energy by at most this share of it is rounding."""
 APART = 1e-2
 """[mm] Answers to one energy that are farther apart are two minima."""
-FRONT = (0.0, 0.05, 1.0)
-CLOSE = 560
-"""Width [pixels] of each close picture."""
-LEAST_TOP = 0.05
-"""[mm]; the colours' end where an effect moves hardly anything."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Parameters `with_it`, and `without` it, of one head; an expression as ARKit weights; what the paper shows."""
+    """Parameters `with_it`, and `without` it, of one head; an expression as ARKit weights; what the paper shows.
+
+    `contact` names regions that are kept apart with it.
+    """
 
     name: str
     shown: str
     expression: Mapping[str, float]
     with_it: Callable[[LayeredHead], Parameters]
     without: Callable[[LayeredHead], Parameters] = lambda head: Parameters()
+    contact: tuple[str, ...] = ()
 
     def weights(self) -> Floats:
         """Give the expression's weights, shape (52,)."""
@@ -118,6 +116,13 @@ EFFECTS = (
         stiffen_cheeks,
         loosen_cheeks,
     ),
+    Effect(
+        "collisions",
+        "Figure 7 a: lips that would go through each other are parted",
+        {"mouthShrugLower": 1.0},
+        lambda head: Parameters(),
+        contact=("lips", "mouth"),
+    ),
 )
 """Weights of expressions and sizes of effects that the paper does not give are this project's.
 
@@ -139,13 +144,14 @@ def parse_effects(names: str) -> tuple[Effect, ...]:
 class EffectResult:
     """PD's answer to an effect: figures, the settled face, and the expression's scene and solution.
 
-    neutral, without and with_it are skins [mm], shape (skin vertices, 3).
+    neutral, without and with_it are skins [mm], shape (skin vertices, 3); `plain` is the answer without the effect.
     """
 
     record: dict
     at_rest: SettledFace
     scene: Scene
     solution: Solution
+    plain: Solution
     neutral: Floats
     without: Floats
     with_it: Floats
@@ -157,7 +163,7 @@ def simulate_expression(head: LayeredHead, effect: Effect, expression: Floats) -
     expression [mm], shape (skin vertices, 3), is that of the head without the effect.
     """
     at_rest = settle(head, effect.with_it(head))
-    scene = at_rest.scene(expression)
+    scene = at_rest.scene(expression, contact=effect.contact)
     return at_rest, prepare(scene).solve(start=at_rest.positions, tolerance=TOLERANCE)
 
 
@@ -168,7 +174,8 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats) -> EffectR
     vertices, 3), is that of the head without the effect.
     """
     at_rest, solution = simulate_expression(head, effect, expression)
-    scene, targets, answer = at_rest.scene(expression), at_rest.targets(expression), solution.positions
+    scene, targets = at_rest.scene(expression, contact=effect.contact), at_rest.targets(expression)
+    answer = solution.positions
     plain_scene = facial_scene(head, effect.without(head), expression, bones="rigid")
     plain = prepare(plain_scene).solve(start=plain_scene.vertices, tolerance=TOLERANCE)
     displaced = head.vertices + np.tile(head.wrap_targets(targets) - head.skin_wrap.vertices, (3, 1))
@@ -192,14 +199,16 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats) -> EffectR
         "other_start": {"iterations": other.iterations, "converged": other.converged, "energy": other.energy},
         "change_mm": {"mean": float(change.mean()), "max": float(change.max())},
         "neutral_change_mm": float(distances(at_rest.skin, head.skin.vertices).max()),
+        **{name: value for name, value in solution.detail.items() if name.startswith("contact")},
     }
-    return EffectResult(record, at_rest, scene, solution, at_rest.skin, without, with_it)
+    return EffectResult(record, at_rest, scene, solution, plain, at_rest.skin, without, with_it)
 
 
 def _figures(head: LayeredHead, scene: Scene, solution: Solution) -> dict:
-    history = solution.history
-    size = np.maximum(np.abs(history.energy[:-1]), np.finfo(float).tiny)
-    rise = float(np.max(np.diff(history.energy) / size, initial=0.0))
+    history, rise = solution.history, None
+    if "contact_rounds" not in solution.detail:  # each round of contact has an energy of its own
+        size = np.maximum(np.abs(history.energy[:-1]), np.finfo(float).tiny)
+        rise = float(np.max(np.diff(history.energy) / size, initial=0.0))
     soft = slice(0, len(head.soft.tets))
     volumes = scene.volumes[soft]
     first = history.gradient_norm[0]
@@ -210,7 +219,7 @@ def _figures(head: LayeredHead, scene: Scene, solution: Solution) -> dict:
         "reason": str(solution.reason),
         "gradient_ratio": float(history.gradient_norm[-1] / first) if first > 0 else 0.0,
         "largest_rise": rise,
-        "monotone": rise <= ROUNDING,
+        "monotone": None if rise is None else rise <= ROUNDING,
         "energy": solution.energy,
         "inverted_tets": int(np.count_nonzero(solution.volume_ratio <= 0)),
         "smallest_volume_ratio": float(solution.volume_ratio.min()),
@@ -293,43 +302,3 @@ def compare_laws(
         "to_law": measure_skins({PD: result.with_it, SAME: skins[SAME], **others}, skins[LAW], carried),
         "inside": inside,
     }
-
-
-def draw_effect(head: LayeredHead, result: EffectResult, shape: Floats, network: Floats | None) -> dict[str, bytes]:
-    """Draw PNG by caption: the head from the front and from three quarters, the face of it, and the face by a network.
-
-    The last, where there is a network's skin: blendshapes, simulated, network, and how far both are from the simulated.
-    """
-
-    def panel(caption: str, skin: Floats, values: Floats | None = None, top: float = 1.0) -> Panel:
-        return Panel(caption, head.skin.with_vertices(skin), values, top)
-
-    def find_top(values: Floats) -> float:
-        return max(LEAST_TOP, float(np.percentile(values, 99.5)))
-
-    face, simulated = head.skin_wrap.vertices[head.regions["face"]], result.with_it
-    moved = distances(simulated, result.without)
-    panels = [
-        panel("neutral", head.skin.vertices),
-        panel("neutral under the effect", result.neutral),
-        panel("expression", result.without),
-        panel("expression under the effect", simulated),
-        panel("difference of both", simulated, moved, find_top(moved)),
-    ]
-    images = {
-        "from the front": draw_strip(panels, view=FRONT),
-        "from three quarters": draw_strip(panels, view=VIEW),
-        "the face": draw_strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
-    }
-    if network is not None:
-        off = [distances(skin, simulated) for skin in (shape, network)]
-        top = find_top(off[0])
-        beside = [
-            panel("blendshapes", shape),
-            panel("simulated (PD)", simulated),
-            panel("surrogate", network),
-            panel(f"blendshapes - PD, mean {off[0].mean():.2f} mm", simulated, off[0], top),
-            panel(f"surrogate - PD, mean {off[1].mean():.2f} mm", simulated, off[1], top),
-        ]
-        images["beside the surrogate"] = draw_strip(beside, view=VIEW, framed=face)
-    return images
