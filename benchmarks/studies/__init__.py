@@ -29,6 +29,7 @@ STUDIES = {
     "locking": "mesh.locking:Locking",
     "face-benchmark": "mesh.face:FaceBenchmark",
     "effects": "agreement.effects:Effects",
+    "contact": "agreement.contact:Contact",
     "dynamics": "agreement.dynamics:Dynamics",
     "ranks": "scaling.ranks:Ranks",
     "parts": "scaling.parts:Parts",
@@ -43,8 +44,8 @@ STUDIES = {
 """Module and class, so that none is loaded before it is asked for."""
 COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
     "agreement": (
-        "How far apart are solvers, laws, network and rules: faces, effects, motion, and a cube of tissue?",
-        {"faces": "agreement", "effects": "effects", "motion": "dynamics", "cube": "material"},
+        "How far apart are solvers, laws, network and rules: faces, effects, motion, a cube of tissue, contact?",
+        {"faces": "agreement", "effects": "effects", "motion": "dynamics", "cube": "material", "contact": "contact"},
     ),
     "verification": (
         "Does every solver meet closed forms, published values and hard cases?",

@@ -90,6 +90,9 @@ ELSEWHERE = {
     "softdeca bench verification --cases hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
     "softdeca bench verification --cases hard --laws": "test_hard_cases.py::test_hard_case",
     "softdeca bench mesh": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
+    "softdeca bench agreement --cases contact --corpus corpus": (
+        "test_bench_contact.py::test_frames_of_a_corpus_are_solved_with_contact"
+    ),
     "softdeca bench agreement --cases motion": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
     "softdeca bench heads --cases closures --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
     "softdeca bench heads --count 1000": "test_bench_heads.py::test_each_head_is_that_of_its_seed",

@@ -9,6 +9,7 @@ import pytest
 
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
+from softdeca.benchmarks.studies.agreement.contact import Contact
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.material import Material
@@ -83,6 +84,9 @@ WRONG = [
     (Agreement, {"volume": 9.0}, "volume"),
     (Agreement, {"expressions": ("jaw",)}, "'jaw'"),
     (Agreement, {"identities": "nobody"}, "'nobody'"),
+    (Contact, {"poses": ("kiss",)}, "unknown pose 'kiss'"),
+    (Contact, {"people": 0}, "people and frames: must be at least 1, got 0"),
+    (Contact, {"corpus": "nowhere"}, "corpus nowhere"),
     (Convergence, {"expressions": ()}, "none"),
     (Dynamics, {"level": 4}, "level: there are 1, 2"),
     (Dynamics, {"frames": 3}, "at least 8"),

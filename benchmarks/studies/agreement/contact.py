@@ -1,0 +1,258 @@
+"""PD's contact of lips and lids beside ipctk's barrier, and what a corpus leaves out that simulates no contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats, Ints
+from ....lhm.base.option import option
+from ....lhm.head import LayeredHead
+from ....reference import Parameters, Scene, Solution, facial_scene, prepare, solve, terms
+from ....surrogate.corpus.folder import shard_path
+from ....surrogate.corpus.manifest import read_manifest
+from ....surrogate.corpus.people import people_from_text
+from ....surrogate.corpus.reading import Table as CorpusTable
+from ....surrogate.corpus.simulator import settle_neutral
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..measures import distances
+from ..person import OfPerson, check_known
+
+LIPS, LIDS = ("lips", "mouth"), ("lids", "eyes")
+POSES: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "lips pressed": ("mouthPressLeft+mouthPressRight", LIPS),
+    "lower lip raised": ("mouthShrugLower", LIPS),
+    "lids shut": ("eyeBlinkLeft+eyeBlinkRight", LIDS),
+}
+"""Expressions in which the regions beside them would go through each other."""
+PD, BARRIER, OF_CORPUS = "PD's contact and ipctk's barrier", "ipctk's barrier", "PD with and without contact"
+AROUND = 5
+"""Edges about the regions in contact, up to which tets are solved for: two more than contact reaches."""
+STEPS = 4
+"""Shares of the way to an expression's targets on which Newton's method meets the barrier little by little."""
+ON_THE_WAY, TOLERANCE = 1e-2, 1e-6
+"""Gradient norm relative to its start, before the last share and at the end."""
+MOVES = 0.05
+"""[mm] by which contact has to move a vertex that counts."""
+ALIKE = 0.5
+"""Largest share of what contact moves by which the two codes may differ on average."""
+
+
+@dataclass(frozen=True)
+class Contact(OfPerson):
+    """Lips pressed and lids shut by PD and by a barrier; with `corpus` how deep its frames overlap, too."""
+
+    name = "contact"
+    heading = "Are lips and lids parted as another code parts them?"
+    question = "How far is PD's contact from ipctk's barrier, and what does a corpus without contact leave out?"
+    columns = (
+        Column("depth_before_mm", "overlap without contact [mm]"),
+        Column("depth_after_mm", "with it [mm]"),
+        Column("moved_mean_mm", "contact moves, mean [mm]"),
+        Column("moved_max_mm", "max [mm]"),
+        Column("apart_mean_mm", "PD to barrier, mean [mm]"),
+        Column("apart_max_mm", "max [mm]"),
+        Column("where", "where"),
+        Column("force_pd_mn", "contact force by PD [mN]"),
+        Column("force_barrier_mn", "by the barrier [mN]"),
+        Column("iterations_barrier", "Newton's iterations"),
+    )
+    note = (
+        "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
+        "parts surfaces after the solve without contact; scikit-fem minimises the energy with ipctk's barrier from "
+        f"rest on. Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
+        "what each vertex is pushed with, the remainder of the energy's gradient without contact. A corpus' frames "
+        "are solved again with and without contact of lips and lids."
+    )
+
+    poses: tuple[str, ...] = option(tuple(POSES), f"of {', '.join(POSES)}; repeat for several", name="--pose")
+    corpus: str = option("", "folder of `softdeca corpus generate`, of which some frames are solved with contact")
+    people: int = option(4, "of the corpus, the first of them")
+    frames: int = option(12, "static frames of each of them")
+
+    def tasks(self) -> Sequence[Task]:
+        """List each pose, and each person of the corpus; InputError for an unknown pose, and less than one of each."""
+        self.check()
+        check_known("pose", self.poses, POSES)
+        if min(self.people, self.frames) < 1:
+            raise InputError(f"people and frames: must be at least 1, got {self.people} and {self.frames}")
+        tasks = [Task(pose, PD) for pose in self.poses]
+        if self.corpus:
+            identities = np.unique(_open_corpus(self.corpus, self.people).rows[:, 0])
+            tasks += [Task(f"person {identity} of the corpus", OF_CORPUS) for identity in identities]
+        return tasks
+
+    def measure(self, task: Task) -> Values:
+        """Compare a pose by both codes, or some frames of a person with and without contact."""
+        if task.method == OF_CORPUS:
+            return measure_person(self.corpus, self.people, int(task.case.split()[1]), self.frames)
+        of, (text, regions) = self.person(), POSES[task.case]
+        head, shape, near = of.head, of.shape(text), _find_around(of.head, regions)
+
+        def scene_at(share: float) -> Scene:
+            targets = head.skin.vertices + share * (shape - head.skin.vertices)
+            return facial_scene(head, Parameters(), targets, region=near, contact=regions)
+
+        by_barrier = solve_by_barrier(scene_at)
+        values = compare_contact(scene_at(1.0), by_barrier)
+        return values | {"where": _name_place(head, values["worst_vertex"])}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Check that both codes are done, and alike by more than contact does."""
+        poses = [row.values for row in rows if row.method == PD]
+        if not poses:
+            return []
+        share = max(values["apart_mean_mm"] / values["moved_mean_mm"] for values in poses)
+        return [
+            at_most("poses that a code did not solve", sum(not values["done"] for values in poses), 0),
+            at_most("mean distance of PD's contact to the barrier, of what contact moves", share, ALIKE),
+        ]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Tell how far the codes are apart in each pose, and how many frames of the corpus overlap."""
+        sentences = [
+            f"{row.case}: contact moves the skin by {row.values['moved_mean_mm']:.2f} mm on average, PD and the "
+            f"barrier are {row.values['apart_mean_mm']:.3f} mm apart, and push with "
+            f"{row.values['force_pd_mn']:.0f} and {row.values['force_barrier_mn']:.0f} mN."
+            for row in rows
+            if row.method == PD
+        ]
+        frames = [frame for row in rows if row.method == OF_CORPUS for frame in row.values["frames"]]
+        if frames:
+            crossed = [frame for frame in frames if frame["pairs_before"]]
+            sentences.append(
+                f"Of {len(frames)} frames of the corpus, lips or lids cross in {len(crossed)}, at most "
+                f"{max(frame['depth_before_mm'] for frame in frames):.2f} mm deep."
+            )
+        return " ".join(sentences)
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Tabulate the frames of the corpus in which lips or lids cross."""
+        titles = {
+            "case": "person", "frame": "frame", "pairs_before": "crossing pairs", "depth_before_mm": "overlap [mm]",
+            "depth_after_mm": "with contact [mm]", "moved_mm": "contact moves the skin, max [mm]", "reason": "ended",
+        }  # fmt: skip
+        lines = [
+            {"case": row.case} | frame
+            for row in rows
+            if row.method == OF_CORPUS
+            for frame in row.values["frames"]
+            if frame["pairs_before"]
+        ]
+        return [Table.of("Frames of the corpus whose lips or lids cross", titles, lines)] if lines else []
+
+
+def solve_by_barrier(scene_at: Callable[[float], Scene]) -> Solution:
+    """Solve a scene of a share of its motion by scikit-fem and ipctk, share by share from rest to the whole."""
+    prepared, positions = prepare(scene_at(0.0), solver="skfem"), None
+    for step in range(1, STEPS):
+        positions = prepared.solve(scene_at(step / STEPS), start=positions, tolerance=ON_THE_WAY).positions
+    return prepared.solve(scene_at(1.0), start=positions, tolerance=TOLERANCE)
+
+
+def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
+    """Solve a scene by PD with and without its Contact, and compare the barrier's answer with both.
+
+    Figures are over the vertices of the surface in contact; "worst_vertex" is where the codes are farthest apart.
+    """
+    (contact,) = scene.of(terms.Contact)
+    without = replace(scene, terms=tuple(term for term in scene.terms if term is not contact))
+    ids = np.unique(contact.triangles)
+    by_pd, free = solve(scene, tolerance=TOLERANCE), solve(without, tolerance=TOLERANCE)
+    moved = distances(by_barrier.positions, free.positions)[ids]
+    apart = distances(by_barrier.positions, by_pd.positions)[ids]
+    counts = moved > MOVES
+    forces = [measure_pushes(without, ids, each.positions) for each in (by_pd, by_barrier)]
+    return {
+        "done": by_pd.converged and by_barrier.converged and free.converged,
+        "reasons": [str(by_pd.reason), str(by_barrier.reason)],
+        "tets": len(scene.tets),
+        "pairs_before": int(by_pd.detail["contact_pairs_before"]),
+        "depth_before_mm": by_pd.detail["contact_depth_before"],
+        "depth_after_mm": by_pd.detail["contact_depth_after"],
+        "moved_mean_mm": float(moved[counts].mean()),
+        "moved_max_mm": float(moved.max()),
+        "vertices_moved": int(counts.sum()),
+        "apart_mean_mm": float(apart[counts].mean()),
+        "apart_max_mm": float(apart.max()),
+        "worst_vertex": int(ids[apart.argmax()]),
+        "force_pd_mn": float(0.5 * forces[0].sum()),
+        "force_barrier_mn": float(0.5 * forces[1].sum()),
+        "iterations_pd": by_pd.iterations,
+        "iterations_barrier": by_barrier.iterations,
+    }
+
+
+def measure_pushes(without: Scene, ids: Ints, positions: Floats) -> Floats:
+    """Measure the force [mN], shape (k,), that keeps each vertex `ids` where it is, in a scene without contact.
+
+    Components that the scene holds itself do not count.
+    """
+    held = replace(without, terms=(*without.terms, terms.Fixed(ids, positions[ids])))
+    reactions = solve(held, start=positions, max_iterations=0).reactions[ids]
+    return np.linalg.norm(np.where(without.dirichlet()[0][ids], 0.0, reactions), axis=1)
+
+
+def measure_person(folder: str, people: int, identity: int, count: int) -> Values:
+    """Solve `count` static frames of a person of a corpus with and without contact of lips and lids."""
+    table = _open_corpus(folder, people)
+    rows = np.flatnonzero(table.rows[:, 0] == identity)
+    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(int))]
+    made_with, person = read_manifest(folder).made_with, table.person(identity)
+    of_corpus = people_from_text(made_with["identities"], level=made_with["level"])
+    head, frames, groups = of_corpus.head(person), [], {}
+    for row in chosen:
+        named, group = table.described(row), int(table.groups[row, 1])
+        if group not in groups:
+            face = settle_neutral(of_corpus, head, table.parameters(row))
+            groups = {
+                group: (face, *(prepare(face.scene(person.skin.vertices, contact=on)) for on in ((), LIPS + LIDS)))
+            }
+        face, *prepared = groups[group]
+        shape = person.skin.vertices + np.tensordot(named["weights"].astype(np.float64), person.shapes, axes=1)
+        free, parted = (
+            each.solve(face.scene(shape, contact=on), start=face.positions, tolerance=TOLERANCE)
+            for each, on in zip(prepared, ((), LIPS + LIDS), strict=True)
+        )
+        moved = distances(*(face.skin_after(shape, each.positions) for each in (free, parted)))
+        frames.append(
+            {
+                "frame": f"{named['recording'].decode()} {named['frame']}",
+                "pairs_before": int(parted.detail["contact_pairs_before"]),
+                "depth_before_mm": parted.detail["contact_depth_before"],
+                "depth_after_mm": parted.detail["contact_depth_after"],
+                "moved_mm": float(moved.max()),
+                "moved_mean_mm": float(moved.mean()),
+                "kept_crossings": int(named["crossings"]),
+                "reason": str(parted.reason),
+            }
+        )
+    crossings = np.array([table.described(row)["crossings"] for row in rows])
+    return {"frames": frames, "accepted": len(rows), "accepted_that_cross": int((crossings > 0).sum())}
+
+
+@lru_cache(maxsize=1)
+def _open_corpus(folder: str, people: int) -> CorpusTable:
+    """Open the static frames of a corpus' first people."""
+    there = sum(shard_path(Path(folder), k).exists() for k in range(read_manifest(folder).counts.identities))
+    return CorpusTable(folder, "statics", None, partial=True, share=min(1.0, people / max(there, 1)))
+
+
+def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:
+    """Mark the wraps' vertices within AROUND edges of some regions, shape (n,)."""
+    triangles, inside = head.skin_wrap.triangles, np.any([head.regions[name] for name in regions], axis=0)
+    for _ in range(AROUND):
+        inside[triangles[inside[triangles].any(axis=1)]] = True
+    return inside
+
+
+def _name_place(head: LayeredHead, vertex: int) -> str:
+    """Name the region of a vertex, the smallest that it is of."""
+    at = vertex % len(head.bone)
+    named = [name for name, mask in head.regions.items() if mask[at]]
+    return min(named, key=lambda name: int(head.regions[name].sum())) if named else "beside"

@@ -1,0 +1,102 @@
+"""The study of contact: both codes on a stamp, its gates, pictures of what is cut, and frames of a corpus."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.studies.agreement import contact
+from softdeca.benchmarks.studies.agreement.contact import (
+    OF_CORPUS,
+    PD,
+    Contact,
+    compare_contact,
+    measure_pushes,
+    solve_by_barrier,
+)
+from softdeca.benchmarks.studies.agreement.effect_pictures import cut_tets
+from softdeca.reference import solve, terms
+from softdeca.reference.problems import meshes
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.people import OfSpace
+from softdeca.surrogate.corpus.plan import PRESETS
+from softdeca.surrogate.sphere import Spheres
+
+from .test_contact import two_bars
+
+
+def pressed(share):
+    """Two bars, of which one is pushed on the other by a share of the whole way."""
+    scene, _, _ = two_bars(thickness=0.05)
+    ends = scene.terms[2]
+    values = scene.vertices[ends.vertices] + share * (ends.values - scene.vertices[ends.vertices])
+    return replace(scene, terms=tuple(replace(ends, values=values) if term is ends else term for term in scene.terms))
+
+
+def test_bars_push_back_as_springs_in_line_by_both_codes():
+    """In line, 12 and 6 mN/mm give 4: by an overlap of 1.2 mm and the gap of .05."""
+    pytest.importorskip("ipctk")
+    values = compare_contact(pressed(1.0), solve_by_barrier(pressed))
+    assert values["done"] and values["pairs_before"] > 0 and values["moved_max_mm"] > 0.4
+    assert values["force_pd_mn"] == pytest.approx(4.0 * 1.25, rel=1e-3)
+    assert values["force_barrier_mn"] == pytest.approx(4.0 * 1.25, rel=0.01)
+    assert values["apart_mean_mm"] <= values["apart_max_mm"] <= 0.02
+
+
+def test_without_contact_nothing_is_pushed():
+    scene = pressed(1.0)
+    without = replace(scene, terms=scene.terms[:-1])
+    free = solve(without, tolerance=1e-10)
+    ids = np.unique(scene.of(terms.Contact)[0].triangles)
+    assert measure_pushes(without, ids, free.positions).max() < 1e-6
+
+
+def rows_of(**changes):
+    values = {
+        "done": True, "moved_mean_mm": 0.4, "apart_mean_mm": 0.02, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
+    }  # fmt: skip
+    return [Row("lips pressed", PD, "done", "", values | changes, 1.0, None, 0.0, "")]
+
+
+def test_gates_miss_a_code_without_contact_and_one_that_stops():
+    """Without contact the distance is all that contact moves: a share of 1."""
+    study = Contact()
+    assert all(gate["passed"] for gate in study.gates(rows_of()))
+    assert [gate["passed"] for gate in study.gates(rows_of(apart_mean_mm=0.4))] == [True, False]
+    assert [gate["passed"] for gate in study.gates(rows_of(done=False))] == [False, True]
+    assert "0.020 mm apart, and push with 9 and 8 mN" in study.words(rows_of())
+
+
+def test_a_cut_box_has_the_area_of_its_side():
+    X, tets = meshes.box((3, 2, 2), (3.0, 2.0, 5.0))
+    polygons = cut_tets(X - [1.3, 0.0, 0.0], tets)
+    areas = [0.5 * abs(np.sum(p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1])) for p in polygons]
+    assert sum(areas) == pytest.approx(10.0) and cut_tets(X + [1.0, 0.0, 0.0], tets) == []
+
+
+def with_mouth_and_eyes(head):
+    x, y, z = head.skin_wrap.vertices.T
+    regions = {"face": z > 0, "neck": y < -80}
+    regions |= dict.fromkeys(("lips", "mouth"), (z > 0) & (np.abs(y + 40) < 25))
+    return replace(head, regions=regions | dict.fromkeys(("lids", "eyes", "teeth", "ears"), (z > 0) & (y > 40)))
+
+
+def test_frames_of_a_corpus_are_solved_with_contact(tmp_path, monkeypatch):
+    """Of spheres that have a mouth and eyes: nothing crosses, so contact moves nothing."""
+    space = Spheres(2)
+    people = OfSpace(space, space.mean, lambda skin: with_mouth_and_eyes(space.fit(skin)))
+    plan = replace(PRESETS["tiny"], references=0, identities=2)
+    Corpus(tmp_path, plan, people, {"identities": "spheres:2", "level": 2}).generate()
+    monkeypatch.setattr(contact, "people_from_text", lambda text, level: people)
+    study = Contact(poses=(), corpus=str(tmp_path), people=1, frames=2)
+    (task,) = study.tasks()
+    assert task.method == OF_CORPUS and task.case == "person 0 of the corpus"
+    values = study.measure(task)
+    assert len(values["frames"]) == 2 and values["accepted"] >= 2
+    for frame in values["frames"]:
+        assert frame["pairs_before"] == frame["kept_crossings"] == 0 and frame["moved_mm"] == 0.0
+    crossed = values["frames"][0] | {"pairs_before": 3, "depth_before_mm": 0.5}
+    rows = [Row(task.case, OF_CORPUS, "done", "", {"frames": [crossed, values["frames"][1]]}, 1.0, None, 0.0, "")]
+    assert "Of 2 frames of the corpus, lips or lids cross in 1, at most 0.50 mm deep" in study.words(rows)
+    assert study.gates(rows) == [] and len(study.tables(rows)[0].rows) == 1
