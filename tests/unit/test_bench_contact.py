@@ -16,7 +16,7 @@ from softdeca.benchmarks.studies.agreement.contact import (
     solve_by_barrier,
 )
 from softdeca.benchmarks.studies.agreement.effect_pictures import cut_tets
-from softdeca.reference import solve, terms
+from softdeca.reference import Reason, solve, terms
 from softdeca.reference.problems import meshes
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
@@ -54,7 +54,8 @@ def test_without_contact_nothing_is_pushed():
 
 def rows_of(**changes):
     values = {
-        "done": True, "moved_mean_mm": 0.4, "apart_mean_mm": 0.02, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
+        "done": True, "reasons": [str(Reason.CONVERGED)] * 2, "depth_after_mm": 0.1, "moved_mean_mm": 0.4,
+        "apart_mean_mm": 0.02, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
     }  # fmt: skip
     return [Row("lips pressed", PD, "done", "", values | changes, 1.0, None, 0.0, "")]
 
@@ -64,7 +65,9 @@ def test_gates_miss_a_code_without_contact_and_one_that_stops():
     study = Contact()
     assert all(gate["passed"] for gate in study.gates(rows_of()))
     assert [gate["passed"] for gate in study.gates(rows_of(apart_mean_mm=0.4))] == [True, False]
-    assert [gate["passed"] for gate in study.gates(rows_of(done=False))] == [False, True]
+    stopped = rows_of(done=False, reasons=[str(Reason.CONVERGED), str(Reason.LINE_SEARCH)])
+    assert [gate["passed"] for gate in study.gates(stopped)] == [False, True]
+    assert "PD leaves an overlap of 0.10 mm" in study.words(rows_of(done=False))
     assert "0.020 mm apart, and push with 9 and 8 mN" in study.words(rows_of())
 
 
