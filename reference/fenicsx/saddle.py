@@ -29,7 +29,7 @@ RESTART = 200  # vectors that GMRES keeps
 MAX_LINEAR_ITERATIONS = 400
 PATIENCE = 3  # times the iterations of the hardest projected system so far; beyond, a system counts as indefinite
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
-WEIGHT = 8.0
+WEIGHT = 10.0
 STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
 MODES, MODE = 6, 1e-1  # how many soft motions are looked at, and how well each is found
 ALIKE = 1e-10  # of the largest product of soft motions: what they have less in common with the others is rounding
@@ -215,7 +215,7 @@ class BlockSaddle:
         self._softest: list[Floats] | None = None
         self._ksp: PETSc.KSP | None = None
         self._parts: list[PETSc.Mat] = []
-        self._multigrid = Multigrid(matrix.H, matrix.problem.levels)
+        self._multigrid = Multigrid(matrix.H, matrix.problem.levels, symmetric=False)
 
     @property
     def factored(self) -> int:
