@@ -207,21 +207,19 @@ def measure_person(folder: str, people: int, identity: int, count: int) -> Value
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(int))]
     made_with, person = read_manifest(folder).made_with, table.person(identity)
     of_corpus = people_from_text(made_with["identities"], level=made_with["level"])
-    head, frames, groups = of_corpus.head(person), [], {}
+    head, frames, group = of_corpus.head(person), [], -1
     for row in chosen:
-        named, group = table.described(row), int(table.groups[row, 1])
-        if group not in groups:
+        named = table.described(row)
+        if table.groups[row, 1] != group:  # a person's frames lie group by group
+            group = table.groups[row, 1]
             face = settle_neutral(of_corpus, head, table.parameters(row))
-            groups = {
-                group: (face, *(prepare(face.scene(person.skin.vertices, contact=on)) for on in ((), LIPS + LIDS)))
-            }
-        face, *prepared = groups[group]
+            without = prepare(face.scene(person.skin.vertices))
+            with_contact = prepare(face.scene(person.skin.vertices, contact=LIPS + LIDS))
         shape = person.skin.vertices + np.tensordot(named["weights"].astype(np.float64), person.shapes, axes=1)
-        free, parted = (
-            each.solve(face.scene(shape, contact=on), start=face.positions, tolerance=TOLERANCE)
-            for each, on in zip(prepared, ((), LIPS + LIDS), strict=True)
-        )
-        moved = distances(*(face.skin_after(shape, each.positions) for each in (free, parted)))
+        free = without.solve(face.scene(shape), start=face.positions, tolerance=TOLERANCE)
+        scene = face.scene(shape, contact=LIPS + LIDS)
+        parted = with_contact.solve(scene, start=face.positions, tolerance=TOLERANCE)
+        moved = distances(face.skin_after(shape, free.positions), face.skin_after(shape, parted.positions))
         frames.append(
             {
                 "frame": f"{named['recording'].decode()} {named['frame']}",
