@@ -29,6 +29,8 @@ SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 STRAIGHT = 0.75  # of the predicted decrease (a parabola's is 1/2): beyond it a longer step pays
 LONGEST_STEP = 64.0
 SMALLEST_STEP = 2.0**-30
+# Least relative residual with a share of the negative curvature, whose steps converge linearly: more digits are wasted.
+LOOSE = 1e-2
 SHARE = 0.25  # of the negative curvature, that a Hessian which is not positive definite gives up
 SUCCESSES = 2  # with a share of it, after which more is tried
 DAMPINGS = (1e-3, 1e-2, 1e-1)  # of the largest diagonal entry: added where the projected Hessian leads nowhere
@@ -233,6 +235,8 @@ class Newton:
 
     def _advance(self, state: AnyState, gradient: Floats, kept: float, relative: float) -> AnyState | Reason:
         """One iteration with a share of the negative curvature kept; only the projected Hessian is sure to do."""
+        if 0.0 < kept < 1.0:
+            relative = max(relative, LOOSE)
 
         def set_up(shift: float) -> Floats:
             b = -gradient
