@@ -21,6 +21,7 @@ TOLERANCE = 1e-4
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "iterative (default)": {"linear": "jax_solver"},
     "direct, 8 steps": {"linear": "umfpack_solver", "steps": 8},
+    "direct": {"linear": "umfpack_solver"},
 }
 
 
