@@ -21,7 +21,7 @@ from ...surrogate.ruler import MOVES
 from ...surrogate.runtime import BoundSurrogate
 from .messages import Change, DerivativesFound, Frame, Method
 
-NETWORK_SHARE, DERIVATIVES_SHARE = 0.23, 0.04
+NETWORK_SHARE, DERIVATIVES_SHARE = 0.21, 0.04
 """Typical errors of network and derivatives, as shares of the motion beyond scaled bones: see the model card."""
 KEPT = 4
 """Parameter sets whose rigs are kept, of some 15 MB each."""
