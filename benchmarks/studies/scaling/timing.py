@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -112,7 +112,7 @@ def make_block(cells: int, law: Material | None = None) -> Scene:
     """Make the block's scene; the law is neo-Hookean where none is given."""
     X, tets = meshes.unstructured(cells)
     solid, *held = make_terms(SimpleNamespace(vertices=X))
-    return Scene(X, tets, (solid if law is None else replace(solid, material=law), *held))
+    return Scene(X, tets, (solid if law is None else terms.Hyperelastic(law), *held))
 
 
 def stretch(X: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ def compare_degrees() -> list[dict]:
         times = []
         for _ in range(REPEATS):
             matrix.zeroEntries()
-            times.append(measure_seconds(lambda form=form, matrix=matrix: seam.add_matrix(form, matrix)))
+            times.append(measure_seconds(partial(seam.add_matrix, form, matrix)))
         matrix.assemble()
         matrices.append(matrix)
         best = min(times, key=lambda each: each["cpu_s"])
@@ -289,7 +289,7 @@ def compare_threads(cells: int) -> list[dict]:
         for count in counts:
             with threadpool_limits(count):
                 factors = Factorisation()
-                times[count].append(measure_seconds(lambda each=factors: each.factor(matrix, symmetric=True)))
+                times[count].append(measure_seconds(partial(factors.factor, matrix, symmetric=True)))
                 factors.release()
     return [
         {
