@@ -246,8 +246,9 @@ class SolidState:
     @cached_property
     def _by_kernels(self) -> tuple[float, Floats]:
         """The kernels' energy [µJ] and gradient [mN], a field (n, 3), which cost little more than one of them."""
-        gradient = np.zeros_like(self._u)
-        return sum(kernel.add_energy(self._u, gradient) for kernel in self._solids.kernels), gradient
+        gradient, unused = np.zeros_like(self._u), np.zeros_like(self._u)
+        pairs = ((kernel, unused if kernel.has_pressure else gradient) for kernel in self._solids.kernels)
+        return sum(kernel.add_energy(self._u, into) for kernel, into in pairs), gradient
 
     def energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where a law does not hold."""
@@ -259,7 +260,8 @@ class SolidState:
         """Add the gradient [mN] of this process' cells to a field (n, 3)."""
         self.place()
         into += self._by_kernels[1]
-        for forms in self._solids.forms:
+        # Kernels' rounding would tip Rivlin's cube off its branch at the limit point, where forms' does not.
+        for forms in self._solids.mixed_forms or self._solids.forms:
             forms.add_gradient(into.reshape(-1))
 
     def add_hessian(self, into: Stiffness, kept: float):
