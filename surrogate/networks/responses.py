@@ -16,6 +16,8 @@ from .features import Inputs
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Of the kernel, over the median distance of training faces."""
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
+BLOCK = 32
+"""Faces that are added up at once."""
 PROBED = 2000
 """Coordinates of the responses by which their kernel is chosen."""
 
@@ -55,8 +57,8 @@ class LearnedResponses:
     def _combine(self, row: Floats, inverse: Floats, length: float, values: np.ndarray) -> Floats32:
         shares = (inverse @ self._kernel(self._rows, row[None], length)[:, 0]).astype(np.float32)
         total: Floats32 = np.zeros(values.shape[1], dtype=np.float32)
-        for share, value in zip(shares, values, strict=True):
-            total += share * value
+        for first in range(0, len(values), BLOCK):  # a corpus keeps 16 bits, in which products would be rounded
+            total += shares[first : first + BLOCK] @ values[first : first + BLOCK].astype(np.float32)
         return total
 
     def _kernel(self, one: Floats, other: Floats, length: float) -> Floats:
