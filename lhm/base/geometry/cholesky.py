@@ -61,7 +61,8 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
     if linear_solver == "superlu" or CholeskySolverD is None:
         return _superlu(matrix).solve
     kind = CholeskySolverF if matrix.dtype == np.float32 else CholeskySolverD
-    matrix = matrix.sorted_indices()  # of others it solves another system, without a word
+    if not matrix.has_sorted_indices:
+        matrix = matrix.sorted_indices()  # of others it solves another system, without a word
     indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
     solver = kind(matrix.shape[0], indptr, indices, matrix.data, MatrixType.CSC)
 
