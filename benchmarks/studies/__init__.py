@@ -34,6 +34,7 @@ STUDIES = {
     "ranks": "scaling.ranks:Ranks",
     "parts": "scaling.parts:Parts",
     "timing": "scaling.timing:Timing",
+    "corotated": "scaling.corotated:OperatorSplitting",
     "material": "agreement.material:Material",
     "shapes": "heads.shapes:Shapes",
     "heads": "heads.fit:Heads",
@@ -70,6 +71,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
             "mixed": "mixed",
             "pieces": "minimal",
             "timing": "timing",
+            "corotated": "corotated",
         },
     ),
     "mesh": (

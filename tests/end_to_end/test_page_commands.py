@@ -131,6 +131,9 @@ ELSEWHERE = {
         "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory"
     ),
     "softdeca bench scaling --cases timing": "test_bench_timing.py::test_each_habit_costs_what_the_page_says",
+    "softdeca bench scaling --cases corotated --sources FastCorotatedFEM": (
+        "test_bench_corotated.py::test_without_sources_theirs_is_skipped"
+    ),
     "softdeca bench scaling --cases ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
     "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run": CORPUS,
