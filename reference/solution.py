@@ -169,6 +169,11 @@ class Recorder:
         self._clock = Clock()
         self._rows: list[tuple[float, float, float]] = []
 
+    @property
+    def has_listener(self) -> bool:
+        """Whether a callback asks for positions."""
+        return self._callback is not None
+
     def record(self, positions: Floats, energy: float, gradient_norm: float) -> bool:
         """Add an iteration; return whether the callback asks to stop."""
         self._rows.append((self._clock.read().work, energy, gradient_norm))

@@ -110,7 +110,11 @@ class Coordinates:
     def move(self, place: Place, step: Floats) -> Place:
         """Return the place after a step [mm], shape (size,)."""
         u = place.u.copy()
-        _add_at(u.reshape(-1), self.index, step)
+        begin = 0
+        for components, free in self.groups:
+            end = begin + len(components) * len(free)
+            _add_rows(u, free, components, step[begin:end])
+            begin = end
         rotations = np.empty_like(place.rotations)
         for b, (body, motion) in enumerate(zip(self.bodies, step[len(self.index) :].reshape(-1, 6), strict=True)):
             turned = _rotation(motion[3:] / body.radius) @ place.rotations[b]
@@ -124,7 +128,11 @@ class Coordinates:
         A body's share is the force on it, and the torque about its mean over its radius [mN].
         """
         pulled = np.empty(self.size)
-        np.take(gradient.reshape(-1), self.index, out=pulled[: len(self.index)])
+        begin = 0
+        for components, free in self.groups:
+            end = begin + len(components) * len(free)
+            _take_rows(gradient, free, components, pulled[begin:end])
+            begin = end
         for b, motion in enumerate(pulled[len(self.index) :].reshape(-1, 6)):
             body = self.bodies[b]
             forces = gradient[body.vertices]
@@ -151,10 +159,29 @@ CROSS = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)], axis=2)
 
 
 @njit(cache=True)
-def _add_at(values, index, step):
-    """values[index] += step for the first numbers of the step."""
-    for i in range(len(index)):
-        values[index[i]] += step[i]
+def _add_rows(u, free, components, step):
+    """Add a step of some components, in rising order, of free vertices."""
+    if len(components) == 3:
+        for i in range(len(free)):
+            for c in range(3):
+                u[free[i], c] += step[3 * i + c]
+        return
+    for i in range(len(free)):
+        for c in range(len(components)):
+            u[free[i], components[c]] += step[len(components) * i + c]
+
+
+@njit(cache=True)
+def _take_rows(gradient, free, components, pulled):
+    """Take some components, in rising order, of free vertices."""
+    if len(components) == 3:
+        for i in range(len(free)):
+            for c in range(3):
+                pulled[3 * i + c] = gradient[free[i], c]
+        return
+    for i in range(len(free)):
+        for c in range(len(components)):
+            pulled[len(components) * i + c] = gradient[free[i], components[c]]
 
 
 def _rotation(vector: Floats) -> Floats:

@@ -95,7 +95,8 @@ class Watch:
         """Take note of an iteration, the start first; the reason to stop, if there is one."""
         self.iteration += 1
         norm = point.norm
-        if self._recorder.record(self._rest + point.u, point.energy, norm):
+        positions = self._rest + point.u if self._recorder.has_listener else point.u
+        if self._recorder.record(positions, point.energy, norm):
             return Reason.INTERRUPTED
         if not np.isfinite(point.energy) or not np.isfinite(norm):
             return Reason.NOT_FINITE

@@ -55,16 +55,22 @@ ALIKE = 1e-3
 
 
 @njit(**COMPILED)
+def _read_bounds(w, parameters):
+    """Copy the parameters of a block that not every block needs."""
+    for i in range(ALWAYS_READ * LANES, PARAMETERS * LANES):
+        w[i] = parameters[i]
+
+
+@njit(**COMPILED)
 def gather(w, parameters, corners, kinds, u):
     """Copy a block's parameters, and compute F = I + Du Dm_inv of the displacement u.
 
-    From displacements, for differences of positions far from the origin lose digits.
+    Guards' parameters are left out. From displacements, for differences of positions far from the origin lose digits.
     """
     for i in range(ALWAYS_READ * LANES):
         w[i] = parameters[i]
-    if kinds & (HAS_BOUNDS | HAS_GUARDS):
-        for i in range(ALWAYS_READ * LANES, PARAMETERS * LANES):
-            w[i] = parameters[i]
+    if kinds & HAS_BOUNDS:
+        _read_bounds(w, parameters)
     for k in range(LANES):
         a, b, c, d = corners[k], corners[LANES + k], corners[2 * LANES + k], corners[3 * LANES + k]
         w[F00 + k], w[F01 + k], w[F02 + k] = u[b, 0] - u[a, 0], u[c, 0] - u[a, 0], u[d, 0] - u[a, 0]
@@ -104,6 +110,16 @@ def _volume_stress(w):
         w[A1 + k], w[A2 + k] = volume * (first - second * (s0 + s1)), volume * second
         w[ENERGY + k] = 0.5 * volume * (d0 * d0 + d1 * d1 + d2 * d2)
     return alike == 0
+
+
+@njit(**COMPILED)
+def _is_guarded(w, parameters):
+    """Whether a lane's stretches come near to a bound of its second Strain, or pass it."""
+    near = 0
+    for k in range(LANES):
+        top, bottom = parameters[HIGH2 + k] - 2.0 * CLOSE, parameters[LOW2 + k] + 2.0 * CLOSE
+        near += 1 if (w[S0 + k] > top or w[S2 + k] < bottom) and parameters[STRAIN2 + k] > 0.0 else 0
+    return near > 0
 
 
 @njit(**COMPILED)
@@ -237,8 +253,7 @@ def _scatter(w, corners, gradient):
 @njit(**COMPILED)
 def singular_stretches(w, parameters, kinds):
     """Write U, s and V of a block, and s - t to D, which is 0 where the block has no Volume."""
-    for i in range(ALWAYS_READ * LANES, PARAMETERS * LANES):
-        w[i] = parameters[i]
+    _read_bounds(w, parameters)
     decompose(w)
     w[D0 : D0 + 3 * LANES] = 0.0
     if kinds & HAS_VOLUME:
@@ -258,10 +273,14 @@ def add_tets(parameters, corners, kinds, u, gradient):
         kind = kinds[block]
         gather(w, parameters[block], corners[block], kind, u)
         sure = nearest_rotation(w) == 0
+        guarded = False
         if sure and kind:
             stretches(w)
+            guarded = kind & HAS_GUARDS and _is_guarded(w, parameters[block])
+            if guarded:
+                _read_bounds(w, parameters[block])
             at_bound = kind & HAS_BOUNDS and _at_corner(w, STRAIN, LOW, HIGH)
-            sure = not (at_bound or (kind & HAS_GUARDS and _at_corner(w, STRAIN2, LOW2, HIGH2)))
+            sure = not (at_bound or (guarded and _at_corner(w, STRAIN2, LOW2, HIGH2)))
         if sure and kind & HAS_VOLUME:
             project_volume(w)
             sure = _volume_stress(w)
@@ -275,7 +294,7 @@ def add_tets(parameters, corners, kinds, u, gradient):
             if kind & HAS_BOUNDS:
                 _bounded_stress(w, STRAIN, LOW, HIGH, ACTIVE)
                 w[STRAIN : STRAIN + LANES] = 0.0
-            if kind & HAS_GUARDS and _acts(w, STRAIN2, LOW2, HIGH2, ACTIVE2):
+            if guarded and _acts(w, STRAIN2, LOW2, HIGH2, ACTIVE2):
                 _bounded_stress(w, STRAIN2, LOW2, HIGH2, ACTIVE2)
             _forces(w)
         total += _scatter(w, corners[block], gradient)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -86,6 +87,11 @@ class DeadLoads(Part):
 
     forces: Floats
 
+    @cached_property
+    def is_zero(self) -> bool:
+        """Whether nothing pushes."""
+        return not self.forces.any()
+
     @classmethod
     def from_scene(cls, scene: Scene) -> DeadLoads:
         """See Part."""
@@ -97,5 +103,7 @@ class DeadLoads(Part):
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
         """See Part."""
+        if self.is_zero:
+            return total
         gradient -= self.forces
         return total - float(np.vdot(self.forces, u))

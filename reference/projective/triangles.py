@@ -16,32 +16,62 @@ from numba import njit
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
-from .lanes import COMPILED
+from .lanes import COMPILED, LANES, rows
 from .part import Part
 from .sparsity import add_block
 
 # Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and
 # that of a triangle of sound shape is the same to rounding.
 FLOOR = 1e-18
+# A block of triangles as it lies in memory: inverse edges, weight, √growth, edges (and then forces), energy.
+I00, I01, I10, I11, WEIGHT, SCALE = rows(0, 6)
+E00, E01, E10, E11, E20, E21, ENERGY = rows(6, 7)
+ROWS = 13
 PAIRS = np.array([[a, b] for a in range(3) for b in range(a, 3)])
 """The pairs of a triangle's corners, one block of the Hessian each."""
 
 
 @njit(**COMPILED)
 def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
-    """Add E = w/2 (‖F‖² - 2 r N + 2 r²), r = √growth and N = s0 + s1 = √(‖F‖² + 2 s0 s1), the nuclear norm.
+    """Add E = w/2 (‖F‖² - 2 r N + 2 r²), r = √growth and N = s0 + s1 = √(‖F‖² + 2 s0 s1), the nuclear norm."""
+    w = np.zeros(ROWS * LANES)
+    energy = 0.0
+    for first in range(0, len(corners), LANES):
+        last = min(first + LANES, len(corners))
+        for t in range(first, last):
+            a, b, c = corners[t]
+            k = t - first
+            w[I00 + k], w[I01 + k], w[I10 + k] = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0]
+            w[I11 + k], w[WEIGHT + k], w[SCALE + k] = inverse[t, 1, 1], weight[t], scale[t]
+            w[E00 + k], w[E01 + k] = rest[t, 0, 0] + u[b, 0] - u[a, 0], rest[t, 0, 1] + u[c, 0] - u[a, 0]
+            w[E10 + k], w[E11 + k] = rest[t, 1, 0] + u[b, 1] - u[a, 1], rest[t, 1, 1] + u[c, 1] - u[a, 1]
+            w[E20 + k], w[E21 + k] = rest[t, 2, 0] + u[b, 2] - u[a, 2], rest[t, 2, 1] + u[c, 2] - u[a, 2]
+        _stretch(w)
+        for t in range(first, last):
+            a, b, c = corners[t]
+            k = t - first
+            energy += w[ENERGY + k]
+            for r in range(3):
+                q0, q1 = w[E00 + 2 * r * LANES + k], w[E01 + 2 * r * LANES + k]
+                gradient[a, r] -= q0 + q1
+                gradient[b, r] += q0
+                gradient[c, r] += q1
+    return energy
+
+
+@njit(**COMPILED)
+def _stretch(w):
+    """Write every lane's energy, and the forces on its second and third corner to E, which holds the edges.
 
     ∂N/∂F is the polar factor of F; s0 s1 = |f0 × f1| is what the floor acts on.
     """
-    energy = 0.0
-    for t in range(len(corners)):
-        a, b, c = corners[t]
-        i00, i01, i10, i11 = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0], inverse[t, 1, 1]
-        p0, p1 = rest[t, 0, 0] + u[b, 0] - u[a, 0], rest[t, 0, 1] + u[c, 0] - u[a, 0]
+    for k in range(LANES):
+        i00, i01, i10, i11 = w[I00 + k], w[I01 + k], w[I10 + k], w[I11 + k]
+        p0, p1 = w[E00 + k], w[E01 + k]
         f00, f01 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
-        p0, p1 = rest[t, 1, 0] + u[b, 1] - u[a, 1], rest[t, 1, 1] + u[c, 1] - u[a, 1]
+        p0, p1 = w[E10 + k], w[E11 + k]
         f10, f11 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
-        p0, p1 = rest[t, 2, 0] + u[b, 2] - u[a, 2], rest[t, 2, 1] + u[c, 2] - u[a, 2]
+        p0, p1 = w[E20 + k], w[E21 + k]
         f20, f21 = p0 * i00 + p1 * i10, p0 * i01 + p1 * i11
         c00 = f00 * f00 + f10 * f10 + f20 * f20
         c11 = f01 * f01 + f11 * f11 + f21 * f21
@@ -49,22 +79,18 @@ def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
         n0, n1, n2 = f10 * f21 - f20 * f11, f20 * f01 - f00 * f21, f00 * f11 - f10 * f01
         area = sqrt(n0 * n0 + n1 * n1 + n2 * n2 + FLOOR)
         norm = sqrt(c00 + c11 + 2.0 * area)
-        w, growth = weight[t], scale[t]
+        weight, growth = w[WEIGHT + k], w[SCALE + k]
         # ‖F‖² - 2 r N + 2 r² = (N - r)² - 2 (s0 s1 - r²) - r² has no large terms that cancel near F = r R.
-        energy += 0.5 * w * ((norm - 2.0 * growth) * norm - 2.0 * (area - growth * growth))
+        w[ENERGY + k] = 0.5 * weight * ((norm - 2.0 * growth) * norm - 2.0 * (area - growth * growth))
         # The stress w (F - r Q), with the polar factor Q = (F + F adj(C) / area) / norm, is F times a matrix.
-        share = w * growth / norm
+        share = weight * growth / norm
         over = share / area
-        m00, m11, m01 = w - share - over * c11, w - share - over * c00, over * c01
+        m00, m11, m01 = weight - share - over * c11, weight - share - over * c00, over * c01
         h00, h01 = m00 * i00 + m01 * i01, m00 * i10 + m01 * i11
         h10, h11 = m01 * i00 + m11 * i01, m01 * i10 + m11 * i11
-        for r in range(3):
-            g0, g1 = (f00, f01) if r == 0 else (f10, f11) if r == 1 else (f20, f21)
-            q0, q1 = g0 * h00 + g1 * h10, g0 * h01 + g1 * h11
-            gradient[a, r] -= q0 + q1
-            gradient[b, r] += q0
-            gradient[c, r] += q1
-    return energy
+        w[E00 + k], w[E01 + k] = f00 * h00 + f01 * h10, f00 * h01 + f01 * h11
+        w[E10 + k], w[E11 + k] = f10 * h00 + f11 * h10, f10 * h01 + f11 * h11
+        w[E20 + k], w[E21 + k] = f20 * h00 + f21 * h10, f20 * h01 + f21 * h11
 
 
 def _edges(points: Floats) -> Floats:
