@@ -147,7 +147,7 @@ def _gate(file: str, what: str) -> Mapping[str, Any]:
 def evaluate(expression: str) -> float:
     """Evaluate an expression of docs/figures.toml over the results."""
     known = {
-        "one": one, "every": every, "of": of, "gate": gate, "min": min, "max": max, "sum": sum, "len": len,
+        "one": one, "every": every, "of": of, "gate": gate, "min": min, "max": max, "sum": sum, "len": len, "zip": zip,
         "mean": statistics.fmean, "median": statistics.median, "sqrt": math.sqrt,
     }  # fmt: skip
     return eval(expression, {"__builtins__": {}} | known)  # noqa: S307  # of this repository's own file
