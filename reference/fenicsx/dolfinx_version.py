@@ -43,7 +43,6 @@ try:
         from dolfinx.fem import petsc
         from mpi4py import MPI
         from petsc4py import PETSc
-        from slepc4py import SLEPc as SLEPc
 except ImportError as error:
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
 

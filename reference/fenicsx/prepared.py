@@ -37,7 +37,7 @@ from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same
 from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
-from .saddle import LARGE_SADDLE, SADDLES, SaddleMatrix
+from .saddle import SADDLES, SaddleMatrix
 from .solids import check_solids
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
@@ -55,6 +55,7 @@ STIFF = 4000.0
 By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG 11 and
 3.1 s; at .49999 MUMPS 23 and 1.6 s, where CG creeps. At .49 on 10,125 unknowns both take 1.5 s.
 """
+LARGE_STIFF = 400_000  # unknowns, from which on such laws take multigrid in spite of it: factors take too much memory
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
 
@@ -64,7 +65,7 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
     linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). "cg" is
-    direct too for nearly incompressible laws (see STIFF) below LARGE_SADDLE unknowns. By element "P2P1" "cg" goes by
+    direct too for nearly incompressible laws (see STIFF) below LARGE_STIFF unknowns. By element "P2P1" "cg" goes by
     size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner, which "block" asks for
     whatever the size. `Continuation` always takes factors, whose inertia it needs.
 
@@ -107,7 +108,7 @@ class PreparedFenicsx:
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
         # Multigrid leaves too much of volumes in steps by a displacement alone.
         stiff = any(t.material.stiffness > STIFF * t.material.shear_modulus for t in scene.of(Hyperelastic))
-        small = 3 * self._numbering.nodes.total < LARGE_SADDLE
+        small = 3 * self._numbering.nodes.total < LARGE_STIFF
         by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
         problem = self._problem

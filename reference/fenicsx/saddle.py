@@ -13,7 +13,7 @@ import ufl
 
 from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
-from .dolfinx_version import PETSc, SLEPc, free_dropped
+from .dolfinx_version import PETSc, free_dropped
 from .linear_solvers import Factorisation, LinearAnswer, hold, multiply, petsc_vector, solve_with
 from .multigrid import Multigrid, set_options
 from .parallel import dot, irregular_vector
@@ -22,16 +22,16 @@ from .problem import Problem, State
 PENALTY = 30.0
 """kappa by the shear modulus: the error of p₀ falls to a tenth or less per minimisation, in two or three steps each."""
 SADDLES = ("cg", "mumps", "block")
-LARGE_SADDLE = 400_000
-"""Unknowns, from which on "cg" is GMRES. Factors, which count the inertia, take nearly twice its memory at 76,000 and
-5.6 GB at 305,000, where GMRES takes 2.4."""
+LARGE_SADDLE = 4_000
+"""Unknowns, from which on "cg" is GMRES. Factors, which count the inertia, win below: a block takes .13 s by them and
+.18 by GMRES at 1,093 unknowns, .52 and .43 at 4,209, 3.8 and 3.3 at 15,468. They take twice the memory at 76,000."""
 RESTART = 200  # vectors that GMRES keeps
 MAX_LINEAR_ITERATIONS = 400
-PATIENCE = 3  # times the iterations of the hardest projected system so far; beyond, a system counts as indefinite
+PATIENCE = 2  # times as slow as the hardest projected system so far, GMRES counts a system as indefinite
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
 WEIGHT = 10.0
 STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
-MODES, MODE = 6, 1e-1  # how many soft motions are looked at, and how well each is found
+MODES, MODE = 6, 1e-2  # how many soft motions are kept, and how far GMRES goes to meet them
 ALIKE = 1e-10  # of the largest product of soft motions: what they have less in common with the others is rounding
 _PREFIX, _PRESSURE_PREFIX = "softdeca_block_", "softdeca_pressure_"
 _OPTIONS = {
@@ -200,19 +200,18 @@ class BlockSaddle:
     """See FactoredSaddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
-    along the answer, which then is no descent direction, or GMRES takes PATIENCE times what it took for the first
-    matrix or one after a failure: both are projected, so those get all iterations. `newton_step` looks further, for it
-    ends a solve: at the softest motions, which SLEPc finds by the inverse. Where these curve the energy downwards,
-    FactoredSaddle takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
+    along the answer, which then is no descent direction, or GMRES is PATIENCE times as slow as for the first matrix or
+    one after a failure: both are projected, so those get all iterations. `newton_step` looks further, for it ends a
+    solve: at the softest motions. Where these curve the energy downwards, later matrices are asked about them before
+    GMRES is. FactoredSaddle takes over for one step where GMRES does not find that.
     """
 
     def __init__(self, matrix: SaddleMatrix, held: Ints):
         self._matrix, self._held, self._comm = matrix, held, matrix.comm
         self.direct = FactoredSaddle(matrix, held)
         self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
-        self._hardest, self._failed = 0, False
-        self._by_factors = self._lost = False
-        self._softest: list[Floats] | None = None
+        self._per_decade, self._failed, self._by_factors = 0.0, False, False
+        self._softest: Floats | None = None
         self._ksp: PETSc.KSP | None = None
         self._parts: list[PETSc.Mat] = []
         self._multigrid = Multigrid(matrix.H, matrix.problem.levels, symmetric=False)
@@ -229,20 +228,21 @@ class BlockSaddle:
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; held dofs' equations are x = b but for a factor, as `hold` leaves them."""
-        if self._lost:
-            return self.direct.solve(b, relative=relative)
         matrix = self._matrix
         given = np.zeros_like(b)
         given[self._held] = b[self._held] / matrix.H.getDiagonal().array_r[self._held]
+        is_projected = self._failed or not self._per_decade
+        if not is_projected and self._softest is not None and self._soften(self._softest, matrix.D)[0][0] <= 0.0:
+            self._failed = True
+            return LinearAnswer(given, False, 0, "negative curvature")
         moved = np.zeros(matrix.pressures)
         matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (given, moved)))
         self._set_up()
         known = np.concatenate([b, -moved])
         known[self._held] = 0.0
-        is_projected = self._failed or not self._hardest
-        z, why = self._solve(known, relative, MAX_LINEAR_ITERATIONS if is_projected else PATIENCE * self._hardest)
+        z, why = self._solve(known, relative, np.inf if is_projected else PATIENCE * self._per_decade)
         if is_projected and not why:
-            self._hardest = max(self._hardest, self._last)
+            self._per_decade = max(self._per_decade, self._last / -np.log10(relative))
         x = z[: len(b)]
         if not (why or dot(self._comm, x, b) > 0.0 or dot(self._comm, given, given) > 0.0):
             why = "negative curvature"
@@ -252,74 +252,67 @@ class BlockSaddle:
 
     def newton_step(self, residual: Floats) -> Floats | None:
         """See FactoredSaddle."""
-        if self._lost:
-            return self.direct.newton_step(residual)
-        H = self._matrix.H
-        hold(H, self._held, np.zeros(len(self._held)), np.zeros(self._matrix.displacements))
+        matrix = self._matrix
+        hold(matrix.H, self._held, np.zeros(len(self._held)), np.zeros(matrix.displacements))
         self._set_up()
-        step, why = self._solve(-residual, STEP)
-        self._by_factors = bool(why)
+        stiffened = matrix.D.copy()
+        stiffened.axpy(-matrix.springs, matrix.mass, structure=_SAME)
+        motions = self._find_motions() if self._softest is None else self._softest
+        stiffness, self._softest = self._soften(motions, stiffened)
+        step, why = np.zeros(0), ""
+        if stiffness[0] > 0.0:
+            step, why = self._solve(-residual, STEP)
+            self._by_factors = bool(why)
+            motions = np.concatenate([step[None, : matrix.displacements], self._softest])
+            stiffness, self._softest = self._soften(motions, stiffened)
+        stiffened.destroy()
         if why:
             return self.direct.newton_step(residual)
-        if self._softest is None:
-            self._softest = self._softest_motions()
-        if self._bends_down([step[: self._matrix.displacements], *self._softest]):
-            self._by_factors = self._lost = True
-            return None
-        return step
+        return step if stiffness[0] > 0.0 else None
 
     def simplified_step(self, residual: Floats) -> Floats:
         """See FactoredSaddle; by the same preconditioner."""
         return self.direct.simplified_step(residual) if self._by_factors else self._solve(-residual, FOLLOWING)[0]
 
-    def _free(self, motion: Floats) -> Floats:
-        """A displacement as forces on what is not held, and no volumes."""
-        result = np.concatenate([motion, np.zeros(self._matrix.pressures)])
-        result[self._held] = 0.0
-        return result
+    def _find_motions(self) -> Floats:
+        """Displacements (k, n) by which GMRES comes from rest to what irregular forces do to what is set up.
 
-    def mult(self, _matrix: PETSc.Mat, forces: PETSc.Vec, motion: PETSc.Vec):
-        """The inverse of what is set up, as SLEPc asks for it: displacements by forces, zero where GMRES finds none."""
-        step, why = self._solve(self._free(forces.array_r), MODE)
-        motion.array[:] = 0.0 if why else step[: self._matrix.displacements]
-
-    def _softest_motions(self) -> list[Floats]:
-        """Displacements of the lowest modes of what is set up: SLEPc's Krylov space of its inverse, made once.
-
-        Six solves of 146 iterations of GMRES for a beam of 1,701 nodes; Lanczos by hand took 148, to the same modes.
+        They span what it has seen of the matrix. A soft motion takes part in the answer more than in the forces, so
+        GMRES has seen it by the time that the residual is small.
         """
         matrix, nodes = self._matrix, self._matrix.problem.numbering
-        inverse = PETSc.Mat().createPython(((matrix.displacements, None),) * 2, self, comm=self._comm)
-        inverse.setUp()
-        begin, mode = inverse.createVecs()
-        begin.array[:] = self._free(irregular_vector(self._comm, nodes.X[: nodes.nodes.owned]))[: matrix.displacements]
-        solver = SLEPc.EPS().create(self._comm)
-        solver.setOperators(inverse)
-        solver.setProblemType(SLEPc.EPS.ProblemType.HEP)
-        solver.setDimensions(1, MODES)
-        solver.setTolerances(MODE, 1)
-        solver.setInitialSpace([begin])
-        solver.solve()
-        found = []
-        for k in range(solver.getConverged()):
-            solver.getEigenvector(k, mode)
-            found.append(mode.array_r.copy())
-        for each in (solver, inverse, begin, mode):
-            each.destroy()
-        return found
+        forces = np.zeros(matrix.displacements + matrix.pressures)
+        forces[: matrix.displacements] = irregular_vector(self._comm, nodes.X[: nodes.nodes.owned]).ravel()
+        forces[self._held] = 0.0
+        places: list[Floats] = []
 
-    def _bends_down(self, motions: list[Floats]) -> bool:
-        """Whether the energy with springs bends down anywhere in the space of some displacements."""
+        def remember(ksp: PETSc.KSP, _iteration: int, _residual: float):
+            places.append(ksp.buildSolution().array_r[: matrix.displacements].copy())
+
+        assert self._ksp is not None
+        self._ksp.setMonitor(remember)
+        self._solve(forces, MODE, PATIENCE * self._per_decade or np.inf)
+        self._ksp.cancelMonitor()
+        motions = np.diff(places, axis=0)
+        motions[:, self._held] = 0.0
+        return motions
+
+    def _soften(self, motions: Floats, D: PETSc.Mat) -> tuple[Floats, Floats]:
+        """Ritz values (k,) [mN/mm] and motions (k, n), softest first and at most MODES, of H - B D⁻¹ Bᵀ.
+
+        They are those in the space of some displacements (m, n).
+        """
         matrix = self._matrix
-        vectors = np.stack([motion / np.sqrt(dot(self._comm, motion, motion)) for motion in motions])
+        lengths = np.sqrt(self._comm.allreduce(np.sum(motions**2, axis=1)))
+        if not lengths.any():  # everything is held
+            return np.full(1, np.inf), motions
+        vectors = motions[lengths > 0.0] / lengths[lengths > 0.0, None]
         values, turned = np.linalg.eigh(self._comm.allreduce(vectors @ vectors.T))
         kept = values > ALIKE * values[-1]
         basis = (turned[:, kept] / np.sqrt(values[kept])).T @ vectors
         bent = np.array([multiply(matrix.H, motion) for motion in basis])
-        stiffened = matrix.D.copy()
-        stiffened.axpy(-matrix.springs, matrix.mass, structure=_SAME)
         pressures = PressureSolver(matrix)
-        pressures.take(stiffened)
+        pressures.take(D)
         for row, motion in enumerate(basis):
             volumes, forces = np.zeros(matrix.pressures), np.zeros(matrix.displacements)
             matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (motion, volumes)))
@@ -327,7 +320,8 @@ class BlockSaddle:
             forces[self._held] = 0.0
             bent[row] += forces
         products = self._comm.allreduce(basis @ bent.T)
-        return bool(np.linalg.eigvalsh((products + products.T) / 2)[0] <= 0.0)
+        stiffness, turned = np.linalg.eigh((products + products.T) / 2)
+        return stiffness[:MODES], turned[:, :MODES].T @ basis
 
     def _set_up(self):
         """Make GMRES anew for the matrix' present values, where held dofs are held in H."""
@@ -350,7 +344,7 @@ class BlockSaddle:
         set_options(_PREFIX, _OPTIONS)
         self._ksp = PETSc.KSP().create(matrix.comm)
         self._ksp.setOptionsPrefix(_PREFIX)
-        self._ksp.setType(PETSc.KSP.Type.GMRES)
+        self._ksp.setType(PETSc.KSP.Type.FGMRES)
         self._ksp.setGMRESRestart(RESTART)
         self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
@@ -367,12 +361,28 @@ class BlockSaddle:
         self._multigrid.set_up(blocks.getFieldSplitSubKSP()[0].getPC())
         self._set_ups += 1
 
-    def _solve(self, known: Floats, relative: float, limit: int = MAX_LINEAR_ITERATIONS) -> tuple[Floats, str]:
-        """Displacements and pressures from forces and volumes, a vector, and why they are none."""
+    def _solve(self, known: Floats, relative: float, slowest: float = np.inf) -> tuple[Floats, str]:
+        """Displacements and pressures from forces and volumes, a vector, and why they are none.
+
+        GMRES ends where it takes more than `slowest` iterations for a decade, after as many for a decade in advance.
+        """
         assert self._ksp is not None
         known = np.array(known)
         known[self._matrix.displacements :] *= self._scale
-        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
+        reasons, first = PETSc.KSP.ConvergedReason, 0.0
+
+        def judge(_ksp: PETSc.KSP, iteration: int, residual: float) -> int:
+            nonlocal first
+            if not np.isfinite(residual):
+                return reasons.DIVERGED_NANORINF
+            first = residual if iteration == 0 else first
+            if residual <= relative * first:
+                return reasons.CONVERGED_RTOL
+            is_slow = iteration > slowest * (1.0 + np.log10(first / residual))
+            return reasons.DIVERGED_MAX_IT if is_slow else reasons.ITERATING
+
+        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        self._ksp.setConvergenceTest(judge)
         answer, why = solve_with(self._ksp, known, 1)
         answer[self._matrix.displacements :] *= self._scale
         answer[self._held] = 0.0  # GMRES leaves its residual there

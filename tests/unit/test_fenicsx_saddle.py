@@ -123,6 +123,12 @@ def test_energies_that_curve_downwards_are_told():
     forces = state.gradient().ravel()
     forces[held] = 0.0
     assert solver.newton_step(np.concatenate([forces, state.strain()])) is None
+    hessian = state.hessian()
+    hessian.shift(-0.5 * hessian.getDiagonal().norm())
+    b = -forces
+    hold(hessian, held, np.zeros(len(held)), b)
+    answer = solver.solve(b, relative=1e-6)  # along the motion found, without GMRES
+    assert not answer.converged and answer.iterations == 0 and answer.why == "negative curvature"
     solver.release()
 
 

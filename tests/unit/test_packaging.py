@@ -38,7 +38,7 @@ def test_each_package_imported_is_a_dependency():
     names = {name for _, name in imported(*PORTIONS)} - set(sys.stdlib_module_names)
     # FEniCSx comes from Debian or conda; extras: what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh, speech, live
     # pages.
-    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "slepc4py"}
+    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"}
     elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "websockets"}
     # Contact's check; and the arena's solvers, some in environments of their own, with what they share as scripts.
     elsewhere |= {"ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem", "pypbd"}
