@@ -23,33 +23,12 @@ SCAN = 256
 
 @njit(**COMPILED)
 def _begin(w):
-    """Write the first multiplier: 0, or of tets that are flat or inverted one for which t2 is positive.
-
-    Return how many are not 0.
-    """
-    count = 0
+    """Write the first multiplier: 0, or of tets that are flat or inverted one for which t2 is positive."""
     for k in range(LANES):
         s0, s1, s2, v = w[S0 + k], w[S1 + k], w[S2 + k], w[TARGET + k]
         area = s0 * s1
         t2 = 0.5 * v / (area + 0.3 * v)
-        flat = area * s2 < 0.2 * v and t2 > s2
-        w[MULTIPLIER + k] = t2 * (t2 - s2) if flat else 0.0
-        count += 1 if flat else 0
-    return count
-
-
-@njit(**COMPILED)
-def _leave_zero(w):
-    """Take the step of `_approach` where all multipliers are 0 and t is s, which needs no roots."""
-    pending = 0
-    for k in range(LANES):
-        s0, s1, s2, v = w[S0 + k], w[S1 + k], w[S2 + k], w[TARGET + k]
-        product = s0 * s1 * s2
-        slope = s1 * s2 * s1 * s2 + s0 * s2 * s0 * s2 + s0 * s1 * s0 * s1
-        change = 2.0 * (v - product) * product * s0 * s1 * s2 / ((v + product) * slope)
-        w[MULTIPLIER + k] = max(change, -0.125 * s2 * s2)
-        pending += 0 if abs(v - product) <= ENOUGH * v else 1
-    return pending
+        w[MULTIPLIER + k] = t2 * (t2 - s2) if area * s2 < 0.2 * v and t2 > s2 else 0.0
 
 
 @njit(**COMPILED)
@@ -96,10 +75,9 @@ def _finish(w):
 @njit(**COMPILED)
 def project_volume(w):
     """Write s - t of every lane to D, and the multiplier m; all roots with plus where that is sure to be nearest."""
-    at_zero = _begin(w) == 0
-    for step in range(STEPS):
-        pending = _leave_zero(w) if at_zero and step == 0 else _approach(w)
-        if pending == 0:
+    _begin(w)
+    for _ in range(STEPS):
+        if _approach(w) == 0:
             break
     if _finish(w) > 0:
         _settle_doubts(w)
