@@ -1,8 +1,8 @@
 """How FEniCSx' time and memory grow with the unknowns, beside what the default mesh must cost at least.
 
 One head on meshes from its coarsest template to the finest with sub-layers, under PD's energy and the neo-Hookean law,
-each mesh in a process of its own; up to the default one from rest, finer ones from its answer. The floor: the bytes of
-an assembly and of a product with the matrix over the bandwidth of memory.
+each mesh in a process of its own; up to the default one from rest, finer ones from coarser meshes' answers. The floor:
+the bytes of an assembly and of a product with the matrix over the bandwidth of memory.
 """
 
 from __future__ import annotations
@@ -47,13 +47,11 @@ TET_BYTES = 4 * 8 + 16 * 4 + 9 * 8 + 8 + 2 * 9 * 8 + 9 * 8 + 2 * 3 * 8
 REPEATS = 7
 FLOORS = "floors of the default mesh"
 
-Coarse = tuple[Scene, Callable[[Floats], Floats]]
-"""The scene on a coarser mesh, and the start that its answer gives."""
 Mesh = tuple[int, int, str]
 """Level of the template, sub-layers of each tissue, and element."""
 DEFAULT_MESH: Mesh = (2, 1, "P1")
 NEAR = 1e-3
-"""Tolerance of the default mesh's answer that a finer one starts from."""
+"""Tolerance of coarser meshes' answers that a finer one starts from."""
 MESHES: dict[Mesh, int] = {
     (1, 2, "P1"): 18_180,
     DEFAULT_MESH: 43_578,
@@ -91,8 +89,8 @@ class Unknowns(OfPerson):
         *COUNTS,
         Column("assemblies", "assemblies", cost=True),
         Column("fallback_solves", "fallback solves", cost=True),
-        Column("coarse_s", "coarse mesh before these three [s]", cost=True),
-        Column("coarse_cpu_s", "of processor time the coarse mesh [s]", cost=True),
+        Column("coarse_s", "coarser meshes before these three [s]", cost=True),
+        Column("coarse_cpu_s", "of processor time the coarser meshes [s]", cost=True),
         Column("cpu_us_per_unknown", "processor time per unknown [µs]", cost=True),
         Column("peak_mb", "most memory [MB]", cost=True),
         Column("ms", "measured [ms]", cost=True),
@@ -132,15 +130,28 @@ class Unknowns(OfPerson):
         """Measure what a solve costs, or a part of it at least."""
         if task.case == FLOORS:
             return measure_floor(self.scene(DEFAULT_MESH), task.method)
-        level, layers, element = self.meshes[task.case]
+        mesh = self.meshes[task.case]
+        level, layers, element = mesh
         load_kernels(solver="fenicsx", element=element)
-        mesh = (level, layers, element)
-        scene = self.scene(mesh)
-        begin: Coarse | None = None
+        coarser: list[Mesh] = []
         if element == "P1" and MESHES[mesh] > MESHES[DEFAULT_MESH]:
-            head, coarse = (self.person(of).head for of in (level, DEFAULT_MESH[0]))
-            begin = self.scene(DEFAULT_MESH), lambda x: nested_start(scene, head, x, coarse, layers=(layers, layers))
-        return {"law": task.method, "element": element} | measure(task.method, scene, element, begin)
+            coarser = [DEFAULT_MESH]
+            if level > DEFAULT_MESH[0] and layers > 1:
+                coarser.append((level, 1, "P1"))
+        scenes = [self.scene(each) for each in (*coarser, mesh)]
+        find_start = partial(self._find_start, (*coarser, mesh), scenes) if coarser else None
+        return {"law": task.method, "element": element} | measure(task.method, scenes[-1], element, find_start)
+
+    def _find_start(self, meshes: Sequence[Mesh], scenes: Sequence[Scene], law: str) -> Floats:
+        """Solve all meshes but the last in turn, each from the answer before, and give the last one's start [mm]."""
+        start: Floats | None = None
+        for mesh, scene, finer, fine in zip(meshes, scenes, meshes[1:], scenes[1:], strict=False):
+            near = prepare(apply_law(scene, law), solver="fenicsx").solve(tolerance=NEAR, start=start)
+            heads = [self.person(level).head for level, _, _ in (finer, mesh)]
+            layers = [(count, count) for _, count, _ in (finer, mesh)]
+            start = nested_start(fine, heads[0], near.positions, heads[1], layers=layers[0], coarse_layers=layers[1])
+        assert start is not None
+        return start
 
     def scene(self, mesh: Mesh) -> Scene:
         """Make the scene of PD's energy on a mesh."""
@@ -190,13 +201,11 @@ class Unknowns(OfPerson):
         return {"Time and memory against unknowns.": to_svg(figure)}
 
 
-def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
-    """Measure a solve from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
+def measure(law: str, scene: Scene, element: str, find_start: Callable[[str], Floats] | None = None) -> dict:
+    """Measure a solve from rest or from what `find_start` finds, and the most memory [MB] that the process holds."""
     reset_peak()
-    start, watch = None, Stopwatch()
-    if coarse is not None:
-        near = prepare(apply_law(coarse[0], law), solver="fenicsx").solve(tolerance=NEAR)
-        start = coarse[1](near.positions)
+    watch = Stopwatch()
+    start = None if find_start is None else find_start(law)
     coarse_s, coarse_cpu_s = watch.lap()
     solution, costs = time_solve(
         lambda: apply_law(scene, law), TOLERANCE, start=start, solver="fenicsx", element=element
