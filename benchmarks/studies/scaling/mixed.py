@@ -48,7 +48,7 @@ class Mixed(OfPerson):
         Column("tets", "tets"),
         Column("reason", "ended"),
         Column("iterations", "iterations", cost=True),
-        Column("factorisations", "factorisations", cost=True),
+        Column("linear_solves", "linear solves", cost=True),
         Column("wall", "solve [s]", cost=True),
         Column("processor", "processor time [s]", cost=True),
         Column("volume", "volume over that at rest"),
@@ -66,7 +66,7 @@ class Mixed(OfPerson):
         "at a single point may be far off in flat tets. Linear tets of the same law start at rest; beside "
         "incompressible tissue they have a Poisson's ratio of 0.499."
     )
-    version = 2
+    version = 3
     timed = True
     alone = True
 
@@ -102,21 +102,21 @@ class Mixed(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell what a solve takes, how well volume is kept, and how far linear tets are."""
-        cpu, count = ([row.values[key] for row in rows] for key in ("processor", "factorisations"))
+        cpu, count = ([row.values[key] for row in rows] for key in ("processor", "linear_solves"))
         off, points, away = (max(row.values[key] for row in rows) for key in ("around", "volume_error", "linear_mean"))
         return (
             f"A solve takes {min(cpu):.0f} to {max(cpu):.0f} s of a processor and {min(count)} to {max(count)} "
-            f"factorisations. In the worst solve J is {100.0 * off:.3f} % from 1 on average around a vertex, and "
+            f"linear solves. In the worst solve J is {100.0 * off:.3f} % from 1 on average around a vertex, and "
             f"{100.0 * points:.1f} % at integration points. "
             f"Linear tets of the same law are up to {away:.3f} mm away on average, "
             f"{max(row.values['linear_max'] for row in rows):.2f} mm at most."
         )
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw processor time and factorisations, a pair of bars per solve."""
+        """Draw processor time and linear solves, a pair of bars per solve."""
         figure, axes = subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
         for axis, key, what in zip(
-            axes, ("processor", "factorisations"), ("processor time [s]", "factorisations"), strict=True
+            axes, ("processor", "linear_solves"), ("processor time [s]", "linear solves"), strict=True
         ):
             axis.barh([f"{row.case}, {row.method}" for row in rows], [row.values[key] for row in rows], height=0.6)
             axis.set_xlabel(what)
@@ -148,7 +148,7 @@ def solve_mixed(head: LayeredHead, shape: Floats, law: str, tolerance: float) ->
         "tets": len(scene.tets),
         "reason": solution.reason.name,
         "iterations": solution.iterations,
-        "factorisations": int(solution.detail["linear_solves"]),
+        "linear_solves": int(solution.detail["linear_solves"]),
         "wall": wall,
         "processor": cpu,
         "energy": solution.energy,
