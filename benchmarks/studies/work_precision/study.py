@@ -71,13 +71,13 @@ class WorkPrecision(OfPerson):
     note = (
         "Times of a solve are medians of at least five repeats after one that is not counted; slow solves have fewer, "
         "within half a minute. The error is the largest distance of a vertex to a tight run. FEniCSx' linear tets "
-        "share PD's tight run, which starts at their answer where they found another minimum. Quadratic tets have their own, and a law from a file has FEniCSx'. One iteration of PD "
-        "is one solve with its factor; one of Newton is a linear system. Learned methods are judged on the skin, "
-        "under default parameters, where bones carry nothing. Beside them stand the simulator's first order, the "
-        "settled neutral face, carried bones and blendshapes. A bind is given the head. libigl (one thread) fits its "
-        "rotations in float32, hence its own floor. Its handles are what the facial scene holds and every 16th vertex "
-        "of the skin wrap. Plain PD stops near 0.003 mm. Quadratic tets with a pressure solve another, incompressible "
-        "law: see the study `mixed`."
+        "share PD's tight run, which starts at their answer where they found another minimum. Quadratic tets have "
+        "their own, and a law from a file has FEniCSx'. One iteration of PD is one solve with its factor; one of "
+        "Newton is a linear system. Learned methods are judged on the skin, under default parameters, where bones "
+        "carry nothing. Beside them stand the simulator's first order, the settled neutral face, carried bones and "
+        "blendshapes. A bind is given the head. libigl (one thread) fits its rotations in float32, hence its own "
+        "floor. Its handles are what the facial scene holds and every 16th vertex of the skin wrap. Plain PD stops "
+        "near 0.003 mm. Quadratic tets with a pressure solve another, incompressible law: see the study `mixed`."
     )
     timed = True
 
