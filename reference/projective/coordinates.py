@@ -7,6 +7,7 @@ composed, x = c + exp(ω) Q r, so that no parameters of a rotation have to be ke
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,14 +108,19 @@ class Coordinates:
             body.put(u, shift, rotation)
         return Place(u, rotations)
 
-    def move(self, place: Place, step: Floats) -> Place:
-        """Return the place after a step [mm], shape (size,)."""
-        u = place.u.copy()
+    def _split(self, vector: Floats) -> Iterator[tuple[Ints, Ints, Floats]]:
+        """Give each group's components and free vertices, and the part of a vector over the unknowns that is theirs."""
         begin = 0
         for components, free in self.groups:
             end = begin + len(components) * len(free)
-            _add_rows(u, free, components, step[begin:end])
+            yield components, free, vector[begin:end]
             begin = end
+
+    def move(self, place: Place, step: Floats) -> Place:
+        """Return the place after a step [mm], shape (size,)."""
+        u = place.u.copy()
+        for components, free, part in self._split(step):
+            _add_rows(u, free, components, part)
         rotations = np.empty_like(place.rotations)
         for b, (body, motion) in enumerate(zip(self.bodies, step[len(self.index) :].reshape(-1, 6), strict=True)):
             turned = _rotation(motion[3:] / body.radius) @ place.rotations[b]
@@ -128,11 +134,8 @@ class Coordinates:
         A body's share is the force on it, and the torque about its mean over its radius [mN].
         """
         pulled = np.empty(self.size)
-        begin = 0
-        for components, free in self.groups:
-            end = begin + len(components) * len(free)
-            _take_rows(gradient, free, components, pulled[begin:end])
-            begin = end
+        for components, free, part in self._split(pulled):
+            _take_rows(gradient, free, components, part)
         for b, motion in enumerate(pulled[len(self.index) :].reshape(-1, 6)):
             body = self.bodies[b]
             forces = gradient[body.vertices]

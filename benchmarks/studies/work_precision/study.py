@@ -128,11 +128,11 @@ class WorkPrecision(OfPerson):
             how, limits = {"solver": solver}, {}
             how |= {"element": "P2"} if label == QUADRATIC else {}
         truth = problem.truth
-        if label in (QUADRATIC, NEWTON, SKFEM):
+        if label == QUADRATIC:
+            truth = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
+        elif label in (NEWTON, SKFEM) and problem.is_projective:
             own = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
-            if label == QUADRATIC:
-                truth = own
-            elif largest_distance(own, truth) > ACCURACY and problem.is_projective:
+            if largest_distance(own, truth) > ACCURACY:
                 # A face that folds has several minima: projective dynamics answers for the one that this solver found.
                 truth = prepare(problem.scene, solver="projective").solve(tolerance=TIGHT, start=own).positions
 
