@@ -60,7 +60,7 @@ class Scene:
         self._check_bodies(held.any(axis=1))
 
     def _check_columns(self):
-        """Take columns of indices (k, m) of vertices; SceneError for others, and for those that share one inside a row."""
+        """Take columns of indices (k, m) of vertices; SceneError for others, and where two rows share an inner one."""
         n, columns = len(self.vertices), []
         for position, column in enumerate(self.columns):
             columns.append(indices_below(f"columns {position}", column, n, (None, None), error=SceneError))

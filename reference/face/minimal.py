@@ -79,8 +79,8 @@ def smallest_scene(
 ) -> Smallest:
     """Leave in a scene as few of its terms as keep every vertex within so many mm of where all of them put it.
 
-    Terms are named by their kind, and by their number where there are several. Raises as `find_smallest`, and SoftdecaError
-    where the whole scene is not solved.
+    Terms are named by their kind, and by their number where there are several. Raises as `find_smallest`, and
+    SoftdecaError where the whole scene is not solved.
     """
     kinds = [type(term).__name__ for term in scene.terms]
     names = {
