@@ -226,6 +226,8 @@ class Limits:
 
 def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
     """Return where a solve begins [mm], shape (n, 3): a start, a solution's end, or rest; SceneError for another."""
+    if start is not None and warm is not None:
+        raise SceneError("start and warm both say where to begin: give one of them")
     if start is None and warm is not None:
         start = warm.positions
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
