@@ -41,8 +41,8 @@ Method = Literal["derivatives", "network", "corrected", "converged"]
 """In the order of their price. "derivatives" are the simulator's, "network" is these and the network's remainder."""
 ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
-FINEST = 1e-6
-"""[mm] Accuracy below which rounding is asked for."""
+FINEST, COARSEST = 1e-6, 100.0
+"""[mm] Accuracy below which rounding is asked for, and beyond which nothing is."""
 SETTLING = 8
 """Iterations of L-BFGS before an error is first told, where Newton's step has no end at once: there tets fold."""
 MOST_SMOOTHING = 32
@@ -172,7 +172,7 @@ class CertifiedFace:
         before in a take, of this face, whose correction this one begins with; frames without it depend on their weights
         alone. Weights outside [0, 1] are clipped with a warning. InputError for weights and numbers out of range.
         """
-        accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
+        accuracy = number("accuracy", accuracy, least=FINEST, most=COARSEST, unit="mm")
         seconds = None if seconds is None else number("seconds", seconds, least=0.0, unit="s")
         for frame in self._correct(weights, after, accuracy):
             if frame.bound <= accuracy or (seconds is not None and frame.seconds >= seconds):

@@ -52,7 +52,7 @@ def test_the_error_that_is_told_is_the_true_one(face, seed):
         ({"weights": {"jawOpen": 1}}, "weights: expected the 52 of ARKit"),
         ({"weights": np.zeros(52) + 1j}, "weights: .* got complex128"),
         ({"accuracy": "fine"}, "frame: accuracy: expected a number, got 'fine'"),
-        ({"accuracy": np.nan}, "accuracy: expected a number at least 1e-06 mm"),
+        ({"accuracy": np.nan}, "accuracy: expected a number at least 1e-06 and at most 100 mm"),
         ({"seconds": -1.0}, "seconds: expected a number at least 0 s"),
         ({"after": "x"}, "frame: after: expected a Reached or None, got 'x'"),
         ({"after": Reached(np.zeros(52), np.zeros((7, 3)))}, "after: a frame of another face, with vertices of shape"),
