@@ -16,6 +16,7 @@ from safetensors.numpy import load, save
 from whole_files import glb, glb_words
 
 from softdeca.surrogate.corpus.shard import TABLES, Shard
+from softdeca.surrogate.networks.weights import UNSEALED, seal
 
 NUMBERS = (b"nan", b"-inf", b"-1", b"0", b"1e400", b"1e30", b"-1e6", b"9" * 40, b"9" * 400, b"2147483648", b"-9", b"")
 VALUES = (-1, 0, 1, 2, 3, 255, 65536, 2**31, 2**40, 2**62, 10**17, -(2**31), 0.5, 1e9, 1e30, 1e308, True, None, "", "x")
@@ -254,12 +255,15 @@ def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
     if rng.random() < 0.5:
         arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
         said = json.loads(about)
-        if rng.random() < 0.7:
+        how = rng.random()
+        if how < 0.1:
             del said["checksum"]
+        elif how < 0.7:
+            said["checksum"] = UNSEALED
         arrays = {
             name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")) for name, array in arrays.items()
         }
-        return save(arrays, metadata={"softdeca": json.dumps(said)})
+        return seal(save(arrays, metadata={"softdeca": json.dumps(said)}))
     if rng.random() < 0.5:
         head["__metadata__"]["softdeca"] = of_json(about.encode(), rng).decode()
         text = json.dumps(head).encode()

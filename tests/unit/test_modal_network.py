@@ -14,10 +14,11 @@ import torch
 
 from softdeca.benchmarks.studies.agreement.study import Face
 from softdeca.benchmarks.studies.person import Person
-from softdeca.lhm import InputError, Surface
+from softdeca.lhm import InputError, Surface, identities
 from softdeca.reference import Parameters, settle
 from softdeca.reference.face.derivatives import differentiate
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.codes import nearest_code
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC, WAVES
 from softdeca.surrogate.corpus.people import OfSpace
@@ -26,6 +27,7 @@ from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.heads import Heads
+from softdeca.surrogate.local import of_static, on_wraps
 from softdeca.surrogate.methods import Blendshapes, Derivatives, NetworkMethod
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import (
@@ -45,6 +47,7 @@ from softdeca.surrogate.networks.vertices_only import VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rig import add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
+from softdeca.surrogate.runtime import _at_vertices
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -93,6 +96,14 @@ def surrogate(weights, tmp_path_factory):
 
 def shapes():
     return SPACE.expression_deltas(np.zeros(SPACE.code_size))
+
+
+TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+SHUFFLED = np.random.default_rng(0).permutation(N)
+
+
+def moved_skin(move):
+    return SPACE.mean.with_vertices(move(SPACE.mean.vertices))
 
 
 def bound(surrogate, **changes):
@@ -404,6 +415,14 @@ def test_parameters_per_face(surrogate):
     assert np.abs(frame(per_face) - frame(heavy)).max() > 1e-3
 
 
+def test_a_parameter_per_face_is_averaged_alike_for_network_and_simulator():
+    head, faces = SPACE.fit(SPACE.mean), np.arange(len(SPACE.mean.triangles))
+    p = Parameters(soft_stiffness=np.where(faces % 2, 1.0, 20.0), soft_volume=np.where(faces % 2, 0.9, 1.3))
+    simulated, learned = on_wraps(p, head), of_static(head, _at_vertices(p, SPACE.mean))
+    for name in ("soft_stiffness", "soft_volume"):
+        np.testing.assert_allclose(getattr(simulated, name), getattr(learned, name), rtol=1e-12)
+
+
 def test_beyond_what_was_seen_is_refused_or_clamped(surrogate):
     known = dict(surrogate.weights.note.seen)
     assert known["connector_ratio"][0] == known["connector_ratio"][1]
@@ -432,15 +451,27 @@ def test_weights_outside_their_range_are_clipped_and_counted(surrogate):
     [
         ({"skin": Spheres(2).mean}, "skin: 162 vertices, .* has 42"),
         ({"skin": Surface(SPACE.mean.vertices, SPACE.mean.triangles[::-1])}, "its triangles are not"),
-        ({"code": np.zeros(3)}, "code: expected 4"),
-        ({"code": np.full(4, np.nan)}, "code: expected 4 finite"),
-        ({"parameters": np.zeros((5, len(STATIC)))}, r"parameters: expected finite values of shape \(80, "),
+        ({"skin": moved_skin(lambda x: x / 1000)}, "skin: not of the size"),
+        ({"skin": moved_skin(lambda x: x @ TURN)}, "skin: .* or turned from it"),
+        ({"skin": moved_skin(lambda x: x * [-1, 1, 1])}, "skin: .*turned|skin: its likeness"),
+        ({"skin": moved_skin(lambda x: x[::-1])}, "skin: .*turned|skin: its likeness"),
+        ({"skin": moved_skin(lambda x: np.roll(x, 1, axis=0))}, "skin: .*turned|skin: its likeness"),
+        ({"code": np.zeros(3)}, r"code: expected shape \(4,\)"),
+        ({"code": np.full(4, np.nan)}, "code: 4 values are not finite"),
+        ({"code": np.full(4, 1e9)}, "code: 1e\\+09 at 0; expected -4..4"),
+        ({"code": np.zeros(4) + 1j}, "bind: code: expected an array of numbers"),
+        ({"parameters": np.zeros((5, len(STATIC)))}, r"parameters: expected shape \(80, "),
         ({"parameters": np.zeros((80, len(STATIC)))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
         ({"parameters": Parameters(soft_volume=np.ones(7))}, "soft_volume: expected one value, or one per face"),
-        ({"expressions": np.zeros((51, N, 3))}, "expressions: expected finite"),
-        ({"expressions": np.full((52, N, 3), np.nan)}, "expressions: expected finite"),
+        ({"expressions": np.zeros((51, N, 3))}, "expressions: expected shape"),
+        ({"expressions": np.full((52, N, 3), np.nan)}, "expressions: .* not finite"),
+        ({"expressions": 1e4 * shapes()}, "expressions: .* too large; expected at most 100"),
+        ({"expressions": shapes() / 1000}, "expressions: the largest moves by 0.0.* mm"),
+        ({"expressions": shapes()[:, SHUFFLED]}, "expressions: .* moves neighbours apart"),
+        ({"expressions": np.ma.masked_greater(shapes(), 1)}, "expressions: expected an array of numbers or None"),
+        ({"exact": "yes"}, "exact: expected True or False"),
+        ({"head": SPACE.mean}, "head: expected a LayeredHead"),
     ],
-    ids=["vertices", "triangles", "code size", "code", "shape", "range", "field", "shapes", "NaN"],
 )
 def test_bad_bindings_are_named(surrogate, changes, message):
     with pytest.raises(InputError, match=message):
@@ -452,11 +483,21 @@ def test_bad_bindings_are_named(surrogate, changes, message):
     [
         (np.zeros(51), {}, "the 52 of ARKit"),
         (np.r_[np.zeros(51), np.nan], {}, "number 51 is not finite"),
+        ("jawOpen", {}, "weights: expected the 52 of ARKit as numbers"),
+        ({"jawOpen": 1}, {}, "weights: expected the 52 of ARKit as numbers"),
+        (np.zeros(52) + 1j, {}, "weights: expected the 52 of ARKit as numbers, got complex128"),
+        (np.ma.masked_array(np.zeros(52)), {}, "weights: .*masked array"),
         (np.zeros(52), {"blended": np.zeros((41, 3))}, "blended: expected"),
-        (np.zeros(52), {"blended": np.full((N, 3), np.inf)}, "blended: expected finite"),
-        (np.zeros(52), {"out": np.zeros((N, 3))}, "out: expected contiguous float32"),
+        (np.zeros(52), {"blended": "skin"}, "blended: expected"),
+        (np.zeros(52), {"blended": np.full((N, 3), np.inf)}, "blended: .* not finite"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices / 1000}, "blended: 0.001 times as large"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices * [-1, 1, 1]}, "blended: its likeness"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices[SHUFFLED]}, "blended: its likeness"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices + 100}, "blended: vertex .* mm from the neutral skin"),
+        (np.zeros(52), {"out": np.zeros((N, 3))}, "out: expected a contiguous, writeable array of float32"),
+        (np.zeros(52), {"out": np.broadcast_to(np.float32(0), (N, 3))}, "out: expected a contiguous, writeable"),
+        (np.zeros(52), {"out": [0.0]}, "out: expected a contiguous, writeable"),
     ],
-    ids=["size", "NaN", "blended", "infinite", "out"],
 )
 def test_bad_frames_are_named(surrogate, given, options, message):
     with pytest.raises(InputError, match=message):
@@ -477,6 +518,18 @@ def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
         Weights.load(path)
+
+
+def test_a_code_and_a_skin_of_two_people_are_refused():
+    space, rng, network = identities.Anny(), np.random.default_rng(1), Surrogate.load()
+    (code, skin), (other, _) = space.sample(rng), space.sample(rng)
+    far = skin.with_vertices(skin.vertices + 500.0)
+    weights = np.full(52, 0.1)
+    near = [network.bind(one, code).frame(weights) - one.vertices for one in (skin, far)]
+    np.testing.assert_allclose(*near, atol=1e-3)
+    network.bind(skin, nearest_code(space, skin))
+    with pytest.raises(InputError, match="code: its skin is .* mm from the skin given, expected at most"):
+        network.bind(skin, other)
 
 
 def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
@@ -543,11 +596,22 @@ def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, 
         Weights.load(path)
 
 
-def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content[:-1000] + bytes([content[-1000] ^ 1]) + content[-999:], "does not match"),
+        (lambda content: content.replace(b'"people\\": ', b'"people\\": 1'), "does not match|no weights"),
+        (lambda content: content.replace(b"[-1.0, 1.0]", b"[-0.9, 1.0]", 1), "does not match their checksum"),
+        (lambda content: content.replace(b'space\\"', b'spacE\\"', 1), "does not match their checksum"),
+        (lambda content: content.replace(b"checksum", b"checksun", 1), "without a checksum"),
+    ],
+    ids=["a number", "a longer header", "what was seen", "a name", "none"],
+)
+def test_a_changed_file_of_weights_is_found_by_its_checksum(weights, tmp_path, change, words):
     path = tmp_path / "modal.safetensors"
     weights.save(path)
-    content = bytearray(path.read_bytes())
-    content[-1000] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="their numbers do not match their checksum"):
+    before = path.read_bytes()
+    path.write_bytes(change(before))
+    assert path.read_bytes() != before
+    with pytest.raises(InputError, match=words):
         Weights.load(path)
