@@ -47,6 +47,7 @@ TAGS = Bound("tags of surfaces", 10_000, "a head has three; anatomical atlases s
 MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
 MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
 GLTF_NODES = Bound("nodes", 100_000, "a scene with a rigged body has some hundred")
+GLTF_PRIMITIVES = Bound("instances of parts of meshes", 20_000, "a scene with a rigged body has some hundred")
 GLTF_DEPTH = Bound("levels of nodes", 100, "a skeleton's fingers are some twenty levels deep")
 REGIONS = Bound("regions", 1_000, "a head has eight")
 NOTES = Bound("notes", 1_000, "a fit writes some ten")
