@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,8 +101,7 @@ class _Document:
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        placed = list(self._placed())
-        self._check_sizes([self._item("meshes", node["mesh"]) for node, _ in placed])
+        placed = self._placed()
         read: dict[int, list[_Primitive]] = {}
         first = 0
         for node, matrix in placed:
@@ -157,32 +156,39 @@ class _Document:
             raise InputError(f"{kind}: {quote(number)} is none of its {len(listed)}")
         return listed[number]
 
-    def _placed(self) -> Iterator[tuple[dict, Floats]]:
+    def _placed(self) -> list[tuple[dict, Floats]]:
         """Return nodes that have a mesh, with their global transform (4, 4)."""
         nodes = self._json.get("nodes", [])
         GLTF_NODES.check("it has", len(nodes))
-        self._global: dict[int, Floats] = {}
+        parents: dict[int, int | None] = {}
         scenes = self._json.get("scenes")
         children = {child for node in nodes for child in node.get("children", ())}
         roots = [k for k in range(len(nodes)) if k not in children]
         shown_nodes = self._item("scenes", self._json.get("scene", 0)).get("nodes", []) if scenes else roots
 
-        def walk(k: int, above: Floats, depth: int) -> Iterator[int]:
+        def walk(k: int, parent: int | None, depth: int) -> None:
             GLTF_DEPTH.check("it has", depth)
             node = self._item("nodes", k)
-            if k in self._global:
+            if k in parents:
                 raise InputError(f"its nodes are no tree: node {k} is reached twice")
-            self._global[k] = above @ _local(node)
-            yield k
+            parents[k] = parent
             for child in node.get("children", ()):
-                yield from walk(child, self._global[k], depth + 1)
+                walk(child, k, depth + 1)
 
-        order = [k for root in shown_nodes for k in walk(root, np.eye(4), 0)]
-        if not any("mesh" in nodes[k] for k in order):
-            order += [k for root in roots if root not in self._global for k in walk(root, np.eye(4), 0)]
+        for root in shown_nodes:
+            walk(root, None, 0)
+        if not any("mesh" in nodes[k] for k in parents):
+            for root in roots:
+                if root not in parents:
+                    walk(root, None, 0)
+        self._check_sizes([self._item("meshes", nodes[k]["mesh"]) for k in parents if "mesh" in nodes[k]])
+        self._global: dict[int, Floats] = {}
+        for k, parent in parents.items():
+            local = _local(nodes[k])
+            self._global[k] = local if parent is None else self._global[parent] @ local
         # A scale of zeros hides a node.
-        shown = [k for k in order if "skin" in nodes[k] or self._global[k][:3, :3].any()]
-        return ((nodes[k], self._global[k]) for k in shown if "mesh" in nodes[k])
+        shown = [k for k in parents if "skin" in nodes[k] or self._global[k][:3, :3].any()]
+        return [(nodes[k], self._global[k]) for k in shown if "mesh" in nodes[k]]
 
     def _transforms(self, primitive: _Primitive, node: dict, matrix: Floats) -> tuple[Floats, Floats]:
         """Return the linear map (1, 3, 3) and shift (1, 3) of a node, or those of a skin for each vertex (n, ...)."""
@@ -399,8 +405,10 @@ def _local(node: dict) -> Floats:
     matrix = np.eye(4)
     if "rotation" in node:
         matrix[:3, :3] = rotations_from_quaternions("rotation", [node["rotation"]])[0]
-    matrix[:3, :3] *= finite("scale", node.get("scale", (1.0, 1.0, 1.0)), (3,), most=LARGEST)
-    matrix[:3, 3] = finite("translation", node.get("translation", (0.0, 0.0, 0.0)), (3,), most=LARGEST)
+    if "scale" in node:
+        matrix[:3, :3] *= finite("scale", node["scale"], (3,), most=LARGEST)
+    if "translation" in node:
+        matrix[:3, 3] = finite("translation", node["translation"], (3,), most=LARGEST)
     return matrix
 
 
