@@ -358,9 +358,10 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Return the notes of a file, control characters escaped; InputError for what is no list of texts."""
-    if "notes" not in arrays:
-        return ()
+    """Return the notes of a file, control characters escaped; InputError for what is no list of texts.
+
+    They are written last. A file whose list of arrays lost its end has none, and may lack its rig: KeyError.
+    """
     notes = checks.texts("notes", parse_json(checks.text("notes", arrays["notes"])))
     NOTES.check("notes", len(notes))
     for note in notes:

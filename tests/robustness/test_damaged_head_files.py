@@ -201,6 +201,23 @@ def test_a_simulation_of_a_damaged_head_ends_before_it_begins(tmp_path, whole, c
         assert not out.exists()
 
 
+def test_a_head_whose_bits_flip_is_refused_or_the_same(tmp_path, sphere_head):
+    """Each array has a checksum in the archive, its texts too; its list of arrays has none."""
+    path, rng = tmp_path / "head.npz", np.random.default_rng(0)
+    save_head(path, replace(sphere_head, notes=("a note",)))
+    whole = path.read_bytes()
+    for place in [*rng.integers(0, len(whole), 300), *range(len(whole) - 60, len(whole))]:
+        content = bytearray(whole)
+        content[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+        try:
+            again = load_head(path)
+        except InputError:
+            continue
+        assert again.notes == ("a note",) and np.array_equal(again.vertices, sphere_head.vertices), place
+        assert np.array_equal(again.skin_from_wrap.toarray(), sphere_head.skin_from_wrap.toarray()), place
+
+
 def test_notes_cannot_steer_the_terminal(tmp_path, whole, command):
     path = tmp_path / "noted.npz"
     about = {"source": "a\x1b[2J", "missing": [], "doubtful": {"jawOpen": "torn\x9b31m\u202e"}}
