@@ -348,11 +348,17 @@ def copied(made, tmp_path):
 
 def test_a_part_of_a_corpus_can_be_read(copied):
     (copied / "person-00000.h5").unlink()
-    with pytest.raises(InputError, match="person-00000"):
+    with pytest.raises(InputError, match="1 of 2 people of the train split .* person-00000.h5 is missing; .*partial"):
         Table(copied, "statics", "train")
     assert set(Table(copied, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(copied, "statics", None, partial=True).rows[:, 0]) == {1, 2}
     assert set(Table(copied, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
+
+
+def test_too_few_people_to_train_on_are_told_with_the_command_that_makes_more(copied, command):
+    pytest.importorskip("torch")
+    refused = command("train", copied, "--out", copied / "out").refusal()
+    assert f"2 people of {copied} have derivatives; at least 10 are needed, `softdeca corpus generate" in refused
 
 
 def test_swapped_shards_are_of_another_person(copied, command):
