@@ -26,7 +26,7 @@ from softdeca.lhm.expressions import ARKIT, resample
 from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus, read_status, verify_folder
-from softdeca.surrogate.corpus.manifest import read_manifest
+from softdeca.surrogate.corpus.manifest import read_manifest, read_template
 from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan, read_plan
@@ -93,13 +93,12 @@ def read_counts(path: Path) -> list[np.ndarray]:
 
 def read_corpus(path: Path) -> list[np.ndarray]:
     folder, read = path.parent, []
-    manifest = read_manifest(folder)
     for table in ("statics", "responses", "groups"):
         rows = Table(folder, table, None)
         read += [np.asarray(v, dtype=float) for v in rows[len(rows) - 1].values() if v.dtype.kind in "fiub"]
         read += [rows.skin(0).vertices, rows.shapes(0)]
     verify_folder(folder)
-    status = read_status(folder, manifest.counts, manifest.owner)
+    status = read_status(read_manifest(folder), read_template(folder))
     return [*read, np.array([status.bytes])]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from safetensors.numpy import load, save
 from whole_files import glb, glb_words
 
-from softdeca.surrogate.corpus.shard import TABLES, Shard
+from softdeca.surrogate.corpus.shard import TABLES, Shard, Label
 from softdeca.surrogate.networks.weights import UNSEALED, seal
 
 NUMBERS = (b"nan", b"-inf", b"-1", b"0", b"1e400", b"1e30", b"-1e6", b"9" * 40, b"9" * 400, b"2147483648", b"-9", b"")
@@ -237,13 +237,14 @@ def of_shard(others: list[bytes]) -> Callable[[bytes, np.random.Generator], byte
 
 
 def _checksum(file: h5py.File) -> str:
-    """That of the arrays as they are, where they are all there."""
+    """That of the label and the arrays as they are, where they are all there."""
     try:
         tables = {
             name: kind(**{field: file[f"{name}/{field}"][()] for field in kind.__dataclass_fields__})
             for name, kind in TABLES.items()
         }
-        return Shard(**tables).checksum
+        label = Label(file.attrs["owner"], int(file.attrs["format"]), file.attrs["version"])
+        return label.checksum(Shard(**tables))
     except (KeyError, ValueError, MemoryError):
         return "0"
 
