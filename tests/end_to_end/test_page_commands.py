@@ -61,7 +61,7 @@ ELSEWHERE = {
     "softdeca evaluate corpus --curve half.safetensors --curve all.safetensors": (
         "test_train_command.py::test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares"
     ),
-    "softdeca evaluate corpus --generalisation 16 --workers 2": (
+    "softdeca evaluate corpus --generalisation 16": (
         "test_generalisation.py::test_each_combination_has_its_people_parameters_and_recordings"
     ),
     "softdeca head import ict ICT-FaceKit": "test_imports.py::test_a_folder_of_facekits_form_becomes_a_space",

@@ -70,7 +70,7 @@ WRONG = [
     ("head mesh head.npz --layers 0,1", "from 1 to 32"),
     ("head mesh head.npz --layers 1000000,1", "from 1 to 32"),
     ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),
-    ("head mesh head.npz --layers 2,2 --size 3", "give one"),
+    ("head mesh head.npz --layers 2,2 --size 3", "leave out --layers"),
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("bench agreement --cases effects --effect slimming", "unknown effect 'slimming'"),
@@ -115,6 +115,21 @@ WRONG = [
     ("corpus generate --scheduler nowhere", "'nowhere': expected an address, as tcp://host:8786"),
     ("train nowhere", "no corpus"),
     ("evaluate nowhere", "no corpus"),
+    # Options that nothing would read.
+    ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
+    ("head fit --keep-sealed", "--keep-sealed is of --skin, which is not given"),
+    ("head fit --find-landmarks l.json --vtk layers", "leave out --vtk"),
+    ("head mesh head.npz --size 3 --layers 1,1", "leave out --layers"),
+    ("head train-regressor --unit mm", "--unit is of DIR, which is not given"),
+    ("animate conversation:1 --exact", "without --accuracy none no rig is alone; leave out --exact"),
+    ("animate conversation:1 --beyond refuse", "leave out --beyond"),
+    ("bench agreement --cases contact --people 4", "--people is of --corpus, which is not given"),
+    ("bench agreement --cases cube --jaw 0", "--jaw: an option of --cases faces"),
+    ("bench heads --cases shapes --gallery 0", "--gallery: an option of --cases fit"),
+    ("bench surrogate --cases dial --workers 2", "one task at a time where seconds are compared, as by dial"),
+    ("bench work-precision --workers 1", "No such option '--workers'"),
+    ("bench scaling --cases unknowns --level 2", "--level: an option of --cases size"),
+    ("evaluate corpus --workers 2", "No such option '--workers'"),
     # Counts out of their range.
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
     ("corpus generate --workers 100000", "--workers': 100000 is not in the range 1<=x<=256"),
@@ -125,6 +140,8 @@ WRONG = [
     (f"view --seed {'9' * 40}", "0<=x<=9223372036854775807"),
     (f"bench heads --count {'9' * 40}", "1<=x<=100000"),
     ("bench scaling --cases throughput --frames 0", "--frames': 0 is not in the range 1<=x<=100000"),
+    ("bench surrogate --cases dial --faces 0", "--faces': 0 is not in the range 1<=x<=1000"),
+    ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
 
 
