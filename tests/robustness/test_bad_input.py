@@ -3,7 +3,6 @@
 import fcntl
 import resource
 import shlex
-import time
 import zipfile
 
 import numpy as np
@@ -230,11 +229,10 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out")])
 @pytest.mark.parametrize("place", ["/dev/null/x", "e" * 300])
-def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, words, place):
-    begin = time.monotonic()
-    ended = command(*words, place)
-    assert "cannot be written" in ended.refusal()
-    assert time.monotonic() - begin < 10
+def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, monkeypatch, words, place):
+    for module in ("study", "study_command", "corpus"):
+        monkeypatch.setattr(f"softdeca.cli.{module}.show_progress", None)  # the work would end in a TypeError
+    assert "cannot be written" in command(*words, place).refusal()
 
 
 def test_a_study_in_a_file_is_refused(command, tmp_path):
