@@ -1,5 +1,5 @@
 # make study   the whole chain on the default head -> out/study/index.html
-# make test    every test, two at a time        make check   ruff, mypy, import-linter, the pages
+# make test    every test, one for each core      make check   ruff, mypy, import-linter, the pages
 # make docs    the pages, their programs run -> out/docs/index.html; installs Sphinx and its themes besides (extra "docs")
 # Each does first all set-up that is missing (tools/set-up), which says what it will install before it does, and
 # starts at once when nothing is missing.
@@ -10,7 +10,7 @@ study: setup
 	.venv/bin/softdeca study
 
 test: setup
-	$(PYTHON) -m pytest -n 2 --dist worksteal
+	$(PYTHON) -m pytest -n auto --dist worksteal
 
 check: setup
 	.venv/bin/ruff check .

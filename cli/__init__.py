@@ -1,6 +1,7 @@
 """The `softdeca` command."""
 
 import os
+import re
 import signal
 import sys
 import warnings
@@ -10,6 +11,7 @@ from .streams import open_closed_streams
 # One thread is the fastest for the solvers' small blocks; it must be set before a BLAS is loaded.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 # Pictures go to files. A backend that is asked for and not installed would end Matplotlib's import.
 os.environ["MPLBACKEND"] = "agg"
@@ -21,6 +23,11 @@ def main() -> None:
     """Run the command: see `app.main`. Interrupted while its modules are being loaded it ends in one line too."""
     open_closed_streams()
     warnings.showwarning = _in_one_line
+    for name in COUNTS:
+        value = os.environ.get(name, "1")
+        if not re.fullmatch(r"[1-9]\d{0,5}(,[1-9]\d{0,5})*", value):
+            os.environ[name] = "1"
+            _in_one_line(f"{name}={value!r}: expected a count of threads; 1 is taken", UserWarning, __file__, 0)
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # elsewhere somebody has decided otherwise, as nohup has
         # Not by KeyboardInterrupt: inside an import it becomes whatever the module makes of it.
@@ -37,4 +44,5 @@ def _end(*_) -> None:
 
 
 def _in_one_line(message, category, filename, lineno, file=None, line=None) -> None:
-    print(f"softdeca: {' '.join(str(message).split())}", file=file or sys.stderr)
+    text = str(message).partition("Traceback (most recent call last)")[0]
+    print(f"softdeca: {' '.join(text.split())}", file=file or sys.stderr)

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..lhm.base.errors import is_interrupt
 from ..lhm.base.limits import BAKED_TARGETS, SEED
 from ..lhm.expressions import Take
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .options import FILE, LEVEL, argument, count_range, make_command, option
+from .options import FILE, LEVEL, argument, count_range, make_command, option, refuse_given
 from .take_options import HeadChoice, load_take
 from .terminal import INTERRUPTED, show_progress
 from .written_file import FOLDER
@@ -105,7 +106,9 @@ class Animate:
         parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
         try:
             result = (self._by_rig if self.accuracy is None else self._within)(which, take, parameters)
-        except KeyboardInterrupt:
+        except BaseException as error:
+            if not is_interrupt(error):
+                raise
             click.echo(f"softdeca: interrupted; the same command goes on after the frames in {self.out}", err=True)
             return INTERRUPTED
         self._say(result)
@@ -118,6 +121,8 @@ class Animate:
             self._refuse("--targets are of static frames; leave out --dynamic, --bones and --contact")
         if self.accuracy is None and (self.bones != "rigid" or self.contact):
             self._refuse(f"--bones and --contact are the simulator's: they need --accuracy, not {NONE!r}")
+        if self.accuracy is not None:
+            refuse_given(f"without --accuracy {NONE} no rig is alone", "exact", "beyond")
 
     def _refuse(self, words: str) -> None:
         raise click.UsageError(words, click.get_current_context())
@@ -152,7 +157,7 @@ class Animate:
         how = {"exact": self.exact, "beyond": self.beyond}
         with show_progress() as progress:
             if which.head_file is None and which.space.name == network.space == "anny":
-                code, level = which.code(which.space), which.level or DEFAULT_LEVEL
+                code, level = which.code(which.space), DEFAULT_LEVEL if which.level is None else which.level
                 served = bind_person(network, code, parameters, level=level, **how)  # type: ignore[arg-type]
             else:
                 head, deltas = which.head(progress)

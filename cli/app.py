@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from ..lhm.base.errors import InputError, SoftdecaError
+from ..lhm.base.errors import InputError, SoftdecaError, is_interrupt
 from ..reference import ranks
 from . import (  # noqa: F401  # they give `head` more commands
     animate,
@@ -59,9 +59,14 @@ def main() -> None:
 
 def _run() -> int:
     try:
-        ranks.begin()
-        status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
-        sys.stdout.flush()
+        try:
+            ranks.begin()
+            status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
+            sys.stdout.flush()
+        except BaseException as error:
+            if is_interrupt(error):
+                raise KeyboardInterrupt from None
+            raise
     except SoftdecaError as error:
         status = _fail(str(error))
     except BrokenPipeError:  # as of `| head`, which has read enough

@@ -10,7 +10,7 @@ import click
 from ..benchmarks.studies import COMMANDS, list_commands, list_studies, load_study
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import WORKERS
-from .options import FILE, argument, as_command, count_range, option
+from .options import FILE, argument, as_command, option
 from .study_command import command_of_cases, command_of_study, print_results
 from .terminal import show_progress
 from .written_file import FOLDER, ZIP
@@ -137,7 +137,7 @@ class ExportFaceBenchmark:
 
     out: Path = argument("OUT", type=ZIP)
     results: Path = option(Path("out/face-benchmark"), "folder of the solved rows", type=FOLDER)
-    workers: int = option(1, "processes; each takes some 4 GB", type=count_range(WORKERS))
+    workers: int = option(1, "processes; each takes some 4 GB", bound=WORKERS)
 
     def run(self) -> int:
         """Solve and write."""

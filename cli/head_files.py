@@ -15,7 +15,7 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
 from ..lhm.head_file import export_vtk, load_head
 from .head import head, warn_of_doubtful
-from .options import FILE, argument, as_command, option
+from .options import FILE, argument, as_command, option, refuse_given
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ
 
@@ -84,8 +84,8 @@ class WriteMesh:
         from ..lhm.remesh import remesh
 
         counts = parse_layers(self.layers)
-        if self.size is not None and counts != (1, 1):
-            raise click.UsageError("--layers and --size both say which tets; give one", click.get_current_context())
+        if self.size is not None:
+            refuse_given("--size says which tets", "layers")
         meshed = load_head(self.file)
         if self.size is not None:
             meshed = remesh(meshed, self.size)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import MISSING, Field, fields, replace
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import click
+from click.core import ParameterSource
 
-from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
+from ..lhm.base.limits import Bound
 from ..lhm.base.option import argument, option
 
 __all__ = [
@@ -17,32 +18,21 @@ __all__ = [
     "LEVEL",
     "argument",
     "as_command",
+    "check_needs",
     "count_range",
+    "list_given",
     "make_command",
     "make_option",
     "name_option",
     "option",
+    "refuse_given",
     "type_option",
 ]
 
 FILE = click.Path(path_type=Path)
 LEVEL = click.IntRange(1, 3)
-COUNTS: dict[str, Bound] = {
-    "seed": SEED,
-    "level": Bound("level", 3, "templates have three", 1),
-    "repeats": Bound("repeats", 1_000, "medians of fewer are as good", 1),
-    "rounds": Bound("rounds", 1_000, "medians of fewer are as good", 1),
-    "people": Bound("people", 1_000, "each is minutes of work", 1),
-    "frames": Bound("frames", 100_000, "each is 0.1 s of work or more", 1),
-    "count": Bound("identities", 100_000, "each is a second of work or more", 1),
-    "gallery": Bound("heads", 1_000, "each is simulated and drawn"),
-    "fan": Bound("starts", 1_000, "each is a solve"),
-    "simulated": FACES,
-    "generalisation": replace(STUDIED_PAIRS, least=0),
-    "workers": WORKERS,
-    "up_to": Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1),
-}
-"""The bound of a count by its field's name; where a study itself takes less, it says so."""
+_OURS = ("argument", "bound", "name", "needs")
+"""Of a field's metadata, what are no words of click."""
 
 
 def count_range(bound: Bound) -> click.IntRange:
@@ -76,6 +66,7 @@ def make_command(name: str, kind: type[Request]) -> click.Command:
     """Make the command that a dataclass describes."""
 
     def run(**options: Any) -> int:
+        check_needs(fields(kind), list_given())  # type: ignore[arg-type]  # a dataclass
         return kind(**options).run()
 
     params = [make_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # a dataclass
@@ -84,14 +75,13 @@ def make_command(name: str, kind: type[Request]) -> click.Command:
 
 def make_option(field: Field, *, repeats: bool = False, **more: Any) -> click.Parameter:
     """Make the option or argument of a dataclass' field; `more` words go before those of the field."""
-    words = dict(field.metadata)
-    shown = words.pop("argument", None)
+    words = {key: value for key, value in field.metadata.items() if key not in _OURS} | more
+    shown = field.metadata.get("argument")
     if shown is not None:
         count = -1 if isinstance(field.default, tuple) else 1
         required = field.default is MISSING
         return click.Argument([field.name], metavar=shown, required=required, nargs=count, type=words["type"])
     names = [name_option(field), field.name]
-    words = {key: value for key, value in words.items() if key != "name"} | more
     if not words.get("required"):
         words.setdefault("default", field.default)
     if field.default is False:
@@ -110,5 +100,30 @@ def name_option(field: Field) -> str:
 
 def type_option(field: Field) -> Any:
     """Give the click type of an option's values."""
-    is_count = field.name in COUNTS and type(field.default) is int
-    return field.metadata.get("type", count_range(COUNTS[field.name]) if is_count else type(field.default))
+    bound = field.metadata.get("bound")
+    return field.metadata.get("type", type(field.default)) if bound is None else count_range(bound)
+
+
+def list_given() -> set[str]:
+    """Name the parameters that the command line has, whatever their values; one may be as the default is."""
+    context = click.get_current_context()
+    return {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+
+
+def check_needs(options: Iterable[Field], given: Collection[str]) -> None:
+    """Refuse an option without the one that it needs: nothing would read it. `given` are names of fields."""
+    fields_of = {field.name: field for field in options}
+    for field in fields_of.values():
+        needed = field.metadata.get("needs")
+        if needed and field.name in given and needed not in given:
+            lacking = fields_of[needed].metadata.get("argument", "").strip("[]") or name_option(fields_of[needed])
+            words = f"{name_option(field)} is of {lacking}, which is not given"
+            raise click.UsageError(words, click.get_current_context())
+
+
+def refuse_given(why: str, *names: str) -> None:
+    """Refuse parameters that the command line has, and that nothing reads beside the others."""
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        if parameter.name in names and parameter.name in list_given():
+            raise click.UsageError(f"{why}; leave out {parameter.opts[0]}", context)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,8 @@ import click
 from ..benchmarks.studies import COMMANDS, load_study
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import WORKERS
-from .options import count_range, make_option, name_option, option, type_option
+from ..reference import ranks
+from .options import check_needs, list_given, make_option, name_option, option, type_option
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -34,7 +35,7 @@ class RunOptions:
 
     match: str = option("", "only cases and methods with this in their name")
     only: Any = option("missing", "which to do: failed again, or all", type=click.Choice(ONLY))
-    workers: int | None = option(None, "processes; default: all; one if timed", type=count_range(WORKERS))
+    workers: int | None = option(None, "processes side by side; default: all", bound=WORKERS)
     out: Path | None = option(None, "folder of the report; default: out/ and the study's name", type=FOLDER)
     json: bool = option(False, "print the results file to stdout")
 
@@ -42,6 +43,8 @@ class RunOptions:
         """Run a study, print its rows and gates, and return the exit status."""
         from ..benchmarks.harness import run
 
+        if self.workers is not None and ranks.size() > 1:
+            raise click.UsageError("--workers: every rank of mpirun does all tasks; leave it out")
         with show_progress() as progress:
             results = run(study, folder, only=self.only, workers=self.workers, match=self.match, progress=progress)
         if self.json:
@@ -64,7 +67,8 @@ def command_of_study(kind: type[Study], *, out: str = "", argument: str = "", ju
     out = out or f"out/{kind.name}"
 
     def run(**values: Any) -> int:
-        asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS})
+        check_needs(fields(kind), list_given())  # type: ignore[arg-type]  # a dataclass
+        asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
         return asked.run_study(make_study(kind, values), asked.out or Path(out), judged=judged)
 
     params = [
@@ -77,13 +81,22 @@ def command_of_study(kind: type[Study], *, out: str = "", argument: str = "", ju
     """
     # Click's own first sentence would end at "Eq."
     return click.Command(
-        kind.name, params=[*params, *run_options(default=out)], callback=run, help=text, short_help=kind.question
+        kind.name,
+        params=[*params, *run_options([kind], default=out)],
+        callback=run,
+        help=text,
+        short_help=kind.question,
     )
 
 
-def run_options(**out: Any) -> list[click.Parameter]:
-    """Make the options of every run; `out` are words of the option --out."""
-    return [make_option(field, **(out if field.name == "out" else {})) for field in fields(RunOptions)]
+def run_options(kinds: Iterable[type[Study]], **out: Any) -> list[click.Parameter]:
+    """Make the options of every run of these studies; `out` are words of the option --out.
+
+    Where seconds are compared one task runs at a time, so that --workers would do nothing.
+    """
+    unread = {"workers"} if all(kind.timed for kind in kinds) else set()
+    asked = [field for field in fields(RunOptions) if field.name not in unread]
+    return [make_option(field, **(out if field.name == "out" else {})) for field in asked]
 
 
 def command_of_cases(subject: str) -> click.Command:
@@ -98,31 +111,36 @@ def command_of_cases(subject: str) -> click.Command:
     own = {name: make_shared_option(of, len(kinds)) for name, of in having.items()}
 
     def run(cases: str, **values: Any) -> int:
-        asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS})
+        given = list_given()
+        asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
         chosen = list(kinds) if cases == "all" else cases.split(",")
         for case in chosen:
             if case not in kinds:
                 raise click.UsageError(f"--cases {case}: expected all, or some of {', '.join(kinds)}")
         if asked.json and len(chosen) > 1:
             raise click.UsageError("--json: results of one case only")
-        given = {name: values[p.name] for name, p in own.items() if values[p.name] not in (None, (), False)}
-        for name in given:
-            if not having[name].keys() & set(chosen):
+        if "workers" in given and all(kinds[case].timed for case in chosen):
+            raise click.UsageError(
+                f"--workers: one task at a time where seconds are compared, as by {', '.join(chosen)}"
+            )
+        for name, param in own.items():
+            if param.name in given and not having[name].keys() & set(chosen):
                 raise click.UsageError(f"{name}: an option of --cases {','.join(having[name])}")
         studies = {}
         for case in chosen:
-            of_case = {name: of[case] for name, of in having.items() if case in of}
-            for name, field in of_case.items():
-                if field.metadata.get("required") and name not in given:
-                    raise click.UsageError(f"--cases {case}: {name} is missing")
             options = {}
-            for name, field in of_case.items():
-                if name in given:
-                    value = given[name]
+            of_case = [(name, own[name], of[case]) for name, of in having.items() if case in of]
+            for name, param, field in of_case:
+                if param.name in given:
+                    value = values[param.name]
                     if isinstance(value, tuple) and not isinstance(field.default, tuple):
-                        # Another case takes several; this one takes the last, as its own type.
-                        value = click.types.convert_type(type_option(field)).convert(value[-1], own[name], None)
+                        value = value[-1]  # another case takes several; this one takes the last
+                    if not isinstance(value, tuple):
+                        value = click.types.convert_type(type_option(field)).convert(value, param, None)
                     options[field.name] = value
+                elif field.metadata.get("required"):
+                    raise click.UsageError(f"--cases {case}: {name} is missing")
+            check_needs([field for _, _, field in of_case], options)
             studies[case] = make_study(kinds[case], options)
         folders = {
             case: Path("out") / study.name if asked.out is None else asked.out / (case if len(studies) > 1 else "")
@@ -137,7 +155,8 @@ def command_of_cases(subject: str) -> click.Command:
     {WRITES} Several cases: OUT/CASE.
     """
     which = f"all, or some of {','.join(kinds)}; default: {first}"
-    params = [click.Option(["--cases"], default=first, show_default=False, help=which), *own.values(), *run_options()]
+    cases_option = click.Option(["--cases"], default=first, show_default=False, help=which)
+    params = [cases_option, *own.values(), *run_options(kinds.values())]
     return click.Command(subject, params=params, callback=run, help=text, short_help=question)
 
 

@@ -51,7 +51,8 @@ class HeadChoice:
             deltas = expression_deltas(head, str(self.head_file), self.space_name)
         else:
             space = self.space
-            template = load_template(space, level=self.level or DEFAULT_LEVEL, progress=progress)
+            level = DEFAULT_LEVEL if self.level is None else self.level
+            template = load_template(space, level=level, progress=progress)
             code = self.code(space)
             head, deltas = fit_head(template, space.skin(code)), space.expression_deltas(code)
         progress("head", 1.0)

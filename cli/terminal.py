@@ -7,10 +7,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from ..lhm.base.errors import is_interrupt
 from ..lhm.base.files.atomic import remove_unfinished
 from ..lhm.base.progress import OnProgress
 
@@ -65,8 +67,9 @@ def end_at_ctrl_c() -> Iterator[None]:
     """Raise KeyboardInterrupt at the first Ctrl-C within, and end the process at the second.
 
     A second KeyboardInterrupt would cut off what cleans up after the first: files stay half-written, and libraries that
-    draw are left between two of their calls, which ended in a crash. Where somebody has decided otherwise about SIGINT,
-    as nohup has, nothing is changed. After a Ctrl-C this stays so until the process ends.
+    draw are left between two of their calls, which ended in a crash. A first one inside a callback from C, which cannot
+    pass it on, ends the process, too. Where somebody has decided otherwise about SIGINT, as nohup has, nothing is
+    changed. After a Ctrl-C this stays so until the process ends.
     """
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -80,15 +83,22 @@ def end_at_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGINT, _end_at_once)
         raise KeyboardInterrupt
 
+    def end_if_interrupted(swallowed: Any) -> None:
+        if interrupted and swallowed.exc_value is not None and is_interrupt(swallowed.exc_value):
+            _end_at_once()
+        tell(swallowed)
+
+    tell, sys.unraisablehook = sys.unraisablehook, end_if_interrupted
     signal.signal(signal.SIGINT, first)
     try:
         yield
     finally:
+        sys.unraisablehook = tell
         if not interrupted:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _end_at_once(*_) -> None:
     remove_unfinished()
-    os.write(2, b"softdeca: interrupted twice; ended at once\n")
+    os.write(2, b"softdeca: interrupted; ended at once\n")
     os._exit(INTERRUPTED)

@@ -38,7 +38,7 @@ from .written_file import FOLDER
     type=click.IntRange(0, 1_000_000),
     help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
-@click.option("--device", default="cpu", help="torch device: cpu, cuda")
+@click.option("--device", default="cpu", help="torch device: cpu; of modal also cuda")
 @click.option(
     "--precision",
     type=click.Choice(["float32", "bfloat16"]),

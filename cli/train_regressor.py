@@ -33,7 +33,7 @@ class TrainRegressor:
     folder: Path | None = argument("[DIR]", None, type=FILE)
     prior: int | None = option(None, "number of synthetic pairs instead of DIR  [60]", type=click.IntRange(3, 1000))
     identities: str = option("anny", "identity space: anny or ict:FILE")
-    unit: str = option("mm", "unit of the files in DIR", type=click.Choice(list(MILLIMETRES)))
+    unit: str = option("mm", "unit of the files in DIR", type=click.Choice(list(MILLIMETRES)), needs="folder")
     out: Path = option("out/depth_regressor.npz", "file of the regressor", type=NPZ)
     picture: Path | None = option(None, "also draw the error per vertex into this PNG", type=PNG)
     json: bool = option(False, "print the report as JSON")
@@ -48,7 +48,9 @@ class TrainRegressor:
             template = load_template(space, progress=progress)
             measured: tuple[PairReport, ...] = ()
             if self.folder is None:
-                pairs = prior_pairs(template, space, np.random.default_rng(SEED), self.prior or PAIRS)
+                pairs = prior_pairs(
+                    template, space, np.random.default_rng(SEED), PAIRS if self.prior is None else self.prior
+                )
             else:
                 pairs, measured = read_pairs(self.folder, template, space, unit=self.unit, progress=progress)
             tested = leave_one_out(pairs, template.skin_wrap, progress=progress)

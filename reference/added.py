@@ -6,7 +6,7 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SOLVERS = ("projective", "fenicsx", "skfem")
 HOUSE_LAWS = ("PD", "Strain + Volume", *(law.__name__ for law in LAWS))
 """Names that studies have for laws of their own."""
+STREAMS = ("stdout", "stderr")
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ def add_file(path: Path | str):
     """Run a Python file, which adds laws (`add_law`), solvers (`add_solver`) or studies; once, if asked twice.
 
     Its classes are those of a module "softdeca_added_" and the file's name, also in processes that a study starts.
-    Raises InputError for a file that is missing, has the name of another one, raises anything itself, or ends the
-    process, which would look as if all had been done.
+    Raises InputError for a file that is missing, has the name of another one, raises anything itself, ends the process,
+    which would look as if all had been done, or closes its streams.
     """
     path = Path(path).resolve()
     name = f"softdeca_added_{path.stem}"
@@ -56,23 +57,24 @@ def add_file(path: Path | str):
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with _refuse_exit(path):
+        with _keep_process(), _keep_streams():
             spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        del sys.modules[name]
+    except BaseException as error:
+        sys.modules.pop(name, None)
+        if isinstance(error, KeyboardInterrupt):
+            raise
         raise InputError(f"{path}: {type(error).__name__}: {error}") from error
-    except BaseException:  # Ctrl-C
-        del sys.modules[name]
-        raise
     _files[name] = path
 
 
 @contextmanager
-def _refuse_exit(path: Path) -> Iterator[None]:
-    """Let os._exit raise while a file is run: it would end the process without a word."""
-    ends = os._exit
+def _keep_process() -> Iterator[None]:
+    """Let os._exit raise while a file is run: it would end the process without a word. A fork of it ends here."""
+    ends, own = os._exit, os.getpid()
 
     def refuse(status: int) -> NoReturn:
+        if os.getpid() != own:
+            ends(status)
         raise InputError(f"it ends the process (os._exit({status}))")
 
     os._exit = refuse
@@ -80,6 +82,30 @@ def _refuse_exit(path: Path) -> Iterator[None]:
         yield
     finally:
         os._exit = ends
+        if os.getpid() != own:
+            ends(0)
+
+
+@contextmanager
+def _keep_streams() -> Iterator[None]:
+    """Give stdout and stderr back as they were after a file is run; InputError where it has closed one."""
+    streams = []
+    for number, name in enumerate(STREAMS, 1):
+        with suppress(OSError):  # it is closed already
+            streams.append((name, getattr(sys, name), number, os.dup(number)))
+    closed = []
+    try:
+        yield
+    finally:
+        for name, stream, number, kept in streams:
+            os.dup2(kept, number)
+            os.close(kept)
+            if stream is not None and stream.closed:
+                closed.append(name)
+                stream = open(number, "w", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
+    if closed:
+        raise InputError(f"it closes {' and '.join(closed)}")
 
 
 def added_files() -> tuple[Path, ...]:

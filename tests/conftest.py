@@ -22,14 +22,15 @@ from softdeca.lhm import LayeredHead, Surface, fit_head, identities, load_templa
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+"""Real heads and takes, which docs/architecture.md names."""
 
 
 @pytest.fixture(scope="session")
 def data():
     """The folder of real heads; a test that needs it skips, by name, where it is missing."""
     if not DATA.is_dir():
-        pytest.skip(f"no real data at {DATA}")
+        pytest.skip(f"no real data at {DATA}: $SOFTDECA_DATA, or docs/architecture.md")
     return DATA
 
 

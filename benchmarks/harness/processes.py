@@ -17,7 +17,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ...lhm.base.errors import MissingDependencyError, SoftdecaError
+from ...lhm.base.errors import MissingDependencyError, SoftdecaError, is_interrupt
 from ...reference import ranks
 from ...reference.added import NotModelledError, add_file, added_files
 from ...surrogate.schedule import without_interrupts
@@ -206,6 +206,8 @@ def _measure(job: Job) -> Outcome:
     except (MissingDependencyError, NotModelledError) as error:
         return Outcome(job, "skipped", str(error))
     except (Exception, SystemExit) as error:  # a SystemExit of a study that a file adds would end the command
+        if is_interrupt(error):
+            raise KeyboardInterrupt from error
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
         seconds, cpu = time.perf_counter() - begin, read_cpu_seconds() - spent
         return Outcome(job, "failed", " ".join(reason.split()), seconds=seconds, cpu=cpu)

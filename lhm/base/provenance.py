@@ -14,14 +14,16 @@ from typing import Any
 
 DIRTY = "-dirty"
 """At the end of a commit: the code had changes that it does not hold."""
-_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors",
-         ":(exclude)docs", ":(exclude)tests", ":(exclude)tools", ":(exclude)benchmarks/results")  # fmt: skip
-"""What a figure can depend on; texts and results of other studies may change while one is measured."""
+_TEXTS = ("docs", "tests", "tools", "benchmarks/results", "*.md")
+"""No figure depends on these; they may change while one is measured."""
+_CODE = ("lhm/", "reference/", "surrogate/", "animation/", "benchmarks/", "cli/")
+"""Where a file that is not in git is code; elsewhere it is somebody's data."""
 _PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
 
 
 def describe_machine() -> dict:
     """Processor, cores, load, versions and commit, for a results file."""
+    threads = os.environ.get("OMP_NUM_THREADS", "")
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -31,7 +33,7 @@ def describe_machine() -> dict:
         "versions": {name: _version(name) for name in _PACKAGES},
         "commit": read_commit(),
         "dtype": "float64",
-        "threads": int(os.environ.get("OMP_NUM_THREADS", "0")) or "default",
+        "threads": int(threads) if threads.isdecimal() and int(threads) else "default",
     }
 
 
@@ -68,7 +70,11 @@ def read_commit() -> str:
         return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        return git("rev-parse", "--short=12", "HEAD") + (DIRTY if git("status", "--porcelain", "--", *_CODE) else "")
+        commit = git("rev-parse", "--short=12", "HEAD")
+        without = [f":(exclude){name}" for name in _TEXTS]
+        lines = git("status", "--porcelain", "--untracked-files=all", "--", ".", *without).splitlines()
+        changed = [line for line in lines if not line.startswith("??") or line[3:].startswith(_CODE)]
+        return commit + (DIRTY if changed else "")
     except subprocess.CalledProcessError:
         return "not known: no git checkout"
 

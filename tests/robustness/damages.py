@@ -15,7 +15,7 @@ import numpy as np
 from safetensors.numpy import load, save
 from whole_files import glb, glb_words
 
-from softdeca.surrogate.corpus.shard import TABLES, Shard, Label
+from softdeca.surrogate.corpus.shard import TABLES, Label, Shard
 from softdeca.surrogate.networks.weights import UNSEALED, seal
 
 NUMBERS = (b"nan", b"-inf", b"-1", b"0", b"1e400", b"1e30", b"-1e6", b"9" * 40, b"9" * 400, b"2147483648", b"-9", b"")

@@ -6,14 +6,13 @@ import re
 import resource
 import shlex
 import socket
-import time
 import zipfile
 
 import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.lhm import InputError, SoftdecaError, expressions, fit_head, load_template, Surface
+from softdeca.lhm import InputError, SoftdecaError, Surface, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
 from softdeca.lhm.base.files.resumable import RowStore, lock_folder
 from softdeca.lhm.expressions import weights_of
@@ -76,7 +75,7 @@ WRONG = [
     ("head mesh head.npz --layers 0,1", "from 1 to 32"),
     ("head mesh head.npz --layers 1000000,1", "from 1 to 32"),
     ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),
-    ("head mesh head.npz --layers 2,2 --size 3", "give one"),
+    ("head mesh head.npz --layers 2,2 --size 3", "leave out --layers"),
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("bench agreement --cases effects --effect slimming", "unknown effect 'slimming'"),
@@ -121,6 +120,21 @@ WRONG = [
     ("corpus generate --scheduler nowhere", "'nowhere': expected an address, as tcp://host:8786"),
     ("train nowhere", "no corpus"),
     ("evaluate nowhere", "no corpus"),
+    # Options that nothing would read.
+    ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
+    ("head fit --keep-sealed", "--keep-sealed is of --skin, which is not given"),
+    ("head fit --find-landmarks l.json --vtk layers", "leave out --vtk"),
+    ("head mesh head.npz --size 3 --layers 1,1", "leave out --layers"),
+    ("head train-regressor --unit mm", "--unit is of DIR, which is not given"),
+    ("animate conversation:1 --exact", "without --accuracy none no rig is alone; leave out --exact"),
+    ("animate conversation:1 --beyond refuse", "leave out --beyond"),
+    ("bench agreement --cases contact --people 4", "--people is of --corpus, which is not given"),
+    ("bench agreement --cases cube --jaw 0", "--jaw: an option of --cases faces"),
+    ("bench heads --cases shapes --gallery 0", "--gallery: an option of --cases fit"),
+    ("bench surrogate --cases dial --workers 2", "one task at a time where seconds are compared, as by dial"),
+    ("bench work-precision --workers 1", "No such option '--workers'"),
+    ("bench scaling --cases unknowns --level 2", "--level: an option of --cases size"),
+    ("evaluate corpus --workers 2", "No such option '--workers'"),
     # Counts out of their range.
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
     ("corpus generate --workers 100000", "--workers': 100000 is not in the range 1<=x<=256"),
@@ -131,6 +145,8 @@ WRONG = [
     (f"view --seed {'9' * 40}", "0<=x<=9223372036854775807"),
     (f"bench heads --count {'9' * 40}", "1<=x<=100000"),
     ("bench scaling --cases throughput --frames 0", "--frames': 0 is not in the range 1<=x<=100000"),
+    ("bench surrogate --cases dial --faces 0", "--faces': 0 is not in the range 1<=x<=1000"),
+    ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
 
 
@@ -245,11 +261,10 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
     "words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out"), ("bench", "export")]
 )
 @pytest.mark.parametrize("place", ["/dev/null/x.zip", "e" * 300 + ".zip", "/proc/x.zip"])
-def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, words, place):
-    begin = time.monotonic()
-    ended = command(*words, place)
-    assert "cannot be written" in ended.refusal()
-    assert time.monotonic() - begin < 10
+def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, monkeypatch, words, place):
+    for module in ("study", "study_command", "corpus", "bench"):
+        monkeypatch.setattr(f"softdeca.cli.{module}.show_progress", None)  # the work would end in a TypeError
+    assert "cannot be written" in command(*words, place).refusal()
 
 
 def test_a_study_in_a_file_is_refused(command, tmp_path):

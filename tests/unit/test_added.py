@@ -1,5 +1,7 @@
 """Laws, solvers and studies of files of one's own, by those of the tutorials."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +31,7 @@ from softdeca.reference.skfem.solids import ByInvariants
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
 LAW, SOLVER = TUTORIALS / "gent.py", TUTORIALS / "quasi_newton.py"
+MAIN = "from softdeca.cli import main; main()"
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
@@ -287,11 +290,36 @@ def test_a_law_takes_no_name_that_is_there_and_none_that_cannot_be_shown(name):
         add_law(name, Own)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("sys.stdout.close()", "closes stdout"),
+        ("sys.stderr.close()", "closes stderr"),
+        ("sys.stdout.close(); sys.stderr.close()", "closes stdout and stderr"),
+        ("os.close(1); os.close(2)", ""),
+        ("sys.stdout = sys.stderr = None", ""),
+        ("os.fork()", ""),
+        ("os.fork() or os._exit(3)", ""),
+        ("os.fork() or sys.exit(3)", ""),
+    ],
+)
+def test_a_file_neither_closes_streams_nor_goes_on_twice(tmp_path, words, said):
+    (tmp_path / "mine.py").write_text(f"import os, sys\n{words}\n")
+    arguments = [sys.executable, "-c", MAIN, "bench", "--add", tmp_path / "mine.py", "list"]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    if said:
+        assert ended.returncode == 1 and ended.stdout == ""
+        assert ended.stderr == f"softdeca: error: {tmp_path / 'mine.py'}: InputError: it {said}\n"
+    else:
+        assert ended.returncode == 0 and ended.stderr == ""
+        assert ended.stdout.count("verification") == 1
+
+
 def test_what_files_may_not_add(tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("1 / 0\n")
     ends = tmp_path / "ends.py"
-    for words in ("raise SystemExit(0)", "quit()", "import os; os._exit(0)"):
+    for words in ("raise SystemExit(0)", "quit()", "import os; os._exit(0)", "raise BaseException('any')"):
         ends.write_text(words + "\n")
         with pytest.raises(InputError, match=r"ends.py: "):
             add_file(ends)

@@ -34,7 +34,13 @@ def test_a_program_that_fails_says_why(tmp_path):
 
 
 def test_words_need_both_codes():
-    row = SimpleNamespace(
-        method=corotated.OURS, values={"rows": [{"code": corotated.OURS, "what": corotated.WHOLE, "ns": 1.0}]}
-    )
-    assert corotated.OperatorSplitting().words([row]) == ""
+    parts = (corotated.STRETCH, corotated.BOTH, corotated.WHOLE)
+
+    def row(code, nanoseconds):
+        lines = [{"code": code, "what": what, "ns": nanoseconds} for what in parts]
+        return SimpleNamespace(method=code, values={"rows": lines, "off_degrees": (3.0, 0.5)})
+
+    ours, theirs = row(corotated.OURS, 20.0), row(corotated.THEIRS, 10.0)
+    words = corotated.OperatorSplitting().words([ours, theirs])
+    assert "take 10 ns a tet in FastCorotatedFEM (float32) and 20 ns here" in words and "3 degrees" in words
+    assert corotated.OperatorSplitting().words([ours]) == ""

@@ -21,6 +21,7 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import REFERENCE, Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
+from softdeca.surrogate.corpus.references import FEM_LAWS
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulator import FaceSimulator
@@ -215,11 +216,30 @@ def test_another_plan_or_template_is_refused(made, tmp_path):
         Corpus(tmp_path, PLAN, PEOPLE)
 
 
-@pytest.mark.parametrize("table", SMALL)
+@pytest.fixture(scope="module")
+def referenced(tmp_path_factory):
+    """Test people with answers by FEniCSx."""
+    pytest.importorskip("dolfinx")
+    corpus = Corpus(tmp_path_factory.mktemp("referenced"), replace(PLAN, references=1), PEOPLE)
+    corpus.generate()
+    return corpus
+
+
+def test_a_reader_finds_the_references_of_test_people(referenced):
+    found, shard = Table(referenced.folder, "references", "test"), referenced.shard(2)
+    assert set(found.rows[:, 0]) == {2}
+    with pytest.raises(InputError, match="nothing of references in the train split"):
+        Table(referenced.folder, "references", "train")
+    assert {str(found[k]["law"]) for k in range(len(found))} == set(FEM_LAWS)
+    for index, (_, number) in enumerate(found.rows):
+        for name in (*SMALL["references"], *LARGE["references"]):
+            np.testing.assert_array_equal(found[index][name], getattr(shard.references, name)[number])
+
+
+@pytest.mark.parametrize("table", [table for table in SMALL if table != "references"])
 def test_a_reader_finds_what_the_shards_hold(made, table):
-    if table == "references":
-        return
     found = Table(made.folder, table, "train")
+    assert len(found)
     for index in range(len(found)):
         row = found[index]
         identity, number = found.rows[index]

@@ -12,6 +12,8 @@ from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
 from softdeca.reference.face.tissue import Attachment, bone_points, eyeballs
 
+from ..conftest import with_regions
+
 
 def test_parameters_name_what_is_out_of_range():
     assert Parameters(gravity=1.5).gravity == 1.5
@@ -221,7 +223,7 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
         facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
 
 
-def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
+def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head, spheres):
     head, n = sphere_head, len(sphere_head.bone)
     skull = bone_points(head)
     scene = facial_scene(head, Parameters(), head.skin.vertices, bones="rigid", attached=skull)
@@ -234,5 +236,12 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
         facial_scene(head, Parameters(), head.skin.vertices, bones="soft", attached=skull)
     with pytest.raises(SceneError, match="lids"):
         eyeballs(head)
+    lids = with_regions(spheres(3))
+    eyes = eyeballs(lids, radius=12.0)
+    seen = facial_scene(lids, Parameters(), lids.skin.vertices, attached=eyes)
+    assert len(seen.of(terms.RigidBody)) == 3
+    assert len(seen.vertices) == 3 * len(lids.bone) + sum(len(eye.points) for eye in eyes)
+    for eye in eyes:
+        assert np.ptp(eye.points, axis=0) == pytest.approx([24.0] * 3, rel=0.1)
     with pytest.raises(SceneError, match="bone 7"):
         Attachment(np.zeros((4, 3)), 7)

@@ -1,12 +1,16 @@
 """The runner of studies: failures are rows, what is done is kept, and two results are compared beside their noise."""
 
+import ast
+import inspect
 import io
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
@@ -16,7 +20,8 @@ from softdeca.benchmarks.harness import RunRequest, Task, compare_results, proce
 from softdeca.benchmarks.harness.processes import Job
 from softdeca.benchmarks.harness.results import read_results
 from softdeca.benchmarks.studies import STUDIES, load_study
-from softdeca.cli.study_command import command_of_study
+from softdeca.cli import animate, bench, corpus, head, head_files, study, train_regressor
+from softdeca.cli.study_command import RunOptions, command_of_study
 from softdeca.lhm import InputError
 from softdeca.reference import ranks
 
@@ -28,8 +33,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softdeca.benchmarks.harness.study import at_most
-from softdeca.benchmarks.harness import Column, Study, Task
+from softdeca.benchmarks.harness import Column, Study, Task, option
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
+from softdeca.lhm.base.limits import Bound
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,13 @@ class Impatient(Toy):
 @dataclass(frozen=True)
 class Apart(Toy):
     alone = True
+
+
+@dataclass(frozen=True)
+class Levelled(Toy):
+    level: int = option(1, "of a game")
+    people: int = option(5, "who may be nobody")
+    count: int = option(3, "of coins", bound=Bound("coins", 9, "a purse is small", 2))
 """
 
 
@@ -277,6 +290,63 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
     assert same.status == 0
     assert same.out == "16 of 16 answers are the same within noise\n4 of 4 costs are the same within noise\n"
     assert "verification" in command("bench", "list").out
+
+
+GIVEN = {
+    "bench agreement --jaw 0 --push 0 --volume 1 --expression jawOpen": {
+        "jaw": 0.0, "push": 0.0, "volume": 1.0, "expressions": ("jawOpen",), "gravity": 3.0,
+    },
+    "bench agreement --cases effects --fan 0": {"fan": 0, "reference": "fenicsx"},
+    "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
+    "bench surrogate --cases dial --seed 0": {"seed": 0, "faces": 6},
+    "bench surrogate --cases table-1 --recurrence-steps 0 --steps 0 --external ''": {
+        "recurrence_steps": 0, "steps": 0, "external": "", "energy_steps": 1000,
+    },
+    "bench work-precision --slow --repeats 1 --seed 0": {"slow": True, "repeats": 1, "seed": 0},
+    "bench scaling --cases throughput --frames 20 --frames 30": {"frames": 30},
+    "evaluate corpus --simulated 0 --generalisation 0": {"corpus": "corpus", "simulated": 0, "generalisation": 0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", GIVEN)
+def test_an_option_that_is_given_counts_whatever_its_value(command, monkeypatch, tmp_path, words):
+    asked = []
+    monkeypatch.setattr(RunOptions, "run_study", lambda self, study, folder, **_: asked.append(study) or 0)
+    monkeypatch.chdir(tmp_path)
+    assert command(*shlex.split(words)).status == 0
+    (study,) = asked
+    assert {name: getattr(study, name) for name in GIVEN[words]} == GIVEN[words]
+
+
+def list_kinds():
+    """All commands of dataclasses and all studies, by name."""
+    found = {f"bench {name}": load_study(name) for name in STUDIES}
+    for module in (animate, bench, corpus, head, head_files, study, train_regressor):
+        own = (each for each in vars(module).values() if isinstance(each, type) and is_dataclass(each))
+        found |= {f"{module.__name__} {each.__name__}": each for each in own if each.__module__ == module.__name__}
+    return found | {"every study": RunOptions}
+
+
+@pytest.mark.parametrize(("name", "kind"), list_kinds().items())
+def test_every_option_is_read(name, kind):
+    """A field that no code of its class or module takes up would be an option that does nothing."""
+    modules = {sys.modules[each.__module__] for each in kind.__mro__ if each.__module__.startswith("softdeca")}
+    nodes = [node for module in modules for node in ast.walk(ast.parse(inspect.getsource(module)))]
+    read = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    read |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    assert not {field.name for field in fields(kind)} - read
+
+
+def test_a_study_has_no_level_where_each_mesh_has_its_own():
+    assert "level" not in {field.name for field in fields(load_study("unknowns"))}
+
+
+def test_bounds_are_those_of_the_study_not_of_a_name(toys):
+    named = {p.name: p.type for p in command_of_study(toys.Levelled).params}
+    assert named["level"].convert(70, None, None) == 70 and named["people"].convert(0, None, None) == 0
+    assert (named["count"].min, named["count"].max) == (2, 9)
+    whose = {p.name: p.type for p in command_of_study(load_study("dial")).params}
+    assert (whose["level"].max, whose["faces"].max) == (3, 1000)
 
 
 def test_no_study_has_an_option_twice():

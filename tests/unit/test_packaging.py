@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from softdeca.lhm.base.files.text import read_toml
+
 ROOT = Path(__file__).resolve().parents[2]
 PORTIONS = ("lhm", "reference", "surrogate", "animation", "benchmarks", "cli")
 
@@ -50,10 +52,12 @@ def test_no_module_is_imported_by_its_folder():
     assert [path for path, name in imported(*PORTIONS, "tests") if name in PORTIONS] == []
 
 
-def test_the_default_head_is_part_of_the_package():
-    lines = (ROOT / "pyproject.toml").read_text().split("package-data]")[1].splitlines()[1:5]
-    assert '"softdeca.lhm.identities" = ["anny.npz", "anny_within.npz"]' in lines
-    assert all((ROOT / "lhm" / "identities" / name).is_file() for name in ("anny.npz", "anny_within.npz"))
+def test_the_default_head_and_all_listed_data_are_part_of_the_package():
+    data = read_toml(ROOT / "pyproject.toml")["tool"]["setuptools"]["package-data"]
+    assert {"anny.npz", "anny_within.npz"} <= set(data["softdeca.lhm.identities"])
+    for package, names in data.items():
+        folder = ROOT / package.removeprefix("softdeca.").replace(".", "/")
+        assert all(list(folder.glob(name)) for name in names), package
 
 
 @pytest.mark.parametrize("module", ["softdeca.lhm", "softdeca.reference", "softdeca.cli", "softdeca.surrogate"])

@@ -1,6 +1,5 @@
 """What solving a prepared scene promises: options, warm starts, nothing factored twice, a falling energy, speed."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -128,45 +127,6 @@ def test_a_scene_without_tet_terms_builds_none():
     np.testing.assert_allclose(solution.positions, X + 1.0, atol=1e-12)
     with pytest.raises(SceneError, match="no energy of tets"):
         time_local_step(prepared)
-
-
-def geodesic(frequency):
-    """Directions and triangles of the icosahedron with edges cut in `frequency`: 10 frequency² + 2 vertices."""
-    ico = trimesh.creation.icosahedron()
-    points, triangles = [], []
-    for a, b, c in np.asarray(ico.vertices)[ico.faces]:
-        index = {}
-        for i in range(frequency + 1):
-            for j in range(frequency + 1 - i):
-                index[i, j] = len(points)
-                points.append(a * (frequency - i - j) + b * i + c * j)
-        for i, j in index:
-            if i + j < frequency:
-                triangles.append((index[i, j], index[i + 1, j], index[i, j + 1]))
-            if i + j < frequency - 1:
-                triangles.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    _, first, same = np.unique(np.round(points, 6), axis=0, return_index=True, return_inverse=True)
-    directions = np.array(points)[first]
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True), same.ravel()[np.array(triangles)]
-
-
-def test_local_step_takes_a_sixth_of_as_many_singular_value_decompositions():
-    """58,080 tets: 3 ms on an idle core (a thirtieth), asked at most 8; load slows LAPACK as well."""
-    directions, triangles = geodesic(22)
-    n = len(directions)
-    tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
-    assert (n, len(tets)) == (4842, 58080)
-    X = np.vstack([radius * directions for radius in (100.0, 92.0, 85.0)])
-    prepared = prepare(Scene(X, tets, [terms.Strain(5.0), terms.Volume(67.5)]))
-    matrices = np.random.default_rng(0).normal(size=(len(tets), 3, 3))
-
-    def decomposed() -> float:
-        begin = time.perf_counter()
-        np.linalg.svd(matrices)
-        return time.perf_counter() - begin
-
-    ratios = [time_local_step(prepared) / decomposed() for _ in range(5)]
-    assert min(ratios) < 1 / 6, ratios
 
 
 cholmod_is_there = pytest.mark.skipif(not cholesky.has_cholmod(), reason="scikit-sparse is not installed")

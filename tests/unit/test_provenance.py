@@ -59,6 +59,9 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
     source.parent.mkdir(parents=True)
     source.write_text("first = 1\n")
     (root / "README.md").write_text("words\n")
+    sources = [source, *(source.parent / name for name in ("a.c", "a.cpp", "a.css", "a.js")), root / "constraints.txt"]
+    for each in sources[1:]:
+        each.write_text("as it was\n")
     monkeypatch.setattr(provenance, "__file__", str(source))
 
     def git(*words):
@@ -78,11 +81,19 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
         (root / "benchmarks" / "results").mkdir()
         (root / "benchmarks" / "results" / "new.toml").write_text("")
         assert commit() == clean
-        new = root / "benchmarks" / "study.py"
-        new.write_text("second = 2\n")
-        assert commit() == clean + provenance.DIRTY
-        new.unlink()
-        source.write_text("first = 2\n")
+        (root / "head.npz").write_text("made by a command")
+        assert commit() == clean
+        for name in ("study.py", "kernels.c", "corotated.cpp", "page.css", "weights.bin"):
+            new = root / "benchmarks" / name
+            new.write_text("new")
+            assert commit() == clean + provenance.DIRTY
+            new.unlink()
+        for changed in sources:
+            before = changed.read_text()
+            changed.write_text("changed")
+            assert provenance.is_dirty(commit()), changed
+            changed.write_text(before)
+        sources[-1].unlink()
         assert provenance.is_dirty(commit())
     finally:
         provenance.read_commit.cache_clear()

@@ -1,7 +1,5 @@
 """The depth regressor: its algebra, the rays that measure depths, the prior, and what it refuses."""
 
-import time
-
 import numpy as np
 import pytest
 import trimesh
@@ -191,10 +189,6 @@ def test_errors_of_one_head():
     assert errors.quantile_95 == pytest.approx(1 + 0.85 * 5)
 
 
-def test_each_landmark_says_where_its_depth_comes_from():
-    assert all(mark.source and 0.15 <= mark.spread <= 0.3 and 2 < mark.depth < 25 for mark in depth.LANDMARKS)
-
-
 def test_the_prior_has_the_published_means_and_spread(template, space):
     pairs = prior_pairs(template, space, np.random.default_rng(1), 200)
     wrap, marks, regions = template.skin_wrap.vertices, template.marks, template.regions
@@ -216,7 +210,7 @@ def test_the_prior_has_the_published_means_and_spread(template, space):
     assert pairs.depths.min() > 0.5 and pairs.depths.max() < 45
 
 
-def test_the_default_regressor_is_the_same_each_time_and_fast(template, space, tmp_path, monkeypatch):
+def test_the_default_regressor_is_the_same_each_time(template, space, tmp_path, monkeypatch):
     monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
     made, read = default_regressor(template, space), default_regressor(template, space)
     assert made.label.startswith("synthetic prior") and "not anatomy" in made.label and made.pairs == 60
@@ -226,13 +220,6 @@ def test_the_default_regressor_is_the_same_each_time_and_fast(template, space, t
     depths = made.predict(wrap)
     np.testing.assert_array_equal(read.predict(wrap), depths)
     assert depths.shape == (4842,) and 2 < depths.min() and depths.max() < 25
-
-    seconds = []
-    for _ in range(20):
-        begun = time.perf_counter()
-        made.predict(wrap)
-        seconds.append(time.perf_counter() - begun)
-    assert min(seconds) < 5e-3
 
 
 def connectors(template):

@@ -62,13 +62,16 @@ def test_callbacks_cost_nothing(solver):
     assert 0.0 < watched.history.time[-1] <= watched.times.solve
 
 
-def test_a_first_solve_has_the_compilation_of_its_own():
-    """The second of two equal solves has no form to make."""
+def test_each_solve_tells_its_compilation_apart():
+    """The second of two equal solves loads its forms from a cache, which counts as compilation, too."""
     pytest.importorskip("dolfinx")
     law = materials.MooneyRivlin(0.3, 0.2, 5.0)
-    first, second = (solve(pulled(terms.Hyperelastic(law)), solver="fenicsx") for _ in range(2))
-    assert first.times.compilation > 0.0 and second.times.compilation > 0.0  # forms are loaded from a cache
-    assert first.times.preparation < 1.0
+    for _ in range(2):
+        begin = time.perf_counter()
+        times = solve(pulled(terms.Hyperelastic(law)), solver="fenicsx").times
+        whole = time.perf_counter() - begin
+        assert min(times.compilation, times.preparation, times.solve) > 0.0
+        assert times.compilation + times.preparation + times.solve <= whole
 
 
 def far(cells=(12, 2, 2)):

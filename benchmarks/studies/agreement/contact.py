@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
@@ -70,8 +71,8 @@ class Contact(OfPerson):
 
     poses: tuple[str, ...] = option(tuple(POSES), f"of {', '.join(POSES)}; repeat for several", name="--pose")
     corpus: str = option("", "folder of `softdeca corpus generate`, of which some frames are solved with contact")
-    people: int = option(4, "of the corpus, the first of them")
-    frames: int = option(12, "static frames of each of them")
+    people: int = option(4, "of the corpus, the first of them", bound=STUDIED_PEOPLE, needs="corpus")
+    frames: int = option(12, "static frames of each of them", bound=STUDIED_FRAMES, needs="corpus")
 
     def tasks(self) -> Sequence[Task]:
         """List each pose, and each person of the corpus; InputError for an unknown pose, and less than one of each."""

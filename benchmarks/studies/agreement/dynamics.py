@@ -11,6 +11,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import LayeredHead
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import LEVEL, STUDIED_FRAMES
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Trajectory, march, solve, terms
@@ -67,8 +68,8 @@ class Dynamics(OfPerson):
         "there."
     )
 
-    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices")
-    frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}")
+    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}", bound=STUDIED_FRAMES)
 
     def tasks(self) -> Sequence[Task]:
         """List the motions; InputError for too few frames."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import RANDOM_STARTS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.expressions import weights_of
@@ -85,7 +86,7 @@ class Effects(OfPerson):
 
     effects: tuple[str, ...] = option((), f"of {', '.join(e.name for e in EFFECTS)}; repeat for several  [all]")
     reference: str = option("fenicsx", "by which PD's energy and a law are solved too: fenicsx, skfem or none")
-    fan: int = option(0, "random starts of a broad smile without an effect")
+    fan: int = option(0, "random starts of a broad smile without an effect", bound=RANDOM_STARTS)
 
     def tasks(self) -> Sequence[Task]:
         """List each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""

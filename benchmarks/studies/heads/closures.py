@@ -12,6 +12,7 @@ from ....animation import plots
 from ....animation.play import blend_linearly
 from ....animation.takes import read_frames
 from ....lhm import fit_head, identities, load_template
+from ....lhm.base.limits import LEVEL
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.expressions import Take
@@ -47,7 +48,7 @@ class Closures(Study):
     take: str = option("conversation:3", "a take, as `softdeca animate` reads it")
     frames: str = option("", "A:B, only these frames of the take, B left out")
     parameters: str = option("", "TOML of named parameters p")
-    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
     dynamic: bool = option(False, "with inertia, simulated and by the surrogate")
 
     def tasks(self) -> Sequence[Task]:

@@ -29,6 +29,7 @@ from ....lhm import (
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.geometry.topology import find_openings
+from ....lhm.base.limits import DRAWN_HEADS, STUDIED_HEADS
 from ....lhm.base.option import option
 from ....lhm.check import Figure
 from ....lhm.head_file import load_head
@@ -103,9 +104,9 @@ class Heads(OfPerson):
         "expressions at full weight, simulated by projective dynamics with default parameters."
     )
 
-    count: int = option(1000, "how many random identities")
+    count: int = option(1000, "how many random identities", bound=STUDIED_HEADS)
     sigma: float = option(CLIP, "largest coefficient, in standard deviations")
-    gallery: int = option(2, "how many of them are simulated and drawn")
+    gallery: int = option(2, "how many of them are simulated and drawn", bound=DRAWN_HEADS)
     heads: tuple[str, ...] = option((), "by `head fit`, drawn as well; repeat for several")
 
     def tasks(self) -> Sequence[Task]:

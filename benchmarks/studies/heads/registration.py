@@ -17,6 +17,7 @@ from ....lhm import identities
 from ....lhm.arkit import ARKIT
 from ....lhm.base.errors import InputError
 from ....lhm.base.geometry.rays import visible_sky
+from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats, Floats32, Surface
 from ....lhm.base.option import option
 from ....lhm.fit import transfer_rig
@@ -58,7 +59,7 @@ class Registrations(Study):
 
     identities: str = option("anny", "the one head with a rig: 'anny' or ict:FILE")
     upon: str = option("", "the other head, as ict:FILE", required=True)
-    seed: int = option(0, "of a person of each, whose shapes are known")
+    seed: int = option(0, "of a person of each, whose shapes are known", bound=SEED)
 
     def tasks(self) -> Sequence[Task]:
         """List one: two registrations, a minute each, answer all. InputError for spaces that cannot be read."""

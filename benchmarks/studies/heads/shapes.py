@@ -12,6 +12,7 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import STUDIED_HEADS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.expressions import ARKIT
@@ -43,7 +44,7 @@ class Shapes(OfPerson):
         Column("iterations", "iterations", cost=True),
     )
 
-    count: int = option(20, "how many random identities, half a minute each")
+    count: int = option(20, "how many random identities, half a minute each", bound=STUDIED_HEADS)
 
     def tasks(self) -> Sequence[Task]:
         """List an identity each; InputError for none."""

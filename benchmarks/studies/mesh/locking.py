@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.limits import LEVEL
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
@@ -83,7 +84,7 @@ class Locking(OfPerson):
     )
     limit = 7200.0
 
-    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices")
+    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
     expression: str = option("mouthPucker", "as jawOpen*0.5+cheekPuff")
     poisson: tuple[str, ...] = option(
         ("0.38", "0.45", "0.47", "0.49", "0.499"), "a Poisson's ratio; repeat for several"

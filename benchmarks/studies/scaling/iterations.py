@@ -13,6 +13,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import REPEATS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.template import LEVELS
@@ -76,7 +77,7 @@ class Scaling(OfPerson):
     levels: tuple[str, ...] = option(tuple(map(str, LEVELS)), "of the template, by tets; repeat", name="--levels")
     frames: tuple[str, ...] = option(("6", "12", "24", "48"), "repeat", name="--frames")
     processes: tuple[str, ...] = option(("1", "2"), "side by side; repeat", name="--processes")
-    repeats: int = option(5, "of each solve, after one that is not counted")
+    repeats: int = option(5, "of each solve, after one that is not counted", bound=REPEATS)
 
     def tasks(self) -> Sequence[Task]:
         """List each level by each solver, each length of a sequence, and each count of processes."""

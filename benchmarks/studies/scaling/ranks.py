@@ -14,6 +14,7 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.limits import REPEATS
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene
 from ...harness.mpirun import run_by_mpirun
@@ -54,8 +55,8 @@ class Ranks(OfPerson):
 
     processes: tuple[str, ...] = option(("1", "2"), "counts to compare, the first is 1; repeat", name="--processes")
     expression: str = option("jawOpen*0.5", "as jawOpen*0.5+cheekPuff")
-    rounds: int = option(2, "in which every count has its turn")
-    repeats: int = option(5, "of a phase in each round")
+    rounds: int = option(2, "in which every count has its turn", bound=REPEATS)
+    repeats: int = option(5, "of a phase in each round", bound=REPEATS)
 
     @property
     def counts(self) -> tuple[int, ...]:

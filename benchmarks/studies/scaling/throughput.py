@@ -12,6 +12,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Prepared, facial_scene, prepare, projective
@@ -78,8 +79,8 @@ class Throughput(OfPerson):
     timed = True
     alone = True
 
-    people: int = option(3, "of cold frames, of seeds from the study's on")
-    frames: int = option(49, "of the sequence, at 60 Hz; at least 13")
+    people: int = option(3, "of cold frames, of seeds from the study's on", bound=STUDIED_PEOPLE)
+    frames: int = option(49, "of the sequence, at 60 Hz; at least 13", bound=STUDIED_FRAMES)
 
     def tasks(self) -> Sequence[Task]:
         """List each kind of cold frames, the sequence, the memory, the floor."""

@@ -11,11 +11,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import UNKNOWNS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
@@ -110,7 +112,8 @@ class Unknowns(OfPerson):
     timed = True
     alone = True
 
-    up_to: int = option(USUAL, "unknowns of a mesh; 640000 for all: forty minutes")
+    level: ClassVar[int] = DEFAULT_MESH[0]  # type: ignore[misc]  # no option: each mesh has its own
+    up_to: int = option(USUAL, "unknowns of a mesh; 640000 for all: forty minutes", bound=UNKNOWNS)
     expression: str = option("mouthSmileLeft+mouthSmileRight", "as jawOpen*0.5+cheekPuff")
 
     @property

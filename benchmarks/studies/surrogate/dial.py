@@ -12,6 +12,7 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.limits import LEVEL, SEED, STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
@@ -71,11 +72,11 @@ class Dial(Study):
     people: ClassVar[str] = "anny"
     """Who is held out, as `people_from_text` has them."""
 
-    faces: int = option(6, "people of each kind: held-out, external, out of range")
-    frames: int = option(4, "expressions of each")
-    seed: int = option(7000, "of people, parameters and expressions")
+    faces: int = option(6, "people of each kind: held-out, external, out of range", bound=STUDIED_PEOPLE)
+    frames: int = option(4, "expressions of each", bound=STUDIED_FRAMES)
+    seed: int = option(7000, "of people, parameters and expressions", bound=SEED)
     external: str = option("", "space of external people, as ict:FILE; default: none")
-    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
 
     def tasks(self) -> Sequence[Task]:
         """List each person; InputError for none and for no frame."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ....animation.plots import plot_costs, subplots, to_svg
 from ....lhm.base.errors import InputError
+from ....lhm.base.limits import FACES, STUDIED_PAIRS
 from ....lhm.base.option import option
 from ....lhm.base.progress import silent
 from ....surrogate.corpus.manifest import OWNER, read_manifest, read_template
@@ -87,9 +88,9 @@ class SurrogateOnCorpus(Study):
     partial: bool = option(False, "on the people that are there, of a corpus not complete")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
-    simulated: int = option(0, "faces for rivals that simulate; with unseen parameters, too: minutes")
+    simulated: int = option(0, "faces for rivals that simulate; with unseen parameters, too: minutes", bound=FACES)
     generalisation: int = option(
-        0, "pairs of people, known and unseen, simulated under both's parameters: a minute each"
+        0, "pairs of people, known and unseen, simulated under both's parameters: a minute each", bound=STUDIED_PAIRS
     )
     curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")
 

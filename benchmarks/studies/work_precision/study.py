@@ -11,6 +11,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
+from ....lhm.base.limits import REPEATS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
@@ -84,7 +85,7 @@ class WorkPrecision(OfPerson):
     expressions: tuple[str, ...] = option(
         ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker"), "as jawOpen*0.5+cheekPuff; repeat for several"
     )
-    repeats: int = option(5, "of each solve, after one that is not counted")
+    repeats: int = option(5, "of each solve, after one that is not counted", bound=REPEATS)
     slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:
