@@ -28,8 +28,8 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     `expressions/NAME.obj` and so on with ARKit's names, each a shape of the same topology, beside the
     `expressions/neutral.obj` that they depart from, those that are not there are in `missing`; `parts.npy` or
     `parts.json`, a number 0 to 3 per vertex (OUTSIDE, MOUTH, EYES, CAP), all OUTSIDE without.
-    Raises InputError that names the folder if it holds no mesh or its mean is no head in mm, and the file whose topology
-    differs or that is bad.
+    Raises InputError that names the folder if it holds no mesh or its mean is no head in mm, and the file whose
+    topology differs or that is bad.
     """
     folder = Path(path)
     if not folder.is_dir():

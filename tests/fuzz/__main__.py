@@ -48,6 +48,8 @@ COMPILED = ("head.npz",)
 """Formats whose reading takes too long unless loops are compiled, and then not covered."""
 LARGE = 1e7
 """[mm] Of a number that is read."""
+OUTSIDE = "secret.bin"
+"""A file beside the folder of the one that is read, which no reader may open."""
 BEGUN = "begun"
 """A file that says that a process has read the kept inputs."""
 LONGEST = 500
@@ -79,9 +81,17 @@ class Target:
 
     def __init__(self, each, folder: Path):
         self.format, self.path = each, folder / each.name
-        self.path.parent.mkdir(exist_ok=True)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         self.counts = {"refused": 0, "accepted": 0, "found": 0}
         self.whole = self.path.read_bytes() if self.path.exists() else None
+        self.strayed = False
+        (folder.parent / OUTSIDE).write_bytes(bytes(100_000))
+        sys.addaudithook(self.note_opened)
+
+    def note_opened(self, event: str, arguments: tuple) -> None:
+        """Note that a file outside the folder is opened."""
+        if event == "open" and os.path.basename(str(arguments[0])) in (OUTSIDE, "zero"):
+            self.strayed = True
 
     def outcome(self, content: bytes) -> str:
         """Read a content: "refused" or "accepted"; anything else is a finding, in words."""
@@ -90,6 +100,7 @@ class Target:
         from ..robustness.watch import watch
 
         arrays: list[np.ndarray] = []
+        self.strayed = False
         self.path.write_bytes(content)
         ended, said = watch(lambda: arrays.extend(self.format.read(self.path)), seconds=SECONDS, patience=PATIENCE)
         if ended == "accepted":
@@ -102,6 +113,8 @@ class Target:
                 ended = f"refused, but by no short line that names the file: {said[:300]!r}"
         else:
             ended = f"{ended}: {said}"
+        if self.strayed:
+            ended = f"opened a file outside its folder, {ended}"
         self.counts[ended if ended in self.counts else "found"] += 1
         return ended
 
@@ -153,7 +166,7 @@ def replay(names: list[str], count: int, seed: int) -> int:
     import numpy as np
 
     with tempfile.TemporaryDirectory() as name:
-        targets = prepare(Path(name), names)
+        targets = prepare(Path(name) / "files", names)
         totals = {"formats": len(targets), "refused": 0, "accepted": 0, "found": 0}
         for target in targets:
             inputs = [*inputs_of(target.format.name).items()]
@@ -232,8 +245,9 @@ def keep_finding(out: Path, content: bytes, ended: str) -> None:
 def fuzz_in_child(name: str, seconds: float, out: Path, seed: int) -> dict[str, int]:
     """Fuzz one format in a process of its own; its counts, none where it did not live to its end: that is a finding."""
     (out / "counts.json").unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory() as folder, (out / "log").open("wb") as log:
-        words = [name, "--child", folder, "--seconds", str(seconds), "--out", str(out), "--seed", str(seed)]
+    with tempfile.TemporaryDirectory() as outer, (out / "log").open("wb") as log:
+        folder = Path(outer) / "files"
+        words = [name, "--child", str(folder), "--seconds", str(seconds), "--out", str(out), "--seed", str(seed)]
         child = subprocess.Popen([sys.executable, "-m", __package__, *words], stdout=log, stderr=log)
         try:
             ended = f"process ended with {child.wait(seconds + START + 2 * PATIENCE)}"
@@ -243,9 +257,9 @@ def fuzz_in_child(name: str, seconds: float, out: Path, seed: int) -> dict[str, 
             ended = "process did not end"
         if (out / "counts.json").exists():
             return json.loads((out / "counts.json").read_text())
-        if not (Path(folder) / BEGUN).exists():
+        if not (folder / BEGUN).exists():
             raise SystemExit(f"{name}: no kept input could be tried, {ended}; see {out / 'log'}")
-        content = (Path(folder) / name).read_bytes()  # what it was reading
+        content = (folder / name).read_bytes()  # what it was reading
     keep_finding(out, content, ended)
     for file in [*(out / "seeds").iterdir(), *(out / "corpus").iterdir()]:  # with which the next would not begin
         if file.read_bytes() == content:

@@ -20,7 +20,8 @@ from ..robustness.whole_files import glb, glb_words
 
 NUMBERS = (b"nan", b"-inf", b"-1", b"0", b"1e400", b"1e30", b"-1e6", b"9" * 40, b"9" * 400, b"2147483648", b"-9", b"")
 VALUES = (-1, 0, 1, 2, 3, 255, 65536, 2**31, 2**40, 2**62, 10**17, -(2**31), 0.5, 1e9, 1e30, 1e308, True, None, "", "x")
-VALUES += ([], {}, [1, 2, 3], [0] * 16, {"a": 1}, "\x1b[31m", "../../../../dev/zero", "data:,AAAA")
+VALUES += ([], {}, [1, 2, 3], [0] * 16, {"a": 1})
+TEXTS = ("\x1b[31m", "../secret.bin", "%2e%2e/secret.bin", "/dev/zero", "data:,AAAA", "x" * 5000)
 FLOATS = (np.nan, np.inf, -np.inf, 1e30, -1e300, 1e-300, 1e6, -1.0, 0.0, 1e3)
 INTEGERS = (-1, -(2**31), 2**31 - 1, 2**62, 10**6, 0)
 KINDS = ("c16", "?", "U3", "S2", "f4", "f8", "i1", "u8", "i8", "f2", ">f8", ">i4", "O")
@@ -86,10 +87,13 @@ def changed(tree: object, rng: np.random.Generator) -> object:
         walk(tree)
         if not places:
             break
-        node, key = places[rng.integers(len(places))]
+        texts = [(node, key) for node, key in places if isinstance(node[key], str)]
+        pool = texts if texts and rng.random() < 0.2 else places
+        node, key = pool[rng.integers(len(pool))]
         how = rng.random()
         if how < 0.7:
-            node[key] = json.loads(json.dumps(VALUES[rng.integers(len(VALUES))]))
+            values = TEXTS if isinstance(node[key], str) and rng.random() < 0.5 else VALUES
+            node[key] = json.loads(json.dumps(values[rng.integers(len(values))]))
         elif how < 0.8:
             del node[key]
         elif how < 0.9:
