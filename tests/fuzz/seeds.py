@@ -34,8 +34,10 @@ from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.networks.features import Features
+from softdeca.surrogate.networks.forms import FORMS
+from softdeca.surrogate.networks.gradients import HELD, Widths
 from softdeca.surrogate.networks.modal import ARRAYS, ModalConfig
-from softdeca.surrogate.networks.weights import TrainingNote, Weights
+from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
 
 from ..robustness import whole_files
 from ..robustness.whole_files import big_endian_ply, binary_strips_ply, exported, glb_words, obj, stl, strips_ply
@@ -84,16 +86,21 @@ def recorder() -> bytes:
     return "\n".join(map(",".join, rows)).encode()
 
 
-def rough_weights() -> Weights:
+def rough_weights(kind: str) -> Weights:
     """A network of random numbers, a digit each, on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
-    sizes = ModalConfig(3, 3, 3, 3, 2, 4, 4, 4).sizes(features, SPACE.code_size)
-    shapes = {name: tuple(sizes[each] for each in names) for name, names in ARRAYS.items()}
+    if kind == "modal":
+        arrays, sizes = ARRAYS, ModalConfig(3, 3, 3, 3, 2, 4, 4, 4).sizes(features, SPACE.code_size)
+    else:
+        widths = FORMS[kind].width_sizes(Widths(2, 2, 2, 2, 2))
+        arrays, sizes = FORMS[kind].arrays(), FORMS[kind].known_sizes(SPACE.mean, SPACE.code_size, len(STATIC)) | widths
+    shapes = {name: tuple(sizes[each] for each in names) for name, names in arrays.items()}
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
+    network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))
     note = TrainingNote(2, 4, 8, 4, 10, {"seed": 0}, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
     code = np.zeros(SPACE.code_size)
-    return Weights("modal", SPACE.name, SPACE.mean, code, code + 1.0, network, note)
+    return Weights(kind, SPACE.name, SPACE.mean, code, code + 1.0, network, note)
 
 
 def gltf_of(glb: bytes) -> bytes:
@@ -138,11 +145,12 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     whole_files.regressor(wrap).save(folder / "depths.npz")
     motion = np.stack([0 * wrap.vertices, 0.1 * wrap.vertices, 0.2 * wrap.vertices]).astype(np.float32)
     moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
-    rough_weights().save(folder / "modal.safetensors")
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
     Corpus(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
-    files = ("head.npz", "template.npz", "depths.npz", "modal.safetensors")
-    made = {(name, "whole"): (folder / name).read_bytes() for name in files}
+    made = {(name, "whole"): (folder / name).read_bytes() for name in ("head.npz", "template.npz", "depths.npz")}
+    for kind in CHECKS:
+        rough_weights(kind).save(folder / "weights.safetensors")
+        made["weights.safetensors", kind] = (folder / "weights.safetensors").read_bytes()
     for suffix in tet_file.FORMATS:
         tet_file.write_tets(folder / f"tets{suffix}", tets_from_head(head))
         made[f"tets{suffix}", "whole"] = (folder / f"tets{suffix}").read_bytes()
