@@ -21,7 +21,18 @@ from .base.geometry.triangles import fan_crossings
 from .base.mesh import Floats, Ints, Surface, tet_volumes
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
-from .openings import BLINK, EYES, MOUTH, OPEN, lid_path, lip_path, measure_folded, measure_torn, triangles_at
+from .openings import (
+    BLINK,
+    EYES,
+    MOUTH,
+    OPEN,
+    find_face_axes,
+    lid_path,
+    lip_path,
+    measure_folded,
+    measure_torn,
+    triangles_at,
+)
 from .rig import Rig
 
 Direction = Literal["at least", "at most", "above", "below"]
@@ -96,7 +107,12 @@ class HeadReport:
     `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
     sealed lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
     of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
-    `cranium_`, `mandible_`, `free_vertices`: of the skull wrap, by bone; a rigid motion needs three.
+    `turned`: angle between the axes of the face, by its mouth and eyes, and those of the file: +y up, +z the front.
+    `eyes_across`: extent of both eye sockets, `eyes_to_mouth`: height of their middle over the mouth's.
+    `mandible_over_eyes`: height of the highest vertex of the mandible over the eyes' middle, `cranium_under_mouth`:
+    depth of the face's lowest vertex of the cranium under the mouth's; both negative, as bones lie in a head.
+    `cranium_`, `mandible_`, `free_vertices`: of the skull wrap, by bone; a rigid motion needs three. `regions_unknown`:
+    how many of a face's regions are missing or empty.
     `wrap_vertices`: of each wrap; below 3,000 `COARSE_BOUNDS` hold instead: edges twice as long leave flatter tets
     under thin tissue, and a wrap of them lies farther off where the skin bends.
     """
@@ -146,9 +162,18 @@ class HeadReport:
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
+    # Fits are refused from 45 degrees on; a face's own axes lie up to 10 degrees beside the template's.
+    turned: float | None = _figure("°", "at most", 60.0)
+    # Random identities and scans: 75 to 104 mm, and 50 to 79 mm.
+    eyes_across: float | None = _figure("mm", "at most", 140.0)
+    eyes_to_mouth: float | None = _figure("mm", "at least", 30.0)
+    # Random identities and scans: -104 to -23 mm, and -30 to -10 mm.
+    mandible_over_eyes: float | None = _figure("mm", "below", 0.0)
+    cranium_under_mouth: float | None = _figure("mm", "below", 0.0)
     cranium_vertices: int = _figure("", "at least", 3)
     mandible_vertices: int = _figure("", "at least", 3)
     free_vertices: int = _figure()
+    regions_unknown: int = _figure()
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -216,8 +241,7 @@ def check_layers(
     for name, mask in [("bone", bone), *regions.items()]:
         if np.shape(mask) != (n,):
             raise MeshError(f"{name}: expected shape ({n},), got {np.shape(mask)}")
-    if "face" in regions and not regions["face"].any():
-        raise MeshError("region 'face': no vertex of the wrap belongs to it")
+    check_regions(regions)
     if not is_closed(triangles):
         raise MeshError("wraps: the triangulation is not one closed surface, consistently oriented")
     inside = [SignedDistance(wrap) for wrap in wraps]
@@ -234,8 +258,53 @@ def check_layers(
         lid_path=lids,
         lid_detour=detour,
         **_parted(skin, rigged, regions),
+        **measure_face(wraps[0].vertices, wraps[2].vertices, bone, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
+        regions_unknown=sum(not np.any(regions.get(name, False)) for name in LARGEST_SHARE),
     )
+
+
+LARGEST_SHARE = {"face": 0.9} | dict.fromkeys(("lips", "lids", "mouth", "eyes", "teeth", "ears", "neck"), 0.4)
+"""Of a wrap's vertices, that a region of the face has: 0.52 and up to 0.1 in the default head."""
+NEVER_EMPTY = ("face", "lips", "lids", "mouth", "eyes")
+
+
+def check_regions(regions: Mapping[str, NDArray[np.bool_]]) -> None:
+    """Raise MeshError for a region, a mask (n,) of the wrap's vertices, that no face has: empty, or too large."""
+    for name, mask in regions.items():
+        share = float(np.mean(mask))
+        if name in NEVER_EMPTY and not share:
+            raise MeshError(f"region {name!r}: no vertex of the wrap belongs to it")
+        if share > LARGEST_SHARE.get(name, 1.0):
+            raise MeshError(
+                f"region {name!r}: {100 * share:.0f} % of the wrap's vertices belong to it; "
+                f"expected at most {100 * LARGEST_SHARE[name]:.0f} %"
+            )
+
+
+def measure_face(
+    skin: Floats, skull: Floats, bone: Ints, regions: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, float | None]:
+    """Measure how a face is turned, how large it is, and where its bones lie; None where it has no mouth or eyes.
+
+    `skin`, `skull`: vertices (n, 3) [mm] of the wraps; names and units as in HeadReport.
+    """
+    values: dict[str, float | None] = dict.fromkeys(
+        ("turned", "eyes_across", "eyes_to_mouth", "mandible_over_eyes", "cranium_under_mouth")
+    )
+    found = find_face_axes(skin, regions)
+    if found is None:
+        return values
+    middle, axes = found
+    eyes, mouth = ((skin[regions[name]] - middle) @ axes for name in ("eyes", "mouth"))
+    height, in_face = (skull - middle) @ axes[:, 1], np.asarray(regions.get("face", np.zeros(len(bone), bool)))
+    values["turned"] = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0))))
+    values["eyes_across"], values["eyes_to_mouth"] = float(np.ptp(eyes[:, 0])), float(-mouth[:, 1].mean())
+    if (bone == MANDIBLE).any():
+        values["mandible_over_eyes"] = float(height[bone == MANDIBLE].max())
+    if (in_face & (bone == CRANIUM)).any():
+        values["cranium_under_mouth"] = float(mouth[:, 1].mean() - height[in_face & (bone == CRANIUM)].min())
+    return values
 
 
 def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from .registration import Registration, register, register_by_mapping
 from .registration.landmarks import Pairs
 from .regressor.depths import DepthRegressor
 from .rig import Rig
+from .skin import check_outward
 from .template import Template
 from .transfer import transfer_expressions
 from .wraps import inner
@@ -32,8 +33,10 @@ LEAST_DEPTH = 2.0
 """[mm] A skull wrap is wanted at least this deep; less only where there is no room for more."""
 RATIO = 0.1
 """How much of a column's growth its muscle takes (SoftDECA 3.1.2: ten percent)."""
-LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 60.0
+LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 45.0
 """Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
+MOST_OFF = 0.25
+"""Share of its size by which a skin may differ from the template: identities of 2.5 standard deviations have 0.18."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
 LEADERS = 400
@@ -88,20 +91,22 @@ def fit_head(
     2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
-    InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
-    `register` and `register_by_mapping` raise.
+    InputError for a skin of the template's triangles, or a mapped template, whose size, direction or order of vertices
+    is not the template's; MeshError for one that faces inwards; and what `register` and `register_by_mapping` raise.
     """
     same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
     )
     if same and mapping is None:
-        _check_place(template.skin.vertices, skin.vertices)
+        _check_place(template.skin, skin)
         rig = None if template.space is None else add_own_expressions(rig_from_space(template.space, skin), own)
         return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
     else:
         laid = register_by_mapping(template.skin, template.parts, mapping, skin)
+        _check_place(template.skin, laid.surface)
+        check_outward(skin)
     return fit_registered(template, skin, laid, regressor=regressor, own=own)
 
 
@@ -151,24 +156,36 @@ def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
 
 def is_upright(template: Surface, skin: Surface) -> bool:
     """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
-    size, turned = _place(template.vertices, skin.vertices)
+    size, turned, _ = _place(template.vertices, skin.vertices)
     return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
 
 
-def _place(rest: Floats, skin: Floats) -> tuple[float, float]:
-    """Size of a skin to the template's, and how far it is turned [degrees]."""
+def _place(rest: Floats, skin: Floats) -> tuple[float, float, float]:
+    """Return a skin's size over the template's, its rotation [degrees], and its RMS distance from the template.
+
+    The distance is measured after translation, rotation and scaling, as a share of the skin's RMS radius.
+    """
     rotation, _ = rigid_motion(rest, skin)
     turned = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    return float(skin.std() / rest.std()), float(turned)
+    before, after = rest - rest.mean(axis=0), skin - skin.mean(axis=0)
+    size = np.linalg.norm(after) / np.linalg.norm(before)
+    off = np.linalg.norm(after - size * before @ rotation.T) / max(np.linalg.norm(after), 1e-30)
+    return float(size), float(turned), float(off)
 
 
-def _check_place(rest: Floats, skin: Floats) -> None:
-    """Raise InputError for a skin that is turned far from where the template looks, or of another unit's size."""
-    size, turned = _place(rest, skin)
+def _check_place(template: Surface, skin: Surface) -> None:
+    """Raise InputError for a skin of the template's triangles that is no head in the template's unit and axes."""
+    size, turned, off = _place(template.vertices, skin.vertices)
     if not LEAST_SIZE <= size <= MOST_SIZE:
         raise InputError(f"skin: {size:.3g} times as large as the template's [mm]; are its units off?")
+    check_outward(skin)
     if turned > MOST_TURNED:
         raise InputError(f"skin: turned by {turned:.0f} degrees from the template, which looks along +z with +y up")
+    if off > MOST_OFF:
+        raise InputError(
+            f"skin: {off:.2g} of its size from the template's shape, expected at most {MOST_OFF:g}; "
+            "are its vertices in the template's order?"
+        )
 
 
 def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None) -> LayeredHead:

@@ -21,9 +21,10 @@ from .base.files.atomic import replaced
 from .base.files.npz import read_arrays, write_arrays
 from .base.files.tet_file import TaggedTets
 from .base.files.text import parse_json
+from .base.geometry.bvh import TriangleTree
 from .base.limits import NOTE_LETTERS, NOTES, REGIONS, TETS, TRIANGLES, VERTICES
 from .base.mesh import Floats, Ints, Surface, TetMesh
-from .check import HeadReport, check_layers
+from .check import HeadReport, check_layers, check_regions, measure_face
 from .head import LayeredHead
 from .identities.space import EXTENT
 from .rig import Rig
@@ -32,22 +33,25 @@ FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
 _INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
-USUAL = (100.0, 600.0)
-"""[mm] Extents of a head, by which the unit of another file is guessed."""
 UNITS = {"m": 1e3, "cm": 10.0, "km": 1e6, "in": 25.4, "ft": 304.8, "µm": 1e-3, "nm": 1e-6}
 FARTHEST = 10.0
 """Extents of the skin wrap within which a head's other surfaces lie: a whole body's skin is seven heads tall."""
 LARGEST = 1e9
 """Of a coordinate, whatever its unit: a head in nm."""
-TIED = 0.1
-"""Of a head's extent: vertices that weights tie are 0.5 to 2 mm apart on average, those of shuffled weights 100."""
-ROW_TOLERANCE = 1e-3
-"""Of the sums of weights, which are one."""
+TIED = 0.2
+"""Of the wrap's mean edge: what weights tie is at most so much farther away than the surface, for most vertices.
+
+Heads have 0.01 to 0.11, weights in another order 0.3 and more.
+"""
+LEAST_NEAR = 0.1
+"""Of the wrap's vertices that lie within its mean edge of the skin: an open scan of a face alone has a third."""
+ROW_TOLERANCE = 1e-5
+"""Of weights, which are 0 to 1, and of their sums, which are one."""
 
 
 @check_arguments
 def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
-    """Write a head to a .npz file, whole or not at all."""
+    """Write a head to a .npz file, whole or not at all; InputError for one that `load_head` would refuse."""
     arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
     arrays |= {"skin_vertices": head.skin.vertices, "skin_triangles": head.skin.triangles}
     arrays |= {name: getattr(head, name).vertices for name in _WRAPS}
@@ -61,8 +65,19 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
     arrays |= _rig_to_arrays(head.rig)
-    arrays |= surface_to_arrays("registered", head.registered)
-    write_arrays(path, arrays | {"notes": np.array(json.dumps(head.notes))})
+    arrays |= surface_to_arrays("registered", head.registered) | {"notes": np.array(json.dumps(head.notes))}
+    with refusing_to_write(path):
+        _parts(arrays).check_bones()
+    write_arrays(path, arrays)
+
+
+@contextmanager
+def refusing_to_write(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make every error an InputError that says that the file is not written."""
+    try:
+        yield
+    except ValueError as error:  # a SoftdecaError too
+        raise InputError(f"{path}: not written, since it could not be read: {error}") from None
 
 
 def _rig_to_arrays(rig: Rig | None) -> dict[str, np.ndarray]:
@@ -106,16 +121,15 @@ def read_masks(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.nda
     names = [name for name in arrays if name.startswith("region_")]
     REGIONS.check("it has", len(names))
     masks = {name.removeprefix("region_"): checks.mask(name, arrays[name], (count,)) for name in names}
-    if "face" in masks and not masks["face"].any():
-        raise InputError("region 'face': no vertex of the wrap belongs to it")
+    check_regions(masks)
     return masks
 
 
 def read_weights(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
-    """Return the sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
+    """Return the sparse weights of that name, (rows, columns), that interpolate: 0 to 1, each row of sum one."""
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
     weights = checks.sparse_rows(name, data, indices, indptr, rows, columns)
-    checks.in_range(f"{name}_data", weights.data, -1.0, 2.0)
+    checks.in_range(f"{name}_data", weights.data, -ROW_TOLERANCE, 1.0 + ROW_TOLERANCE)
     sums = np.asarray(weights.sum(axis=1)).ravel()
     off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)
     if len(off):
@@ -123,16 +137,27 @@ def read_weights(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns
     return weights
 
 
-def read_ties(
-    arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface, extent: float
-) -> tuple[csr_matrix, csr_matrix]:
-    """Return `wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
+def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) -> tuple[csr_matrix, csr_matrix]:
+    """Return `wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head.
+
+    Vertices far from the other surface, as a bust's shoulders, may be tied to any place of it.
+    """
+    if not len(skin.triangles):
+        raise InputError("skin: it has no triangles")
     n, skin_n = len(wrap.vertices), len(skin.vertices)
     ties = read_weights(arrays, "wrap_from_skin", n, skin_n), read_weights(arrays, "skin_from_wrap", skin_n, n)
+    edge = float(np.linalg.norm(np.diff(wrap.vertices[wrap.triangles], axis=1), axis=2).mean())
     for name, weights, there, here in zip(_WEIGHTS, ties, (skin, wrap), (wrap, skin), strict=True):
-        off = float(np.linalg.norm(weights @ there.vertices - here.vertices, axis=1).mean())
-        if off > TIED * extent:
-            raise InputError(f"{name}: it ties vertices {off:.3g} mm apart on average; is it of another head?")
+        gap = TriangleTree(there.vertices, there.triangles).closest(here.vertices)[2]
+        near = gap < edge
+        if here is wrap and near.mean() < LEAST_NEAR:
+            raise InputError(f"skin_wrap: it lies {np.median(gap):.3g} mm from the skin; is one of another head?")
+        off = np.linalg.norm(weights @ there.vertices - here.vertices, axis=1) - gap
+        if near.any() and np.quantile(off[near], 0.75) > TIED * edge:
+            raise InputError(
+                f"{name}: it ties vertices {off[near].mean():.3g} mm farther away than the surface, on average; "
+                f"is it of another head?"
+            )
     return ties
 
 
@@ -157,7 +182,7 @@ class HeadParts:
     notes: tuple[str, ...]
 
     def head(self) -> LayeredHead:
-        """Return the head; MeshError where tets are inverted."""
+        """Return the head; MeshError where tets are inverted, InputError where its bones lie as in no head."""
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         volume = None
         if self.volume is not None:
@@ -165,7 +190,7 @@ class HeadParts:
             vertices = np.vstack([*(wrap.vertices for wrap in self.wraps), inner])
             soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
             volume = soft, muscle
-        return LayeredHead(
+        made = LayeredHead(
             self.skin,
             *self.wraps,
             self.bone,
@@ -178,6 +203,20 @@ class HeadParts:
             registered=self.registered,
             notes=self.notes,
         )
+        self.check_bones()
+        return made
+
+    def check_bones(self) -> None:
+        """Raise InputError where cranium and mandible lie as in no head."""
+        skin, _, skull = (wrap.vertices for wrap in self.wraps)
+        values = measure_face(skin, skull, self.bone, self.regions)
+        for name, words in (
+            ("mandible_over_eyes", "the mandible reaches {:.3g} mm above the eyes"),
+            ("cranium_under_mouth", "the face's cranium reaches {:.3g} mm below the mouth"),
+        ):
+            value = values[name]
+            if value is not None and value >= 0.0:
+                raise InputError(f"bone: {words.format(value)}; are cranium and mandible exchanged?")
 
     def report(self) -> HeadReport:
         """Measure the gates, also where wraps cross and tets are inverted, so that no head can be made."""
@@ -189,7 +228,7 @@ class HeadParts:
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a layered head"):
-        return _parts(path).head()
+        return _read_parts(path).head()
 
 
 def check_head_file(path: str | os.PathLike[str]) -> HeadReport:
@@ -198,13 +237,13 @@ def check_head_file(path: str | os.PathLike[str]) -> HeadReport:
     InputError names a file that is missing, damaged or something else.
     """
     with naming_damage(path, "a layered head"):
-        return _parts(path).report()
+        return _read_parts(path).report()
 
 
 def read_parts(path: str | os.PathLike[str]) -> HeadParts:
     """Read the parts of a head, which may make no head; InputError names a file that is missing or damaged."""
     with naming_damage(path, "a layered head"):
-        return _parts(path)
+        return _read_parts(path)
 
 
 @contextmanager
@@ -219,10 +258,14 @@ def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
         raise InputError(said if said.startswith(f"{path}: ") else f"{path}: damaged, {said}") from None
 
 
-def _parts(path: str | os.PathLike[str]) -> HeadParts:
+def _read_parts(path: str | os.PathLike[str]) -> HeadParts:
     arrays = read_arrays(path, of="a layered head")
     if arrays.get("format", np.array("")).tolist() != FORMAT:
         raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    return _parts(arrays)
+
+
+def _parts(arrays: Mapping[str, np.ndarray]) -> HeadParts:
     skin = surface_from_arrays("skin", arrays["skin_vertices"], arrays["skin_triangles"])
     skin_wrap, muscle_wrap, skull_wrap = (
         surface_from_arrays(name, arrays[name], arrays["triangles"]) for name in _WRAPS
@@ -241,7 +284,7 @@ def _parts(path: str | os.PathLike[str]) -> HeadParts:
         wraps,
         checks.integers("bone", arrays["bone"], 0, 2, (n,)),
         read_masks(arrays, n),
-        *read_ties(arrays, skin, skin_wrap, extent),
+        *read_ties(arrays, skin, skin_wrap),
         volume=_read_volume(arrays, skin_wrap, extent),
         rig=_read_rig(arrays, skin_n, extent),
         notes=read_notes(arrays),
@@ -258,7 +301,7 @@ def check_extent(surfaces: Mapping[str, Surface]) -> float:
     low, high = wrap.min(axis=0), wrap.max(axis=0)
     extent = float((high - low).max())
     if not EXTENT[0] <= extent <= EXTENT[1]:
-        units = [unit for unit, mm in UNITS.items() if USUAL[0] <= extent * mm <= USUAL[1]]
+        units = [unit for unit, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
         guess = f"; is it in {units[0]}? Heads are in mm" if units else ""
         raise InputError(f"skin_wrap is {extent:.4g} mm across, a head {EXTENT[0]:g} to {EXTENT[1]:g} mm{guess}")
     for name, surface in surfaces.items():

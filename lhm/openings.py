@@ -63,13 +63,19 @@ def lid_path(
 
 
 def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
-    """Turn points (n, 3) [mm] into the face's own axes by its regions: across, up from mouth to eyes, out.
+    """Turn points (n, 3) [mm] into the face's own axes by its regions; as they are where a region is missing."""
+    axes = find_face_axes(vertices, regions)
+    return vertices if axes is None else (vertices - axes[0]) @ axes[1]
 
-    Across is the way between the eyes, to either side. As they are where a region is missing.
+
+def find_face_axes(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> tuple[Floats, Floats] | None:
+    """Find the point between the eyes (3,) [mm], and the face's axes as columns (3, 3): to its left, up, out.
+
+    Up is from mouth to eyes. None where the wrap's vertices (n, 3) [mm] have no region "mouth" or "eyes".
     """
     mouth, eyes = (np.asarray(regions.get(name, []), dtype=bool) for name in ("mouth", "eyes"))
     if not mouth.any() or not eyes.any():
-        return vertices
+        return None
     sockets = vertices[eyes]
     middle = sockets.mean(axis=0)
     across = np.linalg.svd(sockets - middle, full_matrices=False)[2][0]
@@ -79,7 +85,9 @@ def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> 
     up = middle - vertices[mouth].mean(axis=0)
     up = up - (up @ across) * across
     up = up / max(float(np.linalg.norm(up)), 1e-30)
-    return (vertices - middle) @ np.stack([across, up, np.cross(across, up)], axis=1)
+    out = np.cross(across, up)
+    side = 1.0 if out @ (middle - vertices.mean(axis=0)) >= 0 else -1.0
+    return middle, np.stack([side * across, up, side * out], axis=1)
 
 
 def _lids(vertices: Floats, triangles: Ints, socket: NDArray[np.bool_]) -> tuple[float, float]:

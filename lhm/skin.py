@@ -11,9 +11,10 @@ from scipy.sparse.csgraph import connected_components
 from .base.errors import MeshError
 from .base.geometry.topology import connected_parts, directed_edges
 from .base.mesh import Ints, Surface
+from .identities.space import EXTENT
 
-LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
-# [mm] A head's extent lies within these; a thousandth or a tenth of them is one in metres or centimetres.
+LEAST_EXTENT, GREATEST_EXTENT = EXTENT
+# A thousandth or a tenth of them is a head in metres or centimetres.
 _UNITS = {"metres: use unit='m'": 1e-3, "centimetres: use unit='cm'": 0.1}
 
 
@@ -80,11 +81,15 @@ def check_registrable(skin: Surface) -> Surface:
     if len(np.unique(edges, axis=0)) != len(edges):
         raise MeshError("skin: neighbouring triangles are oriented against one another")
     _check_size(whole)
-    used = skin.vertices[np.unique(whole.triangles)]
-    centres = skin.vertices[whole.triangles].mean(axis=1) - used.mean(axis=0)
-    if np.einsum("md,md->", centres, whole.face_normals) <= 0:
-        raise MeshError("skin: its triangles face inwards: is it mirrored, or turned inside out?")
+    check_outward(whole)
     return whole
+
+
+def check_outward(skin: Surface) -> None:
+    """Raise MeshError for a skin whose triangles face inwards, which is what mirroring leaves; it may be open."""
+    centres = skin.vertices[skin.triangles].mean(axis=1) - skin.vertices[np.unique(skin.triangles)].mean(axis=0)
+    if np.einsum("md,md->", centres, skin.face_normals) <= 0:
+        raise MeshError("skin: its triangles face inwards: is it mirrored, or turned inside out?")
 
 
 def _check_size(skin: Surface) -> None:

@@ -19,6 +19,7 @@ from .head_file import (
     read_masks,
     read_surface_arrays,
     read_ties,
+    refusing_to_write,
     surface_from_arrays,
     surface_to_arrays,
 )
@@ -68,7 +69,7 @@ def template_from_arrays(arrays: Mapping[str, np.ndarray]) -> Template:
         if skull is None:
             raise InputError("skull_bone: there is no skull")
         skull_bone = checks.integers("skull_bone", skull_bone, 0, 2, (len(skull.vertices),))
-    wrap_from_skin, skin_from_wrap = read_ties(arrays, skin, skin_wrap, extent)
+    wrap_from_skin, skin_from_wrap = read_ties(arrays, skin, skin_wrap)
     return Template(
         name=checks.text("name", arrays["name"]),
         skin=skin,
@@ -87,8 +88,14 @@ def template_from_arrays(arrays: Mapping[str, np.ndarray]) -> Template:
 
 
 def save_template(path: str | os.PathLike[str], template: Template) -> None:
-    """Write a template to a .npz file, whole or not at all; its regressor is not part of it."""
-    write_arrays(path, template_to_arrays(template) | {"format": np.array(FORMAT)})
+    """Write a template to a .npz file, whole or not at all; its regressor is not part of it.
+
+    InputError for a template that `read_template` would refuse.
+    """
+    arrays = template_to_arrays(template)
+    with refusing_to_write(path):
+        template_from_arrays(arrays)
+    write_arrays(path, arrays | {"format": np.array(FORMAT)})
 
 
 @check_arguments

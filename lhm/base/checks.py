@@ -175,7 +175,7 @@ def texts(name: str, value: Any) -> tuple[str, ...]:
 
 
 def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, columns: int) -> csr_matrix:
-    """Return the sparse matrix (rows, columns) of such arrays, each index and pointer checked.
+    """Return the sparse matrix (rows, columns) of such arrays, each index and pointer checked, none there twice.
 
     scipy itself trusts them: one out of range ends the process at the first product.
     """
@@ -184,6 +184,11 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
     ends = integers(f"{name}_indptr", indptr, 0, len(values), (rows + 1,))
     if ends[0] != 0 or ends[-1] != len(values) or (np.diff(ends) < 0).any():
         raise InputError(f"{name}_indptr: expected numbers that rise from 0 to {len(values)}")
+    row_of = np.repeat(np.arange(rows), np.diff(ends))
+    first = np.unique(row_of * columns + columns_of, return_index=True)[1]
+    if len(first) < len(values):
+        again = np.setdiff1d(np.arange(len(values)), first)[0]
+        raise InputError(f"{name}_indices: row {row_of[again]} names column {columns_of[again]} twice")
     return csr_matrix((values, columns_of, ends), shape=(rows, columns))
 
 

@@ -17,7 +17,7 @@ OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 
 CLIP = 2.5
 
-EXTENT = (50.0, 2000.0)
+EXTENT = (100.0, 600.0)
 """[mm] Across a head with its neck: a small child's has 150. Below is one in cm, above one in smaller units."""
 
 

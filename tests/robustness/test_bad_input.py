@@ -8,10 +8,12 @@ import zipfile
 
 import numpy as np
 import pytest
+from scipy.sparse import identity
 
-from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
+from softdeca.lhm import SoftdecaError, Surface, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import replaced
 from softdeca.lhm.expressions import weights_of
+from softdeca.lhm.fit import is_upright
 from softdeca.lhm.head_file import load_head, save_head
 from softdeca.reference import Parameters, Scene, facial_scene, terms
 from softdeca.surrogate.corpus.plan import PRESETS
@@ -176,13 +178,39 @@ def test_a_weight_outside_0_to_1_is_named(weight):
     [
         (lambda v: v / 1000.0, r"0\.001 times as large"),
         (lambda v: v * 10.0, "10 times as large"),
+        (lambda v: v / 25.4, r"0\.0394 times as large"),
         (lambda v: v * [-1.0, 1.0, -1.0], "turned by 180 degrees"),
+        (lambda v: v[:, [0, 2, 1]] * [1.0, 1.0, -1.0], "turned by 90 degrees"),
+        (lambda v: v * [-1.0, 1.0, 1.0] + 1000.0, "its triangles face inwards: is it mirrored"),
+        (lambda v: v * [1.0, 1.0, -1.0], "its triangles face inwards"),
+        (lambda v: v[:, [1, 0, 2]], "its triangles face inwards"),
+        (lambda v: np.roll(v, 1, axis=0), r"0\.4 of its size from the template's shape.*in the template's order"),
+        (lambda v: v * [1.0, 2.0, 1.0], r"0\.34 of its size from the template's shape"),
     ],
 )
-def test_a_skin_of_another_size_or_direction_is_refused(turned, message):
+def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):
     template = load_template(level=1)
     skin = template.skin.with_vertices(turned(template.skin.vertices))
     refused(f"^skin: {message}", fit_head, template, skin, error=SoftdecaError)
+    # The same where the skin is tied to the template by a mapping of its own.
+    own = identity(len(skin.vertices), format="csr")
+    refused(f"^skin: {message}", fit_head, template, skin, mapping=own, error=SoftdecaError)
+
+
+def test_a_mapped_skin_that_faces_inwards_is_refused():
+    template = load_template(level=1)
+    skin = Surface(template.skin.vertices, template.skin.triangles[:, ::-1])
+    own = identity(len(skin.vertices), format="csr")
+    refused("^skin: its triangles face inwards", fit_head, template, skin, mapping=own, error=SoftdecaError)
+
+
+def test_a_skin_far_from_the_origin_is_fitted_as_at_the_origin():
+    template = load_template(level=1)
+    off = np.array([1000.0, -2000.0, 500.0])
+    moved = template.skin.with_vertices(template.skin.vertices + off)
+    assert is_upright(template.skin, moved)
+    there = fit_head(template, template.skin).vertices
+    np.testing.assert_allclose(fit_head(template, moved).vertices - off, there, atol=1e-6)
 
 
 def test_a_head_with_an_array_of_wrong_shape_or_missing_is_refused(tmp_path, sphere_head):

@@ -12,6 +12,7 @@ from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer, deformation_gradients, sumner_frames
 from softdeca.lhm.base.geometry.distance import SignedDistance
+from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.base.geometry.topology import across_edges, subdivide
@@ -43,6 +44,29 @@ def test_triangles_that_cross_and_that_do_not(other, crosses):
     for a, b in ((FLAT, other), (other, FLAT)):
         assert triangles_cross(a, b) == crosses
         assert triangles_cross(a[[1, 2, 0]], b[[2, 1, 0]]) == crosses
+
+
+DEGENERATE = {"a point": [0, 0, 0], "a corner twice": [0, 0, 1], "another twice": [0, 1, 1], "the third": [0, 1, 0]}
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_a_triangle_without_area_is_its_edges_and_crosses_nothing(name):
+    rng = np.random.default_rng(0)
+    ends = rng.normal(size=(2, 3))
+    corners = ends[DEGENERATE[name]]
+    other = np.array([[-9.0, -9, 0.1], [9, -9, 0.1], [0, 9, 0.1]])
+    assert not triangles_cross(corners, other) and not triangles_cross(other, corners)
+    assert not triangles_cross(corners, corners)
+    start, way = corners[0], corners[np.abs(corners - corners[0]).sum(axis=1).argmax()] - corners[0]
+    tree = TriangleTree(corners, np.array([[0, 1, 2]]))
+    # On its line, before, within and beyond it, and anywhere; also at its corners.
+    points = np.vstack([start + np.linspace(-1, 2, 13)[:, None] * way, rng.normal(size=(200, 3)), corners])
+    share = np.clip((points - start) @ way / max(way @ way, 1e-30), 0.0, 1.0)
+    weights, distance = tree.closest(points)[1:]
+    np.testing.assert_allclose(distance, np.linalg.norm(points - start - share[:, None] * way, axis=1), atol=1e-12)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    # A ray along the line of it, too.
+    first_hits(tree, points, np.tile(way + 0.0, (len(points), 1)), 100.0)
 
 
 def test_tree_finds_the_crossings_that_brute_force_finds():

@@ -219,7 +219,7 @@ def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
     done = [row for row in rows if not row.values["error"]]
     found = []
     for item in fields(HeadReport):
-        values = [(row.values["figures"][item.name], row.case.split()[1]) for row in done]
+        values = [(row.values["figures"].get(item.name), row.case.split()[1]) for row in done]
         known: Occurrences = [(float(value), seed) for value, seed in values if value is not None]
         if known:
             found.append((Figure(item.name, None, **item.metadata), known))

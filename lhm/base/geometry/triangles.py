@@ -20,7 +20,8 @@ def _dot(a0, a1, a2, b0, b1, b2):
 def closest_on_triangle(p, corners):
     """Return barycentric weights (three floats) of a triangle's point (3, 3) closest to p, and the squared distance.
 
-    Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
+    Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5). A triangle
+    without area is the edges and corners that it has.
     """
     a0, a1, a2 = corners[0, 0], corners[0, 1], corners[0, 2]
     b0, b1, b2 = corners[1, 0] - a0, corners[1, 1] - a1, corners[1, 2] - a2
@@ -37,18 +38,20 @@ def closest_on_triangle(p, corners):
         v = 1.0
     elif d6 >= 0 and d5 <= d6:
         w = 1.0
-    elif vc <= 0 and d1 >= 0 and d3 <= 0:
+    elif vc <= 0 and d1 >= 0 and d3 <= 0 and d1 > d3:
         v = d1 / (d1 - d3)
         u = 1 - v
-    elif vb <= 0 and d2 >= 0 and d6 <= 0:
+    elif vb <= 0 and d2 >= 0 and d6 <= 0 and d2 > d6:
         w = d2 / (d2 - d6)
         u = 1 - w
-    elif va <= 0 and d4 >= d3 and d5 >= d6:
+    elif va <= 0 and d4 >= d3 and d5 >= d6 and (d4 - d3) + (d5 - d6) > 0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         v = 1 - w
-    else:
+    elif va + vb + vc > 0:
         total = va + vb + vc
         u, v, w = va / total, vb / total, vc / total
+    else:
+        u = 1.0
     g0, g1, g2 = p0 - v * b0 - w * c0, p1 - v * b1 - w * c1, p2 - v * b2 - w * c2
     return u, v, w, _dot(g0, g1, g2, g0, g1, g2)
 
@@ -57,7 +60,7 @@ def closest_on_triangle(p, corners):
 def segment_hits(segment, i, j, corners):
     """Return whether the segment between rows i and j meets the triangle, touching included.
 
-    A segment in the triangle's plane does not count (Möller and Trumbore's test).
+    A segment in the triangle's plane does not count (Möller and Trumbore's test), nor a triangle without area.
     """
     a0, a1, a2 = corners[0, 0], corners[0, 1], corners[0, 2]
     b0, b1, b2 = corners[1, 0] - a0, corners[1, 1] - a1, corners[1, 2] - a2
@@ -67,7 +70,7 @@ def segment_hits(segment, i, j, corners):
     h0, h1, h2 = d1 * c2 - d2 * c1, d2 * c0 - d0 * c2, d0 * c1 - d1 * c0
     det = _dot(b0, b1, b2, h0, h1, h2)
     scale = _dot(b0, b1, b2, b0, b1, b2) * _dot(c0, c1, c2, c0, c1, c2) * _dot(d0, d1, d2, d0, d1, d2)
-    if det * det < 1e-28 * scale:
+    if not det * det > 1e-28 * scale:
         return False
     s0, s1, s2 = p0 - a0, p1 - a1, p2 - a2
     u = _dot(s0, s1, s2, h0, h1, h2) / det
