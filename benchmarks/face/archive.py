@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import tempfile
@@ -42,21 +43,26 @@ def write_archive(
 ) -> int:
     """Write the archive of nested meshes and their answers, whole or not at all; return its bytes.
 
-    limits: by problem "answers", a list of quantities with "name", "unit", "value" and "band", and "band_mm", the RMS
-    band [mm] of the coarse mesh's vertices; answers: arrays (coarse vertices, 3) [mm] named PROBLEM.converged and
-    PROBLEM.linear.MESH.
+    limits: by problem "answers", a list of quantities with "name", "unit", "value" and "band", and the bands [mm] of
+    the coarse mesh's vertices: "band_mm" of their RMS and "largest_mm" of the farthest; answers: arrays [mm], named
+    PROBLEM.converged of the coarse mesh's vertices, and PROBLEM.linear.MESH of all that MESH has.
     """
     coarse = bodies[0]
     description = describe(bodies, limits, commit)
+    files = {
+        score.DESCRIPTION: json.dumps(description, indent=1, allow_nan=False).encode(),
+        score.ANSWERS: _as_npz({"points": coarse.vertices, **answers}),
+        "score.py": Path(score.__file__).read_bytes(),
+        "README.md": write_card(description).encode(),
+    }
+    for body, name in zip(bodies, MESHES, strict=True):
+        files[f"meshes/{name}.vtu"] = _as_vtu(body)
+        if name in MSH:
+            files[f"meshes/{name}.msh"] = _as_msh(body)
+    sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in files.items())
     with replaced(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        archive.writestr(score.DESCRIPTION, json.dumps(description, indent=1, allow_nan=False))
-        archive.writestr(score.ANSWERS, _as_npz({"points": coarse.vertices, **answers}))
-        archive.writestr("score.py", Path(score.__file__).read_text())
-        archive.writestr("README.md", write_card(description))
-        for body, name in zip(bodies, MESHES, strict=True):
-            archive.writestr(f"meshes/{name}.vtu", _as_vtu(body))
-            if name in MSH:
-                archive.writestr(f"meshes/{name}.msh", _as_msh(body))
+        for name, content in {**files, score.CHECKSUMS: sums.encode()}.items():
+            archive.writestr(name, content)
     return path.stat().st_size
 
 
@@ -99,6 +105,7 @@ def describe(bodies: Sequence[Body], limits: Mapping[str, Mapping[str, Any]], co
                 "text": text,
                 "loads": loads[problem],
                 "band_mm": limits[problem]["band_mm"],
+                "largest_mm": limits[problem]["largest_mm"],
                 "quantities": {
                     each["name"]: {key: each[key] for key in ("unit", "value", "band")}
                     for each in limits[problem]["answers"]
@@ -188,9 +195,9 @@ volume at rest. A force is the sum of the reactions, by which held points hold t
 
     python score.py my-jaw.vtu
 
-It needs numpy and meshio. The file has the points of one of the meshes, in their order, and on them `displacement`
-[mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets (nine components, or xx yy zz xy yz xz) are scored if
-they are there.
+It needs numpy and meshio. The file has the points and tets of one of the meshes, in their order, and on the points
+`displacement` [mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets (nine components, or xx yy zz xy yz
+xz) are scored if they are there. The verdict is that of the displacement. `SHA256SUMS` has the files' checksums.
 
 ## Licence and citation
 

@@ -19,8 +19,8 @@ from ...lhm.remesh import EDGES, refine_tets
 from ...lhm.wraps.columns import fill_harmonically
 from ...reference import Scene, materials, terms
 from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
+from .score import MESHES as MESHES
 
-MESHES = ("coarse", "medium", "fine")
 POISSON = 0.45
 YOUNG = {"soft tissue": 6.0, "muscle": 15.0}
 """[kPa] of the two layers: between fat (2, Barbarino 2011) and the whole face as one tissue (15, Nazari 2010)."""

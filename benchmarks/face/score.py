@@ -1,16 +1,18 @@
 """Score an answer to the open face benchmark: `python score.py ANSWER.vtu`. It needs numpy and meshio alone.
 
 This file is in the benchmark's archive too, so it imports nothing of softdeca. An answer is a mesh file with the points
-of one of the archive's meshes, and on them `displacement` [mm], (n, 3). `reaction` [mN], (n, 3), on the points and
-`cauchy` [kPa], (m, 9) or (m, 6), on the cells are scored too where they are there.
+and tets of one of the archive's meshes, in their order, and on the points `displacement` [mm], (n, 3). `reaction` [mN],
+(n, 3), on the points and `cauchy` [kPa], (m, 9) or (m, 6), on the tets are scored too where they are there.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import io
 import json
+import re
 import sys
 import tempfile
 import zipfile
@@ -24,17 +26,33 @@ import numpy as np
 
 Floats = np.ndarray
 ARCHIVE = "face-benchmark.zip"
-DESCRIPTION, ANSWERS = "benchmark.json", "answers.npz"
+DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
+MESHES = ("coarse", "medium", "fine")
+"""Nested meshes, each of eight times the tets of the one before."""
+MOST_BYTES = 1_000_000_000
+"""Of an answer, and of each file of the archive; the largest here has some 100 MB."""
 VERDICTS = ("right", "right on this mesh", "wrong", "shifted", "truncated", "not finite")
 """What an answer may be found to be; all but the first two are faults."""
 SAME_PLACE = 1e-3
 """[mm] within which an answer's points are a mesh's."""
 SAME_ANSWER = 0.01
 """Share of the largest displacement within which an answer is that of linear tets on its mesh."""
+HELD = 1e-3
+"""Share of the largest displacement within which a held point is where it is held."""
 EXPLAINED = 0.2
 """Share of the error that is left when a cause of it is taken away: then it is the cause."""
+BETWEEN = 0.6, 1.5
+"""RMS and largest distance at most between points that refinement added and where the coarse mesh's points put them,
+over those of linear tets' answer from the converged one. Quadratic tets have up to 0.45 and 0.9, zeros 1 and 1.6 or
+more."""
+MOST = {"displacement": 1e6, "reaction": 1e9, "cauchy": 1e9}
+"""Largest numbers of an answer [mm, mN, kPa]; larger ones overflow when they are squared."""
+ASYMMETRY = 1e-3
+"""Share of the largest stress by which a stress may differ from its transpose."""
 SYMMETRIC = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
 """Where xx, yy, zz, xy, yz, xz of a symmetric tensor belong."""
+BESIDE = {"vertex", "line", "triangle"}
+"""Cells that may be there beside the tets; what is on them is not looked at."""
 
 
 class AnswerError(ValueError):
@@ -64,32 +82,59 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh of the benchmark: points (n, 3) [mm], whether each is held (n,), and the bones' shares (n,) of them."""
+    """A mesh of the benchmark: points (n, 3) [mm], tets (m, 4), whether each point is held (n,), bones' shares (n,).
+
+    `corners` and `weights` (n, 4) place each point in a tet of the coarse mesh.
+    """
 
     name: str
     level: int
     points: Floats
+    tets: np.ndarray
     held: Floats
     shares: Mapping[str, Floats]
+    corners: np.ndarray
+    weights: Floats
+
+    def interpolate(self, values: Floats) -> Floats:
+        """Carry values (coarse points, 3) to all points, linearly in the coarse mesh's tets."""
+        carried: Floats = np.einsum("nk,nkd->nd", self.weights, values[self.corners])
+        return carried
 
 
 class Archive:
-    """The benchmark's archive, or the folder that it was unpacked into. AnswerError for what is neither."""
+    """The benchmark's archive, or the folder that it was unpacked into. AnswerError for what is neither, or damaged."""
 
     def __init__(self, path: Path):
         self.path = path
         try:
-            self.description: dict[str, Any] = json.loads(self._read(DESCRIPTION))
+            self.checksums = dict(line.split("  ")[::-1] for line in self._read(CHECKSUMS).decode().splitlines())
+            description = json.loads(self._read(DESCRIPTION), parse_constant=_refuse_constant)
             with np.load(io.BytesIO(self._read(ANSWERS)), allow_pickle=False) as arrays:
-                self.arrays = dict(arrays)
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise AnswerError(f"{path}: no archive of the face benchmark ({error})") from None
+                _check(ANSWERS, sum(each.file_size for each in arrays.zip.infolist()) <= MOST_BYTES)
+                self.arrays = {name: np.asarray(arrays[name]) for name in arrays.files}
+            _check_description(description, self.arrays)
+        except Exception as error:  # what is damaged raises anything
+            raise self._refuse(error) from None
+        self.description: dict[str, Any] = description
+
+    def _refuse(self, error: Exception) -> AnswerError:
+        reason = " ".join(str(error).replace(f"{self.path}: ", "").split())[:100] or type(error).__name__
+        return AnswerError(f"{self.path}: no archive of the face benchmark, or damaged ({reason})")
 
     def _read(self, name: str) -> bytes:
+        """Read one of its files, whose checksum has to be that of CHECKSUMS."""
         if self.path.is_dir():
-            return (self.path / name).read_bytes()
-        with zipfile.ZipFile(self.path) as archive:
-            return archive.read(name)
+            content = read_plain_file(self.path / name)
+        else:
+            with zipfile.ZipFile(io.BytesIO(read_plain_file(self.path))) as archive:
+                members = [each for each in archive.infolist() if each.filename == name]
+                if len(members) != 1 or members[0].file_size > MOST_BYTES:
+                    raise ValueError(f"{name}: {'too large' if members else 'missing'}, or there twice")
+                content = archive.read(members[0])
+        if name != CHECKSUMS and self.checksums.get(name) != hashlib.sha256(content).hexdigest():
+            raise ValueError(f"{name}: its checksum differs from that in {CHECKSUMS}")
+        return content
 
     @property
     def problems(self) -> dict[str, Any]:
@@ -102,13 +147,39 @@ class Archive:
         meshes = self.description["meshes"]
         for level, (name, facts) in enumerate(meshes.items()):
             if facts["points"] == count:
-                mesh = read_mesh(f"meshes/{name}.vtu", self._read(f"meshes/{name}.vtu"))
-                shares = {bone: mesh.point_data[bone] for bone in self.description["bones"]}
-                return Mesh(name, level, mesh.points, mesh.point_data["held"] > 0, shares)
+                try:
+                    return self._read_mesh(name, level)
+                except Exception as error:  # what is damaged raises anything
+                    raise self._refuse(error) from None
         sizes = ", ".join(f"{facts['points']:,} ({name})" for name, facts in meshes.items())
         fewer = [name for name, facts in meshes.items() if count < facts["points"]]
         hint = f"; truncated, or no mesh of the benchmark: {count:,} is no count of theirs" if fewer else ""
         raise AnswerError(f"wrong mesh: {count:,} points; the benchmark's meshes have {sizes}{hint}")
+
+    def _read_mesh(self, name: str, level: int) -> Mesh:
+        file = f"meshes/{name}.vtu"
+        with tempfile.NamedTemporaryFile(suffix=".vtu") as copy:
+            copy.write(self._read(file))
+            copy.flush()
+            mesh = read_mesh(Path(copy.name))
+        count, coarse = len(mesh.points), self.arrays["points"]
+        tets = np.asarray(mesh.cells_dict["tetra"], dtype=np.int64)
+        points = _numbers(f"{file}: points", mesh.points, (self.description["meshes"][name]["points"], 3))
+        held = _numbers(f"{file}: held", mesh.point_data["held"], (count,)) > 0
+        shares = {
+            bone: _numbers(f"{file}: {bone}", mesh.point_data[bone], (count,)) for bone in self.description["bones"]
+        }
+        _check(f"{file}: tets", len(tets) == self.description["meshes"][name]["tets"])
+        _check(f"{file}: held", held.any() and not held.all())
+        # The 8^level tets that make a coarse one follow one another; its corners are their points of least number.
+        parents = np.sort(tets.reshape(-1, 4 * 8**level), axis=1)[:, :4]
+        around = np.zeros(count, dtype=np.int64)
+        around[tets.ravel()] = np.repeat(np.arange(len(tets)) // 8**level, 4)
+        corners = parents[around]
+        system = np.concatenate([coarse[corners].transpose(0, 2, 1), np.ones((count, 1, 4))], axis=1)
+        weights = np.linalg.solve(system, np.concatenate([points, np.ones((count, 1))], axis=1)[..., None])[..., 0]
+        _check(f"{file}: points", weights.min() > -SAME_PLACE)
+        return Mesh(name, level, points, tets, held, shares, corners, weights)
 
 
 @contextlib.contextmanager
@@ -118,17 +189,82 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def read_mesh(name: str, content: bytes) -> meshio.Mesh:
-    """Read a mesh file's content by the ending of its name; AnswerError for what cannot be read."""
-    with tempfile.NamedTemporaryFile(suffix=Path(name).suffix) as file:
-        file.write(content)
-        file.flush()
-        try:
-            with _quiet():
-                return meshio.read(file.name)
-        except (Exception, SystemExit) as error:  # meshio raises anything, and exits, over a damaged file
-            reason = " ".join(str(error).replace(file.name, "").split())[:80]
-            raise AnswerError(f"{name}: cannot be read; damaged, or cut short ({reason})") from None
+def read_plain_file(path: Path) -> bytes:
+    """Read a file; ValueError for one that is missing, no plain file, or larger than MOST_BYTES."""
+    try:
+        if not path.is_file():
+            raise ValueError(f"{path}: {'not a plain file' if path.exists() else 'no such file'}")
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"{path}: {path.stat().st_size:,} bytes; at most {MOST_BYTES:,} are read")
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_mesh(path: Path) -> meshio.Mesh:
+    """Read a mesh file; AnswerError for what cannot be read."""
+    try:
+        with _quiet():
+            return meshio.read(path)
+    except (Exception, SystemExit) as error:  # meshio raises anything, and exits, over a damaged file
+        reason = " ".join(str(error).replace(str(path), "").split())[:80]
+        raise AnswerError(f"{path}: cannot be read; damaged, or cut short ({reason})") from None
+
+
+def _refuse_constant(word: str) -> float:
+    raise ValueError(f"{word} is no finite number")
+
+
+def _check(name: str, good: bool) -> None:
+    if not good:
+        raise ValueError(f"{name}: not as a benchmark has it")
+
+
+def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Floats:
+    """Return finite real numbers of a shape as float64; ValueError for others."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu" or array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {array.dtype} of shape {array.shape}")
+    return array.astype(np.float64)
+
+
+def _check_numbers_of(name: str, values: Any, count: int) -> int:
+    """Check a list of indices below a count; return how many there are."""
+    array = np.asarray(values)
+    _check(name, array.ndim == 1 and array.size > 0 and array.dtype.kind == "i")
+    _check(name, 0 <= int(array.min()) and int(array.max()) < count)
+    return len(array)
+
+
+def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
+    """Check what scores are made of: kinds, shapes and ranges. Raises anything for what is not as expected."""
+    meshes = description["meshes"]
+    sizes = [(facts["points"], facts["tets"]) for facts in meshes.values()]
+    _check("meshes", tuple(meshes) == MESHES and all(type(each) is int and each > 3 for size in sizes for each in size))
+    _check("meshes", all(b[0] > a[0] and b[1] == 8 * a[1] for a, b in zip(sizes[:-1], sizes[1:], strict=True)))
+    count, tets = sizes[0]
+    _numbers("points", arrays["points"], (count, 3))
+    _check_numbers_of("skin_points", description["skin_points"], count)
+    _check_numbers_of("points", list(description["points"].values()), count)
+    for name, patch in description["patches"].items():
+        listed = _check_numbers_of(f"patch {name}", patch["tets"], tets)
+        _check(f"patch {name}", _numbers(f"patch {name}", patch["volumes"], (listed,)).min() > 0.0)
+    _check("bones", isinstance(description["bones"], list) and len(description["bones"]) > 0)
+    lengths = {"skin, mean": 1, "skin, largest": 1, **{f"at {name}": 3 for name in description["points"]}}
+    lengths |= {f"stress at {name}": 1 for name in description["patches"]}
+    lengths |= {f"force on {bone}": 3 for bone in description["bones"]}
+    _check("problems", len(description["problems"]) > 0)
+    for problem, asked in description["problems"].items():
+        converged = _numbers(f"{problem}.converged", arrays[f"{problem}.converged"], (count, 3))
+        for mesh, size in zip(MESHES, sizes, strict=True):
+            _numbers(f"{problem}.linear.{mesh}", arrays[f"{problem}.linear.{mesh}"], (size[0], 3))
+        for name, most in (("band_mm", _rms(converged)), ("largest_mm", _norms(converged).max())):
+            _check(f"{problem}, {name}", 0.0 < float(_numbers(f"{problem}, {name}", asked[name], ())) <= most)
+        _check(f"{problem}, quantities", set(asked["quantities"]) == set(lengths))
+        for name, quantity in asked["quantities"].items():
+            _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
+            _check(f"{problem}, {name}", float(_numbers(f"{problem}, {name}", quantity["band"], ())) > 0.0)
+            _check(f"{problem}, {name}", isinstance(quantity["unit"], str))
 
 
 def score(path: Path, archive: Archive, problem: str = "") -> Score:
@@ -138,72 +274,95 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
     """
     problem = _find_problem(path, archive, problem)
     try:
-        answer = read_mesh(str(path), path.read_bytes())
-    except OSError as error:
-        raise AnswerError(f"{path}: cannot be read ({error.strerror})") from None
+        content = read_plain_file(path)
+    except ValueError as error:
+        raise AnswerError(str(error)) from None
+    answer = read_mesh(path)
     mesh = archive.mesh_of(len(answer.points))
-    _check_points(np.asarray(answer.points, dtype=float), mesh)
-    moved = _vectors(answer, "displacement", "mm")
+    _check_points(answer.points, mesh)
+    arrays = {"displacement": _vectors(answer, "displacement", "mm")}
+    _check_tets(answer, mesh)
+    if "reaction" in answer.point_data:
+        arrays["reaction"] = _vectors(answer, "reaction", "mN")
+    if "cauchy" in answer.cell_data:
+        arrays["cauchy"] = _stresses(answer, len(mesh.tets))
+    for name, values in arrays.items():
+        _check_once(name, answer, content)
+        bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
+        if bad.size:
+            told = f"{bad.size:,} of {len(values):,} rows of {name!r} are NaN or infinite, the first is {bad[0]:,}"
+            return Score("not finite", f"{problem}, {mesh.name} mesh: NOT FINITE: {told}")
+        if np.abs(values).max() > MOST[name]:
+            raise AnswerError(f"{name!r}: {np.abs(values).max():.3g} is too large; expected at most {MOST[name]:g}")
+    if "cauchy" in arrays:
+        stress = arrays["cauchy"]
+        apart = np.abs(stress - stress.transpose(0, 2, 1)).max(axis=(1, 2))
+        if apart.max() > ASYMMETRY * np.abs(stress).max():
+            raise AnswerError(
+                f"'cauchy': not symmetric; that of tet {apart.argmax():,} differs by {apart.max():.3g} kPa"
+            )
+    moved = arrays["displacement"]
     verdict, told = judge(moved, mesh, archive, problem)
     line = f"{problem}, {mesh.name} mesh: {verdict.upper()}: {told}"
-    if verdict in ("truncated", "not finite"):
+    if verdict == "truncated":
         return Score(verdict, line)
-    values = measure(
-        archive.description,
-        mesh.level,
-        moved,
-        None if "reaction" not in answer.point_data else _vectors(answer, "reaction", "mN"),
-        _stresses(answer, len(moved)),
-        mesh.shares,
-    )
+    values = measure(archive.description, mesh.level, moved, arrays.get("reaction"), arrays.get("cauchy"), mesh.shares)
     return Score(verdict, line, tuple(_compare(archive.problems[problem]["quantities"], values)))
 
 
 def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[str, str]:
-    """Find what displacements (n, 3) [mm] are: a verdict, and why."""
-    bad = np.flatnonzero(~np.isfinite(moved).all(axis=1))
-    if bad.size:
-        return "not finite", f"{bad.size:,} of {len(moved):,} displacements are NaN or infinite, the first at {bad[0]}"
-    arrays, count = archive.arrays, len(archive.arrays[f"{problem}.converged"])
-    converged, linear = arrays[f"{problem}.converged"], arrays[f"{problem}.linear.{mesh.name}"]
-    ends = moved[:count]
+    """Find what finite displacements (n, 3) [mm] of a mesh's points are: a verdict, and why."""
     moving = np.flatnonzero(moved.any(axis=1))
     if not moving.size:
         return "wrong", "every displacement is zero"
     if moving[-1] < np.flatnonzero(~mesh.held)[-1]:
         return "truncated", f"every displacement from point {moving[-1] + 1:,} of {len(moved):,} on is zero"
-    skin = archive.description["skin_points"]
-    largest, by_mesh = _norms(converged).max(), _rms(linear - converged)
-    off, band = _rms(ends - converged), archive.problems[problem]["band_mm"]
+    asked, skin = archive.problems[problem], archive.description["skin_points"]
+    limit, linear = archive.arrays[f"{problem}.converged"], archive.arrays[f"{problem}.linear.{mesh.name}"]
+    count, largest = len(limit), _norms(limit).max()
+    way = limit - linear[:count]
+    converged = linear + mesh.interpolate(way)
+    ends, by_mesh = moved[:count], _rms(way)
+    off = _rms(ends - limit)
     told = (
-        f"{off:.3g} mm RMS from the converged answer, whose band is {band:.2g} mm; skin {_skin(ends, converged, skin)}"
+        f"{off:.3g} mm RMS from the converged answer, whose band is {asked['band_mm']:.2g} mm; "
+        f"skin {_skin(ends, limit, skin)}"
     )
-    if off <= band:
-        return "right", told
-    apart = _norms(ends - linear).max()
-    if apart <= SAME_ANSWER * largest:
-        return "right on this mesh", f"linear tets' answer on it to {apart:.1g} mm; {told}"
-    way = converged - linear
-    share = np.clip(np.sum((ends - linear) * way) / max(np.sum(way**2), 1e-300), 0.0, 1.0)
-    if _rms(ends - linear - share * way) <= EXPLAINED * by_mesh:
-        return (
-            "right on this mesh",
-            f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {told}",
+    faults = []
+    held = _norms(moved - linear)[mesh.held].max()
+    if held > max(HELD * largest, SAME_PLACE):
+        faults.append(f"held points are up to {held:.3g} mm from where they are held")
+    between = moved - linear - mesh.interpolate(ends - linear[:count])  # zero at the coarse mesh's points
+    strayed = _rms(between) > BETWEEN[0] * by_mesh or _norms(between).max() > BETWEEN[1] * _norms(way).max()
+    if strayed:
+        faults.append(
+            f"points that refinement added are up to {_norms(between).max():.3g} mm from where "
+            "the coarse mesh's points put them"
         )
+    if not faults:
+        if off <= asked["band_mm"] and _norms(ends - limit).max() <= asked["largest_mm"]:
+            return "right", told
+        apart = _norms(moved - linear).max()
+        if apart <= SAME_ANSWER * largest:
+            return "right on this mesh", f"linear tets' answer on it to {apart:.1g} mm; {told}"
+        share = np.clip(np.sum((ends - linear[:count]) * way) / max(np.sum(way**2), 1e-300), 0.0, 1.0)
+        left = ends - linear[:count] - share * way
+        if _rms(left) <= EXPLAINED * by_mesh and _norms(left).max() <= 0.5 * _norms(way).max():
+            return (
+                "right on this mesh",
+                f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {told}",
+            )
     for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
-        if _rms(factor * ends - linear) <= EXPLAINED * _rms(linear):
+        if _rms(factor * moved - linear) <= EXPLAINED * _rms(linear):
             return "wrong", f"displacements are in {unit}; expected mm"
-    places = archive.arrays["points"]
     for truth in (linear, converged):
-        still, shift, angle = _without_rigid_motion(places + ends, places + truth)
-        if _rms(still - places - truth) <= EXPLAINED * _rms(ends - truth):
+        still, shift, angle = _without_rigid_motion(mesh.points + moved, mesh.points + truth)
+        if not strayed and _rms(still - mesh.points - truth) <= EXPLAINED * _rms(moved - truth):
             motion = f"by ({', '.join(f'{each:.3g}' for each in shift)}) mm"
             motion += f" and {angle:.2g} degrees" if angle > 0.05 else ""
-            rest = _rms(still - places - converged)
+            rest = _rms((still - mesh.points)[:count] - limit)
             return "shifted", f"as a whole {motion}; without that {rest:.3g} mm RMS from the converged answer"
-    held = _norms(ends - linear)[mesh.held[:count]].max()
-    amiss = f"; held points are up to {held:.3g} mm from where they are held" if held > SAME_ANSWER * largest else ""
-    return "wrong", f"{told}; linear tets on this mesh are {by_mesh:.3g} mm off{amiss}"
+    return "wrong", "; ".join([told, f"linear tets on this mesh are {by_mesh:.3g} mm off", *faults])
 
 
 def measure(
@@ -246,10 +405,13 @@ def _find_problem(path: Path, archive: Archive, problem: str) -> str:
     return known[0]
 
 
-def _check_points(points: Floats, mesh: Mesh) -> None:
+def _check_points(values: np.ndarray, mesh: Mesh) -> None:
     """Raise AnswerError unless an answer's points are a mesh's."""
-    if not np.isfinite(points).all():
-        raise AnswerError("wrong mesh: some points are not finite")
+    points = np.asarray(values, dtype=float)
+    if points.shape != mesh.points.shape:
+        raise AnswerError(f"wrong mesh: expected points of shape {mesh.points.shape}, got {points.shape}")
+    if not np.isfinite(points).all() or np.abs(points).max() > MOST["displacement"]:
+        raise AnswerError("wrong mesh: some points are not finite, or out of all range")
     away = _norms(points - mesh.points)
     if away.max() <= SAME_PLACE:
         return
@@ -265,29 +427,66 @@ def _check_points(points: Floats, mesh: Mesh) -> None:
     )
 
 
+def _check_tets(answer: meshio.Mesh, mesh: Mesh) -> None:
+    """Raise AnswerError unless an answer's tets are a mesh's, in its order; a tet's corners may be turned."""
+    others = sorted({block.type for block in answer.cells} - {"tetra", *BESIDE})
+    if others:
+        raise AnswerError(f"cells: {', '.join(others)}; expected tets of four corners, those of meshes/{mesh.name}.vtu")
+    blocks = [np.asarray(block.data, dtype=np.int64) for block in answer.cells if block.type == "tetra"]
+    tets = np.concatenate([np.empty((0, 4), np.int64), *blocks])
+    if len(tets) != len(mesh.tets):
+        raise AnswerError(f"cells: {len(tets):,} tets; meshes/{mesh.name}.vtu has {len(mesh.tets):,}")
+    mine, its = np.sort(tets, axis=1), np.sort(mesh.tets, axis=1)
+    if np.array_equal(mine, its):
+        inverted = np.flatnonzero(_orientations(tets) != _orientations(mesh.tets))
+        if inverted.size:
+            raise AnswerError(f"cells: {inverted.size:,} tets are inverted, the first is {inverted[0]:,}")
+        return
+    if np.array_equal(mine[np.lexsort(mine.T)], its[np.lexsort(its.T)]):
+        raise AnswerError(f"cells: tets are in another order than in meshes/{mesh.name}.vtu; put them in its order")
+    first = int(np.flatnonzero((mine != its).any(axis=1))[0])
+    raise AnswerError(f"cells: tet {first:,} has not the corners of that of meshes/{mesh.name}.vtu")
+
+
+def _orientations(tets: np.ndarray) -> np.ndarray:
+    """Whether the corners (m, 4) of tets are an even permutation of their numbers in order: 1, else -1."""
+    signs = [np.sign(tets[:, b] - tets[:, a]) for a in range(4) for b in range(a + 1, 4)]
+    found: np.ndarray = np.prod(signs, axis=0)
+    return found
+
+
+def _check_once(name: str, answer: meshio.Mesh, content: bytes) -> None:
+    """Raise AnswerError for an array that a file has twice, of which meshio gives the last."""
+    tags = rb"<(?:DataArray|Attribute)\b[^>]*\bName=[\"']%b[\"']" % name.encode()
+    lines = rb"^(?:SCALARS |VECTORS |TENSORS |NORMALS )?%b (?=\w)|^\"%b\"" % (name.encode(), name.encode())
+    there = len(re.findall(tags + rb"|" + lines, content, re.MULTILINE))
+    if there > (name in answer.point_data) + (name in answer.cell_data):
+        raise AnswerError(f"{name!r} is there {there} times; expected it once")
+
+
 def _vectors(answer: meshio.Mesh, name: str, unit: str) -> Floats:
     """Read a point array of vectors; AnswerError where it is missing or of another shape."""
-    there = ", ".join(answer.point_data) or "none"
     if name not in answer.point_data:
+        there = ", ".join(answer.point_data) or "none"
         raise AnswerError(f"{name!r} [{unit}] is missing; arrays on points are: {there}")
-    values = np.asarray(answer.point_data[name], dtype=float)
-    if values.shape != (len(answer.points), 3):
-        raise AnswerError(f"{name!r}: expected shape ({len(answer.points)}, 3), got {values.shape}")
-    return values
+    values = np.asarray(answer.point_data[name])
+    if values.shape != (len(answer.points), 3) or values.dtype.kind not in "fiu":
+        raise AnswerError(f"{name!r}: expected shape ({len(answer.points)}, 3), got {values.shape} of {values.dtype}")
+    return values.astype(float)
 
 
-def _stresses(answer: meshio.Mesh, count: int) -> Floats | None:
-    """Read Cauchy's stress (m, 3, 3) of the tets, or None; AnswerError for another shape."""
-    if "cauchy" not in answer.cell_data:
-        return None
+def _stresses(answer: meshio.Mesh, count: int) -> Floats:
+    """Read Cauchy's stress (m, 3, 3) of the tets; AnswerError for another shape."""
     blocks = zip(answer.cells, answer.cell_data["cauchy"], strict=True)
-    values = np.concatenate([np.asarray(v, dtype=float) for block, v in blocks if block.type.startswith("tetra")])
-    values = values.reshape(len(values), -1)
-    if values.shape[1] == 6:
-        return values[:, SYMMETRIC]
-    if values.shape[1] != 9:
-        raise AnswerError(f"'cauchy': expected 9 or 6 components on each tet, got {values.shape[1]}")
-    return values.reshape(-1, 3, 3)
+    each = [np.asarray(values) for block, values in blocks if block.type == "tetra"]
+    for values in each:
+        if values.dtype.kind not in "fiu" or values.size not in (6 * len(values), 9 * len(values)):
+            raise AnswerError(f"'cauchy': expected 9 or 6 components on each tet, got {values.shape} of {values.dtype}")
+    flat = [values.reshape(len(values), -1).astype(float) for values in each if len(values)]
+    if sum(map(len, flat)) != count or len({values.shape[1] for values in flat}) > 1:
+        raise AnswerError(f"'cauchy': expected rows of one length for {count:,} tets, got {sum(map(len, flat)):,}")
+    stress = np.concatenate(flat)
+    return stress[:, SYMMETRIC] if stress.shape[1] == 6 else stress.reshape(-1, 3, 3)
 
 
 def _compare(quantities: Mapping[str, Any], values: Mapping[str, list[float]]) -> Iterator[Compared]:
@@ -350,7 +549,8 @@ def main(words: list[str] | None = None) -> int:
     try:
         result = score(asked.answer, Archive(asked.archive), asked.problem)
     except AnswerError as error:
-        print(f"error: {error}", file=sys.stderr)
+        said = "".join(each if each.isprintable() else "?" for each in str(error))
+        print(f"error: {said}", file=sys.stderr)
         return 2
     print("\n".join(describe_score(result)))
     return 0 if result.verdict.startswith("right") else 1

@@ -239,8 +239,10 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
     assert [p.name for p in tmp_path.iterdir()] == ["way"]  # told before anything is made
 
 
-@pytest.mark.parametrize("words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out")])
-@pytest.mark.parametrize("place", ["/dev/null/x", "e" * 300])
+@pytest.mark.parametrize(
+    "words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out"), ("bench", "export")]
+)
+@pytest.mark.parametrize("place", ["/dev/null/x.zip", "e" * 300 + ".zip", "/proc/x.zip"])
 def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, words, place):
     begin = time.monotonic()
     ended = command(*words, place)

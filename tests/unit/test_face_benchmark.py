@@ -1,6 +1,10 @@
 """The open face benchmark on a small sphere: nested meshes, the archive, and scores of answers right and wrong."""
 
+import hashlib
+import io
 import json
+import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -47,14 +51,18 @@ def archive(exported):
 def judged(archive, tmp_path):
     """Score displacements (n, 3) on a mesh of the archive, with what else the file has."""
 
-    def judge(moved, mesh="coarse", problem="gravity", **arrays):
+    def judge(moved, mesh="coarse", problem="gravity", suffix=".vtu", cells=None, cauchy=None, **arrays):
         with zipfile.ZipFile(archive.path) as file:
             file.extract(f"meshes/{mesh}.vtu", tmp_path)
         read = meshio.read(tmp_path / "meshes" / f"{mesh}.vtu")
         points = arrays.pop("points", read.points)
         arrays = {"displacement": moved} | arrays
-        meshio.Mesh(points, read.cells, point_data=arrays).write(tmp_path / f"{problem}.vtu")
-        return scorer.score(tmp_path / f"{problem}.vtu", archive)
+        cells = read.cells if cells is None else cells
+        on_cells = {} if cauchy is None else {"cauchy": cauchy}
+        answer = tmp_path / f"{problem}{suffix}"
+        kind = "gmsh22" if suffix == ".msh" else None
+        meshio.Mesh(points, cells, point_data=arrays, cell_data=on_cells).write(answer, file_format=kind)
+        return scorer.score(answer, archive)
 
     return judge
 
@@ -102,19 +110,22 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     assert (folder / "rows" / "rows.jsonl").read_bytes() == before
     names = [set(zipfile.ZipFile(folder / name).namelist()) for name in ("benchmark.zip", "again.zip")]
     meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
-    assert names[0] == names[1] == meshes | {"README.md", "score.py", "benchmark.json", "answers.npz"}
+    texts = {"README.md", "score.py", "benchmark.json", "SHA256SUMS"}
+    assert names[0] == names[1] == meshes | texts | {"answers.npz"}
 
 
-def test_the_archive_says_what_is_asked(archive, study):
+def test_the_archive_says_what_is_asked(archive, study, tmp_path):
     with zipfile.ZipFile(archive.path) as file:
         card, msh = file.read("README.md").decode(), file.read("meshes/coarse.msh")
         vtu = file.read("meshes/medium.vtu")
     assert all(word in card for word in ("CC0", "Cite", "kPa", "score.py my-jaw.vtu", *PROBLEMS))
-    gmsh = scorer.read_mesh("coarse.msh", msh)
+    for name, content in (("coarse.msh", msh), ("medium.vtu", vtu)):
+        (tmp_path / name).write_bytes(content)
+    gmsh = scorer.read_mesh(tmp_path / "coarse.msh")
     coarse, medium, _ = study.bodies()
     assert np.array_equal(gmsh.points, coarse.vertices) and np.array_equal(gmsh.cells[0].data, coarse.tets)
     assert np.array_equal(gmsh.cell_data["gmsh:physical"][0], coarse.layer + 1)
-    mesh = scorer.read_mesh("medium.vtu", vtu)
+    mesh = scorer.read_mesh(tmp_path / "medium.vtu")
     assert np.array_equal(mesh.point_data["held"] > 0, np.isin(np.arange(len(mesh.points)), medium.held_vertices))
     assert np.array_equal(mesh.point_data["force_gravity_mN"], medium.scene("gravity").loads())
     assert np.array_equal(mesh.point_data["force_cheek_mN"], medium.scene("cheek").loads())
@@ -162,6 +173,293 @@ FAULTS = {
     "nan": (lambda u: np.where(np.arange(len(u))[:, None] == 7, np.nan, u), "NOT FINITE", "1 of 126"),
     "infinite": (lambda u: np.where(np.arange(len(u))[:, None] > 99, np.inf, u), "NOT FINITE", "26 of 126"),
 }
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_right_answers_of_finer_meshes_are_right(exported, archive, judged, study, problem):
+    for mesh, body in zip(("medium", "fine"), study.bodies()[1:], strict=True):
+        linear = archive.arrays[f"{problem}.linear.{mesh}"]
+        assert judged(linear, mesh, problem).verdict.startswith("right")
+        # A little off all over, as another code's answer is.
+        free = np.setdiff1d(np.arange(len(linear)), body.held_vertices)
+        linear[free] *= 1.005
+        assert judged(linear, mesh, problem).verdict.startswith("right")
+        linear[free] /= 1.005
+    (row,) = (r for r in exported[1].rows if (r.case, r.method) == (problem, "FEniCSx, quadratic, medium"))
+    better = np.load(exported[0] / "rows" / row.values["displacement"])
+    assert judged(better, "medium", problem).verdict == "right"
+
+
+def is_new(moved):
+    """Mark the points (n, 1) that refinement added."""
+    return (np.arange(len(moved)) >= 126)[:, None]
+
+
+FINER_FAULTS = {
+    "added points at zero": lambda u: np.where(is_new(u), 0.0, u),
+    "every other added point at zero": lambda u: np.where(is_new(u) & (np.arange(len(u)) % 2 == 0)[:, None], 0.0, u),
+    "added points in another order": lambda u: np.concatenate([u[:126], u[126:][::-1]]),
+    "added points far off": lambda u: np.where(is_new(u), 999.0, u),
+    "one added point off": lambda u: np.where((np.arange(len(u)) == 400)[:, None], u + 20.0, u),
+}
+
+
+@pytest.mark.parametrize("problem", ["gravity", "jaw"])
+@pytest.mark.parametrize("mesh", ["medium", "fine"])
+@pytest.mark.parametrize("fault", FINER_FAULTS)
+def test_points_that_refinement_added_are_judged(archive, judged, problem, mesh, fault):
+    linear, limit = archive.arrays[f"{problem}.linear.{mesh}"], archive.arrays[f"{problem}.converged"]
+    for moved in (linear, np.concatenate([limit, linear[126:]])):
+        score = judged(FINER_FAULTS[fault](moved), mesh, problem)
+        assert score.verdict == "truncated" or "points that refinement added are" in score.line, score.line
+        assert score.verdict in ("wrong", "truncated")
+
+
+def test_no_single_point_may_be_far_off(archive, judged, study):
+    limit, held = archive.arrays["gravity.converged"], study.bodies()[0].held_vertices
+    moved = limit.copy()
+    moved[held[0]] += [2.0, 0.0, 0.0]
+    score = judged(moved)
+    assert score.verdict == "wrong" and "held points are up to 2 mm from where they are held" in score.line
+    moved = limit.copy()
+    moved[np.setdiff1d(np.arange(126), held)[0]] += [6.0, 0.0, 0.0]
+    assert judged(moved).verdict == "wrong"
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".xdmf", ".msh"])
+def test_other_kinds_of_files_are_read(archive, judged, suffix):
+    stress = [np.ones((480, 9 if suffix == ".msh" else 6))]
+    score = judged(archive.arrays["jaw.converged"].astype(np.float32), problem="jaw", suffix=suffix, cauchy=stress)
+    assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
+
+
+def with_value(shape, value):
+    """Give an array of ones of which one is `value`."""
+    values = np.ones(shape)
+    values[7] = value
+    return values
+
+
+NOT_FINITE = {
+    "reaction": ({"reaction": with_value((126, 3), np.nan)}, "1 of 126 rows of 'reaction'"),
+    "cauchy": ({"cauchy": [with_value((480, 9), np.inf)]}, "1 of 480 rows of 'cauchy'"),
+    "cauchy of six": ({"cauchy": [with_value((480, 6), np.nan)]}, "1 of 480 rows of 'cauchy'"),
+    "32 bits": ({"reaction": with_value((126, 3), -np.inf).astype(np.float32)}, "the first is 7"),
+}
+
+
+@pytest.mark.parametrize("case", NOT_FINITE)
+def test_arrays_that_are_not_finite_are_told(archive, judged, case):
+    arrays, words = NOT_FINITE[case]
+    score = judged(archive.arrays["gravity.converged"], **arrays)
+    assert score.verdict == "not finite" and words in score.line and not score.compared
+
+
+REFUSED = {
+    "reversed": (lambda t: [("tetra", t[::-1])], {}, "tets are in another order than in meshes/coarse.vtu"),
+    "one inverted": (
+        lambda t: [("tetra", np.concatenate([t[:9], t[9:10, [1, 0, 2, 3]], t[10:]]))],
+        {},
+        "1 tets are inverted, the first is 9",
+    ),
+    "one missing": (lambda t: [("tetra", t[1:])], {}, "cells: 479 tets; meshes/coarse.vtu has 480"),
+    "one twice": (lambda t: [("tetra", np.concatenate([t, t[:1]]))], {}, "cells: 481 tets"),
+    "one instead of another": (lambda t: [("tetra", np.concatenate([t[:1], t[:-1]]))], {}, "tet 1 has not the corners"),
+    "two blocks in another order": (lambda t: [("tetra", t[9:]), ("tetra", t[:9])], {}, "another order"),
+    "triangles": (lambda t: [("triangle", t[:, :3])], {"cauchy": [np.ones((480, 9))]}, "cells: 0 tets"),
+    "hexahedra": (lambda t: [("hexahedron", np.tile(t, 2))], {}, "cells: hexahedron; expected tets"),
+    "quadratic": (lambda t: [("tetra10", np.tile(t, 3)[:, :10])], {}, "cells: tetra10; expected tets"),
+    "half the tets": (lambda t: [("tetra", t[:240])], {"cauchy": [np.ones((240, 9))]}, "cells: 240 tets"),
+    "three components": (None, {"cauchy": [np.ones((480, 3))]}, "'cauchy': expected 9 or 6 components"),
+    "a number": (None, {"cauchy": [np.ones(480)]}, "'cauchy': expected 9 or 6 components"),
+    "not symmetric": (None, {"cauchy": [with_value((480, 9), np.arange(9.0))]}, "not symmetric; that of tet 7"),
+    "huge stress": (None, {"cauchy": [with_value((480, 9), 1e200)]}, "'cauchy': 1e+200 is too large"),
+    "huge force": (None, {"reaction": with_value((126, 3), 1e300)}, "'reaction': 1e+300 is too large"),
+    "forces as numbers": (None, {"reaction": np.ones(126)}, "'reaction': expected shape (126, 3), got (126,)"),
+    "huge displacement": (None, {"displacement": with_value((126, 3), 1e300)}, "'displacement': 1e+300 is too large"),
+    "a point at NaN": (None, {"points": with_value((126, 3), np.nan)}, "some points are not finite"),
+    "a point at 1e300": (None, {"points": with_value((126, 3), 1e300)}, "out of all range"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_another_mesh_or_array_is_refused_in_a_line(archive, judged, study, case):
+    cells, arrays, words = REFUSED[case]
+    cells = cells and cells(study.bodies()[0].tets)
+    with pytest.raises(scorer.AnswerError, match=re.escape(words)) as error:
+        judged(**({"moved": archive.arrays["gravity.converged"]} | arrays), cells=cells)
+    assert "\n" not in str(error.value)
+
+
+def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, study):
+    tets = study.bodies()[0].tets
+    cells = [("tetra", tets[:7, [1, 2, 0, 3]]), ("triangle", tets[:5, :3]), ("tetra", tets[7:, [1, 0, 3, 2]])]
+    stress = [np.ones((7, 9)), np.full((5, 9), np.nan), np.ones((473, 9))]
+    score = judged(archive.arrays["gravity.converged"], cells=cells, cauchy=stress)
+    assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
+
+
+def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path):
+    limit = archive.arrays["gravity.converged"]
+    for suffix in (".vtu", ".xdmf"):
+        judged(limit, suffix=suffix, other=0.0 * limit)
+        file = tmp_path / f"gravity{suffix}"
+        file.write_bytes(file.read_bytes().replace(b'Name="other"', b'Name="displacement"'))
+        with pytest.raises(scorer.AnswerError, match="'displacement' is there 2 times"):
+            scorer.score(file, archive)
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".xdmf", ".stl", ".xyz", ""])
+@pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"<VTKFile>", b"$MeshFormat\n4.1 0 8\n", b"# vtk DataFile"])
+def test_a_file_that_is_no_answer_is_one_line(archive, tmp_path, suffix, content):
+    (tmp_path / f"gravity{suffix}").write_bytes(content)
+    with pytest.raises(scorer.AnswerError) as error:
+        scorer.score(tmp_path / f"gravity{suffix}", archive)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_no_plain_file_is_refused_before_it_is_read(archive, tmp_path):
+    os.mkfifo(tmp_path / "gravity.vtu")
+    for path in (tmp_path / "gravity.vtu", tmp_path, Path("/dev/zero"), tmp_path / "gravity-missing.vtu"):
+        with pytest.raises(scorer.AnswerError, match="no such file|not a plain file"):
+            scorer.score(path, archive, "gravity")
+        with pytest.raises(scorer.AnswerError, match="no such file|not a plain file"):
+            scorer.Archive(path)
+    with (tmp_path / "huge.zip").open("wb") as file:
+        file.truncate(scorer.MOST_BYTES + 1)
+    with pytest.raises(scorer.AnswerError, match="at most 1,000,000,000"):
+        scorer.Archive(tmp_path / "huge.zip")
+
+
+def rewrite(archive, path, change, *, with_checksums=True):
+    """Write a copy of the archive whose files by name, bytes, `change` has changed; checksums are made again."""
+    with zipfile.ZipFile(archive.path) as file:
+        files = {name: file.read(name) for name in file.namelist()}
+    change(files)
+    if with_checksums:
+        sums = (f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in files if name != "SHA256SUMS")
+        files["SHA256SUMS"] = "".join(sums).encode()
+    with zipfile.ZipFile(path, "w") as file:
+        for name, content in files.items():
+            file.writestr(name, content)
+
+
+def in_description(change):
+    """Give a change of the archive's files that changes benchmark.json."""
+
+    def changed(files):
+        description = json.loads(files["benchmark.json"])
+        change(description)
+        files["benchmark.json"] = json.dumps(description).encode()
+
+    return changed
+
+
+def in_answers(change):
+    """Give a change of the archive's files that changes answers.npz."""
+
+    def changed(files):
+        arrays = dict(np.load(io.BytesIO(files["answers.npz"])))
+        change(arrays)
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)
+        files["answers.npz"] = buffer.getvalue()
+
+    return changed
+
+
+def set_to(*keys, value):
+    """Give a change that sets an entry of nested objects."""
+
+    def change(description):
+        for key in keys[:-1]:
+            description = description[key]
+        description[keys[-1]] = value
+
+    return change
+
+
+DAMAGED = {
+    "a list": lambda files: files.update({"benchmark.json": b"[]"}),
+    "an empty object": lambda files: files.update({"benchmark.json": b"{}"}),
+    "a text": lambda files: files.update({"benchmark.json": b'"x"'}),
+    "no JSON": lambda files: files.update({"benchmark.json": b"{"}),
+    "nested": lambda files: files.update({"benchmark.json": b"[" * 100_000}),
+    "no description": lambda files: files.pop("benchmark.json"),
+    "no answers": lambda files: files.pop("answers.npz"),
+    "answers that are no arrays": lambda files: files.update({"answers.npz": b"PK"}),
+    "problems that are a list": in_description(set_to("problems", value=[])),
+    "no problems": in_description(set_to("problems", value={})),
+    "no bones": in_description(set_to("bones", value=[])),
+    "band NaN": in_description(set_to("problems", "gravity", "band_mm", value=float("nan"))),
+    "band infinite": in_description(set_to("problems", "gravity", "band_mm", value=1e999)),
+    "band a text": in_description(set_to("problems", "gravity", "band_mm", value="1")),
+    "band true": in_description(set_to("problems", "gravity", "band_mm", value=True)),
+    "band below zero": in_description(set_to("problems", "gravity", "band_mm", value=-1.0)),
+    "band wider than the answer": in_description(set_to("problems", "gravity", "band_mm", value=100.0)),
+    "largest band wider than the answer": in_description(set_to("problems", "gravity", "largest_mm", value=100.0)),
+    "no quantities": in_description(set_to("problems", "jaw", "quantities", value={})),
+    "value of two numbers": in_description(
+        set_to("problems", "jaw", "quantities", "at chin", "value", value=[1.0, 2.0])
+    ),
+    "band of a quantity zero": in_description(set_to("problems", "jaw", "quantities", "at chin", "band", value=0)),
+    "unit a number": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value=1)),
+    "skin point out of range": in_description(set_to("skin_points", 0, value=126)),
+    "skin point below zero": in_description(set_to("skin_points", 0, value=-1)),
+    "skin points broken": in_description(set_to("skin_points", 0, value=0.5)),
+    "no skin points": in_description(set_to("skin_points", value=[])),
+    "point out of range": in_description(set_to("points", "chin", value=10_000)),
+    "patch out of range": in_description(set_to("patches", "left jowl, muscle", "tets", 0, value=480)),
+    "patch of no volume": in_description(set_to("patches", "left jowl, muscle", "volumes", 0, value=0.0)),
+    "patch a volume short": in_description(lambda d: d["patches"]["left jowl, muscle"]["volumes"].pop()),
+    "other meshes": in_description(lambda d: d["meshes"].pop("fine")),
+    "points of a mesh as text": in_description(set_to("meshes", "coarse", "points", value="126")),
+    "other number of points": in_description(set_to("meshes", "coarse", "points", value=123)),
+    "other number of tets": in_description(set_to("meshes", "medium", "tets", value=481)),
+    "rows missing": in_answers(lambda a: a.update({"gravity.converged": a["gravity.converged"][:-3]})),
+    "rows of a fine mesh missing": in_answers(lambda a: a.update({"jaw.linear.fine": a["jaw.linear.fine"][:126]})),
+    "answers NaN": in_answers(lambda a: a["cheek.converged"].fill(np.nan)),
+    "linear answers NaN": in_answers(lambda a: a["cheek.linear.medium"].fill(np.nan)),
+    "answers as texts": in_answers(lambda a: a.update({"jaw.converged": np.full((126, 3), "x")})),
+    "answers complex": in_answers(lambda a: a.update({"jaw.converged": a["jaw.converged"] + 1j})),
+    "a problem's answers missing": in_answers(lambda a: a.pop("growth.converged")),
+    "points missing": in_answers(lambda a: a.pop("points")),
+    "coarse mesh moved": in_answers(lambda a: a["points"].__iadd__(5.0)),
+    "coarse mesh flat": in_answers(lambda a: a["points"].fill(0.0)),
+    "mesh missing": lambda files: files.pop("meshes/coarse.vtu"),
+    "mesh damaged": lambda files: files.update({"meshes/coarse.vtu": files["meshes/coarse.vtu"][:999]}),
+    "mesh exchanged": lambda files: files.update({"meshes/coarse.vtu": files["meshes/medium.vtu"]}),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+def test_a_damaged_archive_is_refused_in_a_line(archive, judged, tmp_path, damage):
+    judged(archive.arrays["gravity.converged"])
+    rewrite(archive, tmp_path / "damaged.zip", DAMAGED[damage])
+    with pytest.raises(scorer.AnswerError, match="damaged.zip: no archive of the face benchmark, or damaged") as error:
+        scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "damaged.zip"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
+    judged(archive.arrays["gravity.converged"])
+
+    def refused(change, words):
+        rewrite(archive, tmp_path / "other.zip", change, with_checksums=False)
+        with pytest.raises(scorer.AnswerError, match=words):
+            scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "other.zip"))
+
+    refused(in_description(set_to("problems", "gravity", "band_mm", value=1.0)), "benchmark.json: its checksum differs")
+    refused(in_answers(lambda a: a["gravity.converged"].__imul__(1.01)), "answers.npz: its checksum differs")
+    refused(
+        lambda f: f.update({"meshes/coarse.vtu": f["meshes/coarse.vtu"] + b" "}), "coarse.vtu: its checksum differs"
+    )
+    refused(lambda f: f.pop("SHA256SUMS"), "SHA256SUMS: missing")
+    with zipfile.ZipFile(tmp_path / "other.zip", "a") as file, pytest.warns(UserWarning, match="Duplicate name"):
+        file.writestr("benchmark.json", "{}")
+        file.writestr("SHA256SUMS", "")
+    with pytest.raises(scorer.AnswerError, match="there twice"):
+        scorer.Archive(tmp_path / "other.zip")
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -65,6 +66,8 @@ def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not os.access(there, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        with tempfile.TemporaryFile(dir=there if there.is_dir() else there.parent):
+            pass  # folders such as /proc let root write by their mode, and hold no file of anybody's
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
