@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .base.checks import check_arguments
+from .base.checks import array_of_kind, check_arguments
 from .base.errors import InputError
 from .base.mesh import Floats
 
@@ -111,10 +111,8 @@ def check_weights(weights) -> Floats:
 
     Raises InputError for another shape, and for NaN or infinity (by frame and name).
     """
-    try:
-        values = np.array(weights, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"weights: expected numbers of shape (frames, {len(ARKIT)})") from None
+    words = f"numbers of shape (frames, {len(ARKIT)})"
+    values = np.array(array_of_kind("weights", weights, "fiub", words), dtype=np.float64)
     if values.ndim not in (1, 2) or values.shape[-1] != len(ARKIT):
         raise InputError(f"weights: expected shape (frames, {len(ARKIT)}) or ({len(ARKIT)},), got {values.shape}")
     bad = np.argwhere(~np.isfinite(np.atleast_2d(values)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arkit import ARKIT, check_weights
-from .base.checks import check_arguments
+from .base.checks import array_of_kind, check_arguments
 from .base.errors import InputError, MeshError
 from .base.mesh import Floats
 from .identities.space import LinearSpace
@@ -30,7 +30,8 @@ class Rig:
     doubtful: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
-        deltas = np.array(self.deltas, dtype=np.float32)
+        numbers = array_of_kind("rig", self.deltas, "fiub", "displacements", error=MeshError)
+        deltas = np.array(numbers, dtype=np.float32)
         if deltas.ndim != 3 or deltas.shape[0] != len(ARKIT) or deltas.shape[2] != 3:
             raise MeshError(f"rig: expected shape ({len(ARKIT)}, n, 3), got {deltas.shape}")
         if not np.isfinite(deltas).all():
@@ -40,7 +41,7 @@ class Rig:
 
     def moved(self, weights) -> Floats:
         """Add up what ARKit weights (52,) do to the skin [mm], shape (n, 3); InputError for another shape."""
-        values = np.asarray(weights, dtype=np.float64)
+        values = np.asarray(array_of_kind("weights", weights, "fiub", "numbers"), dtype=np.float64)
         if values.shape != (len(ARKIT),):
             raise InputError(f"weights: expected shape ({len(ARKIT)},), got {values.shape}")
         used = np.flatnonzero(values)

@@ -117,7 +117,7 @@ class CertifiedFace:
         InputError for other shapes and for a face that does not settle, and what the simulator raises.
         """
         chosen = Parameters() if parameters is None else parameters
-        shapes = check_shapes(expressions, len(head.skin.vertices))
+        shapes = check_shapes(expressions, head.skin)
         on_head = on_wraps(chosen, head)
         linear = differentiate_head(head, on_head, like=like, on_iteration=on_iteration)
         frames = FaceFrames.from_face(linear, shapes)

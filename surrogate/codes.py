@@ -1,15 +1,18 @@
-"""The code of a space for a skin in its triangles that did not come from it."""
+"""The code of a space for a skin in its triangles that did not come from it, and whether both belong together."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.warp import rigid_motion
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.identities.space import CLIP, LinearSpace
 
 RIDGE = 1.0
-"""[mm²] of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
+"""[mm²] Of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
+SAME = 0.5
+"""[mm] Mean distance within which a skin is that of its code."""
 
 
 def nearest_code(space: LinearSpace, skin: Surface, *, ridge: float = RIDGE) -> Floats:
@@ -26,3 +29,28 @@ def nearest_code(space: LinearSpace, skin: Surface, *, ridge: float = RIDGE) -> 
         right = basis @ (aligned - space.mean.vertices).ravel() / len(skin.vertices)
         code = np.clip(np.linalg.solve(gram, right), -CLIP, CLIP)
     return code
+
+
+def check_belonging(space: LinearSpace, code: Floats, skin: Surface) -> None:
+    """Raise InputError for a code whose skin is farther from one given than half-way from the nearest to the mean's.
+
+    `nearest_code` keeps well within, also where no code makes the skin; of another person's codes a few in a hundred
+    do.
+    """
+
+    def away(other: Surface) -> float:
+        """Return the mean distance [mm] of vertices after a rigid motion."""
+        rotation, translation = rigid_motion(skin.vertices, other.vertices)
+        aligned = skin.vertices @ rotation.T + translation
+        return float(np.linalg.norm(aligned - other.vertices, axis=1).mean())
+
+    here = away(space.skin(code))
+    if here <= SAME:
+        return
+    nearest = away(space.skin(nearest_code(space, skin)))
+    most = max(0.5 * (nearest + away(space.mean)), nearest + SAME)
+    if here > most:
+        raise InputError(
+            f"code: its skin is {here:.2g} mm from the skin given, expected at most {most:.2g} mm; do they belong "
+            "together? `nearest_code` finds a skin's code"
+        )

@@ -18,6 +18,7 @@ from typing import Protocol
 import numba
 import numpy as np
 
+from ..lhm.base.checks import number, real
 from ..lhm.base.errors import FitError, InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
@@ -40,6 +41,8 @@ PEOPLE, SEED = 96, 41
 """How many people looseness is learned from, and the seed that draws them."""
 RIDGE = 8.0
 """Of each coefficient of a code, whose numbers are of size one, in people."""
+FASTEST = 1e5
+"""[mm/s] Of a vertex: no head moves so fast."""
 TINY = 1e-9
 """Keeps logarithms of poles finite."""
 NOTHING = 0.02
@@ -171,13 +174,12 @@ class DynamicRig:
         """Put the face at rest in an expression, but moving at `velocity` [mm/s], (n, 3); returns the static skin.
 
         `base`: how the head was turned in the two frames before the first, the earlier first, (2, 3, 3), or one (3, 3)
-        for both; not turned if None. InputError for other shapes, and values that are not finite.
+        for both; not turned if None. InputError for other shapes, velocities beyond FASTEST, and what the rig raises.
         """
         turned = check_turns("base", np.eye(3) if base is None else base)
         skin = self._rig.frame(weights, blended)
-        moving = np.zeros_like(skin) if velocity is None else np.asarray(velocity, dtype=np.float32)
-        if moving.shape != skin.shape or not np.isfinite(moving).all():
-            raise InputError(f"velocity: expected finite values of the skin's shape {skin.shape}")
+        given = 0.0 * skin if velocity is None else real("velocity", velocity, skin.shape, most=FASTEST)
+        moving = np.asarray(given, dtype=np.float32)
         self._last[:] = skin[self._loose]
         self._before[:] = self._last - np.float32(self.time_step) * moving[self._loose]
         self._turns, self._begun, self._turning = turned, True, True
@@ -210,7 +212,8 @@ class DynamicRig:
 
 
 def dynamic_rig(rig: Rig, swing: Swings | None, time_step: float) -> DynamicRig:
-    """A rig's frames with inertia; InputError for one of which nothing is known."""
+    """A rig's frames with inertia; InputError for one of which nothing is known, and for no time step."""
+    number("time_step", time_step, above=0.0, unit="s")
     if swing is None:
         raise InputError(
             "dynamic: the weights do not tell where faces are loose; bind(exact=True) takes it of the head"

@@ -68,7 +68,7 @@ class Blendshapes(_Ready):
 
     def bind(self, face: Face) -> CorrectedRig:
         """Add nothing."""
-        return CorrectedRig(face.skin, face.shapes, lambda weights: np.float32(0.0))
+        return CorrectedRig(face.person.skin, face.shapes, lambda weights: np.float32(0.0))
 
 
 class BonesCarried(_Ready):
@@ -83,7 +83,7 @@ class BonesCarried(_Ready):
     def bind(self, face: Face) -> CorrectedRig:
         """Add zero where p scales no bone."""
         carried = self._heads.carry(face)
-        return CorrectedRig(face.skin, face.shapes, lambda weights: carried)
+        return CorrectedRig(face.person.skin, face.shapes, lambda weights: carried)
 
 
 class Derivatives(_Ready):
@@ -162,7 +162,7 @@ class CoarsePD(_Ready):
         def correct(weights: Floats32) -> Floats32:
             return simulated.correct(weights, iterations=self._iterations).astype(np.float32)
 
-        return CorrectedRig(face.skin, face.shapes, correct)
+        return CorrectedRig(face.person.skin, face.shapes, correct)
 
 
 class BakedShapes(_Ready):

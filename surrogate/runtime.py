@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.base.checks import check_arguments
+from ..lhm.base.checks import check_arguments, finite
 from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
@@ -23,6 +23,7 @@ from ..lhm.identities import LinearSpace
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
+from .codes import check_belonging
 from .corpus.face import Face
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
@@ -73,6 +74,7 @@ class Surrogate:
         """The parameters that a static frame follows, in the order of the columns of an array of them."""
         return STATIC
 
+    @check_arguments
     def bind(
         self,
         skin: Surface,
@@ -92,12 +94,14 @@ class Surrogate:
         what the 52 weights add [mm], shape (52, n, 3); by default the built-in space's, for another they are needed.
         With `exact`, offset and responses are the simulator's, on `head` or on one that is fitted to the skin (the
         default space's only), and the network adds what is not linear. `dynamic` frames follow p's frequency and
-        damping. Raises InputError for a skin of another template, a code of another size and parameters that are
-        refused, and what the simulator raises.
+        damping. Raises InputError for a skin of another template, unit, direction or order of vertices, for a code out
+        of range or of another person, and for parameters that are refused, and what the simulator raises.
         """
         self._check_skin(skin)
         weights = self.weights
         code = check_code(code, len(weights.code_mean))
+        if self.space == "anny":
+            check_belonging(self._people, code, skin)
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _within_seen(_at_vertices(chosen, weights.mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
@@ -189,7 +193,7 @@ class Surrogate:
             if self.space != "anny":
                 raise InputError("expressions: not known for the weights' space; bind needs expressions=")
             expressions = self._people.expression_deltas(code)
-        return check_shapes(expressions, len(self.weights.mean.vertices))
+        return check_shapes(expressions, self.weights.mean)
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -220,7 +224,7 @@ def derivatives_rig(head: LayeredHead, expressions: Floats, parameters: Paramete
     simulator raises.
     """
     chosen = Parameters() if parameters is None else parameters
-    shapes = check_shapes(expressions, len(head.skin.vertices))
+    shapes = check_shapes(expressions, head.skin)
     offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
     return BoundSurrogate(head.skin, FaceModes.linear(offset, responses), shapes, Swing.from_head(head, chosen))
 
@@ -273,7 +277,7 @@ class BoundSurrogate:
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
-            surface[:] = check_blended(blended, self._skin.shape)
+            surface[:] = check_blended(blended, self.skin)
             flat += self._offset
             add_combination(self._amplitudes, self._added, flat)
         return surface
@@ -281,8 +285,7 @@ class BoundSurrogate:
     def blend(self, weights) -> Floats32:
         """Linear blendshapes S_t [mm], shape (n, 3), without p."""
         surface = self._skin.copy()
-        shapes = self._expressions.reshape(WEIGHTS, -1)
-        add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
+        add_combination(check_weights(weights), self._expressions.reshape(WEIGHTS, -1), surface.reshape(-1))
         return surface
 
     def bake(self, rank: int = 64) -> BakedRig:
@@ -304,12 +307,7 @@ def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
             if column.ndim and column.shape != (faces,):
                 raise InputError(f"parameter {name}: expected one value, or one per face of the skin, ({faces},)")
     else:
-        values = np.asarray(parameters, dtype=np.float64)
-        if values.shape != (faces, len(STATIC)) or not np.isfinite(values).all():
-            raise InputError(
-                f"parameters: expected finite values of shape ({faces}, {len(STATIC)}), got {values.shape}"
-            )
-        columns = list(values.T)
+        columns = list(finite("parameters", parameters, (faces, len(STATIC))).T)
     normalised = np.empty((n, len(STATIC)))
     for k, (name, column) in enumerate(zip(STATIC, columns, strict=True)):
         info = Parameters.info(name)

@@ -45,7 +45,7 @@ class LiveFace:
         network = Surrogate.load()
         known = network.space == "anny" and np.array_equal(head.skin.triangles, network.weights.mean.triangles)
         code = nearest_code(identities.Anny(), head.skin, ridge=1e-6) if known else None
-        return cls(head, check_shapes(shapes, len(head.skin.vertices)).astype(np.float64), start, code)
+        return cls(head, check_shapes(shapes, head.skin).astype(np.float64), start, code)
 
     def blend(self, weights: Floats | Floats32) -> Floats:
         """Blend the shapes [mm], shape (n, 3), without p."""

@@ -74,6 +74,8 @@ def number(
 
 def array_of_kind(name: str, values: Any, kinds: str, words: str, *, error: Error = InputError) -> np.ndarray:
     """Return an array whose dtype is of these `kinds` (as "iu"); `words` say what was expected."""
+    if isinstance(values, np.ma.MaskedArray):  # numpy would take what is masked for numbers
+        raise error(f"{name}: expected {words}, got a masked array; fill it, or leave out what is masked")
     try:
         array = np.asarray(values)
     except (ValueError, TypeError, OverflowError):
@@ -249,6 +251,8 @@ def is_of_kind(value: object, kind: Any) -> bool:
     if kind is Any or isinstance(kind, TypeVar) or getattr(kind, "_is_protocol", False):
         return True
     if _is_array_kind(kind):
+        if isinstance(value, np.ma.MaskedArray):
+            return False
         try:
             return np.asarray(value).dtype.kind in "biuf"
         except (TypeError, ValueError):  # rows of several lengths, or what refuses to be an array

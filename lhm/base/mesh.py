@@ -18,8 +18,8 @@ Ints = NDArray[np.int64]
 def as_points(name: str, values, *, columns: int = 3) -> Floats:
     """Return a read-only float64 copy of shape (n, columns); MeshError names the first bad row."""
     try:
-        # numpy would drop imaginary parts, and read texts as numbers.
-        if np.asarray(values).dtype.kind not in "fiubO":
+        # numpy would drop masks and imaginary parts, and read texts as numbers.
+        if isinstance(values, np.ma.MaskedArray) or np.asarray(values).dtype.kind not in "fiubO":
             raise TypeError
         points = np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -41,8 +41,8 @@ def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
         raise MeshError(f"{name}: expected integers of shape (m, {corners}), rows of one length") from None
     if raw.ndim != 2 or raw.shape[1] != corners:
         raise MeshError(f"{name}: expected shape (m, {corners}), got {raw.shape}")
-    if raw.size and not np.issubdtype(raw.dtype, np.integer):
-        raise MeshError(f"{name}: expected integers, got {raw.dtype}")
+    if isinstance(values, np.ma.MaskedArray) or (raw.size and not np.issubdtype(raw.dtype, np.integer)):
+        raise MeshError(f"{name}: expected integers, got {type(values).__name__} of {raw.dtype}")
     # An empty array may be of any kind.
     elements = raw.astype(np.int64) if raw.size else np.zeros(raw.shape, np.int64)
     bad = np.flatnonzero(((elements < 0) | (elements >= n_vertices)).any(axis=1))

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..base.checks import check_arguments
+from ..base.checks import array_of_kind, check_arguments
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
 
@@ -117,10 +117,7 @@ class LinearSpace:
         return digest.hexdigest()[:16]
 
     def _checked(self, code) -> Floats:
-        try:
-            values = np.asarray(code, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"identity code: expected {self.code_size} numbers") from None
+        values = np.asarray(array_of_kind("identity code", code, "fiub", f"{self.code_size} numbers"), dtype=np.float64)
         if values.shape != (self.code_size,):
             raise InputError(
                 f"identity code: space {self.name!r} expects shape ({self.code_size},), got {values.shape}"

@@ -32,6 +32,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.flesh import LEAN_REGIONS, flesh_share
@@ -190,7 +191,7 @@ def measure_looseness(head: LayeredHead) -> Floats:
 
 def check_rotation(name: str, base) -> Floats:
     """Return a rotation of the head in the room, shape (3, 3), as float64; InputError, by its name, for another."""
-    rotation = np.asarray(base, dtype=np.float64)
+    rotation = np.asarray(array_of_kind(name, base, "fiub", "a rotation of numbers"), dtype=np.float64)
     if rotation.shape != (3, 3):
         raise InputError(f"{name}: expected a rotation of shape (3, 3), got {rotation.shape}")
     off = np.abs(rotation.T @ rotation - np.eye(3)).max() if np.isfinite(rotation).all() else np.inf
@@ -203,7 +204,7 @@ def check_rotation(name: str, base) -> Floats:
 
 def check_turns(name: str, base) -> Floats:
     """Return the rotations of two frames in their order, shape (2, 3, 3), from these or from one (3, 3) for both."""
-    pair = np.asarray(base, dtype=np.float64)
+    pair = array_of_kind(name, base, "fiub", "rotations of numbers")
     if pair.ndim == 3 and len(pair) != 2:
         raise InputError(f"{name}: expected one rotation (3, 3), or those of two frames (2, 3, 3), got {pair.shape}")
     return np.array([check_rotation(name, turn) for turn in (pair if pair.ndim == 3 else (pair, pair))])

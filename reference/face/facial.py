@@ -12,8 +12,9 @@ from typing import get_args
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
+from ...lhm.base.checks import array_of_kind, check_arguments
 from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry.likeness import check_moved
 from ...lhm.base.mesh import Floats, Ints
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .. import terms
@@ -38,8 +39,6 @@ OF_TETS = (
 )
 GAP = 0.1
 """What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
-FARTHEST = 200.0
-"""[mm] that an expression may be from the neutral skin: a chin goes down by some 50."""
 PD_ENERGY = "PD"
 """The law that is projective dynamics' own energy, Strain and Volume."""
 LAWS: dict[str, Callable[[float, float], Material]] = {"neo-Hookean": NeoHookean}
@@ -77,8 +76,8 @@ def facial_scene(
     whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart.
     `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is
     the soft tissue's beyond its strain limit: see `terms.Strain`.
-    Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
-    unknown or contradicting choices.
+    Raises SceneError for targets of another shape or that no expression makes of the skin, by unit, place or order of
+    vertices, and for unknown or contradicting choices.
     """
     targets = check_targets(head, targets)
     neutral = head.skin.vertices if neutral is None else check_targets(head, neutral, "neutral")
@@ -249,21 +248,12 @@ def _contact_triangles(head: LayeredHead, names: Sequence[str | np.ndarray]) -> 
 
 
 def check_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
-    """Return targets [mm] of the skin's shape, finite and near it; SceneError for others, by `name`."""
-    try:
-        targets = np.asarray(targets, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name}: expected numbers of shape {head.skin.vertices.shape}") from None
+    """Return targets [mm] of the skin's shape; SceneError, by `name`, for others and as of `check_moved`."""
+    words = f"numbers of shape {head.skin.vertices.shape}"
+    targets = np.asarray(array_of_kind(name, targets, "fiub", words, error=SceneError), dtype=np.float64)
     if targets.shape != head.skin.vertices.shape:
         raise SceneError(f"{name}: expected the skin's shape {head.skin.vertices.shape}, got {targets.shape}")
-    if not np.isfinite(targets).all():
-        raise SceneError(f"{name}: {np.count_nonzero(~np.isfinite(targets))} values are not finite")
-    away = np.linalg.norm(targets - head.skin.vertices, axis=1)
-    if away.max() > FARTHEST:
-        raise SceneError(
-            f"{name}: vertex {away.argmax()} is {away.max():.4g} mm from the neutral skin, expected at most "
-            f"{FARTHEST:g} mm; are its units off, or its place?"
-        )
+    check_moved(name, head.skin, targets, error=SceneError)
     return targets
 
 

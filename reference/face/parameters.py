@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments, finite
+from ...lhm.base.checks import array_of_kind, check_arguments, finite
 from ...lhm.base.errors import InputError, SceneError, escape, quote
 from ...lhm.base.files.text import read_toml
 from ...lhm.base.mesh import Floats, Surface
@@ -232,10 +232,7 @@ def _check_value(info: ParameterInfo, value: Any) -> float | Floats:
     """Return a parameter's value, a float or a read-only array (k,), within its range."""
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float, np.number, np.ndarray)):
         raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}")
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (OverflowError, TypeError, ValueError):
-        raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}") from None
+    array = np.array(array_of_kind(f"parameter {info.name}", value, "fiu", "a number"), dtype=np.float64)
     if array.ndim and not info.local:
         raise InputError(f"parameter {info.name}: one number for the whole head, got an array of shape {array.shape}")
     if array.ndim > 1 or array.size == 0:

@@ -203,7 +203,7 @@ def as_numbers(name: str, values) -> np.ndarray:
     """Return values as float64; SceneError for what are no numbers."""
     try:
         raw = np.asarray(values)
-        if raw.dtype.kind not in "iufO":
+        if raw.dtype.kind not in "iufO" or isinstance(values, np.ma.MaskedArray):
             raise TypeError
         return np.array(raw, dtype=np.float64)
     except (TypeError, ValueError):
@@ -220,8 +220,9 @@ def as_ids(name: str, values) -> Ints:
         array = np.flatnonzero(array)
     if array.size == 0 and array.ndim == 1:
         array = array.astype(np.int64)
-    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
-        raise SceneError(f"{name}: expected indices of shape (k,), got shape {array.shape} of {array.dtype}")
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or isinstance(values, np.ma.MaskedArray):
+        kind = type(values).__name__
+        raise SceneError(f"{name}: expected indices of shape (k,), got {kind} of shape {array.shape} of {array.dtype}")
     if len(np.unique(array)) != len(array):
         raise SceneError(f"{name}: an index appears twice")
     array = array.astype(np.int64)

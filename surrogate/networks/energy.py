@@ -191,7 +191,7 @@ class EnergyTrained:
             moved = still + np.tensordot(amplitudes, modes, axes=1)
             return moved if held is None else moved + np.tensordot(weights, held, axes=1)
 
-        return CorrectedRig(face.skin, face.shapes, correct)
+        return CorrectedRig(face.person.skin, face.shapes, correct)
 
     def _on_skin(self, head: LayeredHead) -> Floats32:
         wrap = self._modes.reshape(len(self._modes), -1, 3)[:, : len(head.bone)]

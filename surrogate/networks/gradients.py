@@ -136,7 +136,7 @@ class GradientRig:
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
         """Return the simulated skin [mm], shape (n, 3), for 52 ARKit weights; see `Rig.frame`."""
         weights, surface = check_weights(weights), check_out(out, self._skin.shape)
-        surface[:] = self.blend(weights) if blended is None else check_blended(blended, self._skin.shape)
+        surface[:] = self.blend(weights) if blended is None else check_blended(blended, self.skin)
         forces = np.zeros_like(surface)
         latents, latent = self._bound(weights)
         _latent_forces(latents, latent, surface, self._transfer.triangles, self._transfer.stiffness, forces)
@@ -146,7 +146,7 @@ class GradientRig:
     def blend(self, weights) -> Floats32:
         """Return linear blendshapes S_t [mm], shape (n, 3), without p."""
         surface = self._skin.copy()
-        add_combination(np.asarray(weights, dtype=np.float32), self._shapes, surface.reshape(-1))
+        add_combination(check_weights(weights), self._shapes, surface.reshape(-1))
         return surface
 
     def bake(self, rank: int = 64) -> NoReturn:

@@ -65,7 +65,7 @@ class Ridge:
             motion: Floats32 = self._centre + (rows @ self._coefficients).astype(np.float32) @ self._basis
             return motion.reshape(face.skin.shape)
 
-        return CorrectedRig(face.skin, face.shapes, correct)
+        return CorrectedRig(face.person.skin, face.shapes, correct)
 
     def _rows(self, face: Face, weights) -> Floats:
         summary = np.tile(self._inputs.summary_of(face), (len(weights), 1))

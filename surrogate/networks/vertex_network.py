@@ -94,4 +94,4 @@ class VertexNetwork(ABC):
             moved: Floats32 = self.answer(self.arrays, bound, weights[None])[0]
             return self._size * moved
 
-        return CorrectedRig(face.skin, face.shapes, correct)
+        return CorrectedRig(face.person.skin, face.shapes, correct)

@@ -29,6 +29,8 @@ from .recurrence import LearnedRecurrence
 
 CHECKS = {"modal": check_modal} | {kind: form.check for kind, form in FORMS.items()}
 """What checks the arrays of each kind of network: the run time indexes them without looking."""
+UNSEALED = "0" * 64
+"""What stands for a checksum while it is computed."""
 FARTHEST = 1e5
 """[mm] Of any vertex or pivot, and of a number of a code: a hundred metres."""
 
@@ -114,8 +116,8 @@ class Weights:
             learned = self.recurrence.network.items()
             arrays |= {f"recurrence.{name}": np.ascontiguousarray(value, dtype=np.float32) for name, value in learned}
             arrays["recurrence.pivot"] = np.ascontiguousarray(self.recurrence.pivot, dtype=np.float64)
-        about["checksum"] = _checksum(arrays)
-        write_whole(Path(path), save(arrays, metadata={"softdeca": json.dumps(about)}))
+        about["checksum"] = UNSEALED
+        write_whole(Path(path), seal(save(arrays, metadata={"softdeca": json.dumps(about)})))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Weights:
@@ -132,10 +134,11 @@ class Weights:
                 raise InputError(f"format {quote(about['format'])!r}, this version reads {', '.join(formats)}")
             if tuple(about["parameters"]) != STATIC:
                 raise InputError("of other parameters than this version has; train them anew")
-            arrays = load(content)
-            if about.get("checksum", checksum := _checksum(arrays)) != checksum:
-                raise InputError("their numbers do not match their checksum")
-            return cls._from_arrays(formats[about["format"]], about, arrays)
+            if "checksum" not in about:
+                raise InputError("without a checksum")
+            if _digest(content, said := text("checksum", about["checksum"])) != said:
+                raise InputError("their content does not match their checksum")
+            return cls._from_arrays(formats[about["format"]], about, load(content))
         except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
             said = escape(" ".join(str(error).split()))[:200] or type(error).__name__
             raise InputError(f"weights {path}: damaged, or no weights of softdeca ({said})") from None
@@ -163,7 +166,7 @@ class Weights:
 
 
 def _format(kind: str) -> str:
-    return f"softdeca-{kind.replace(' ', '-')}-3"
+    return f"softdeca-{kind.replace(' ', '-')}-4"
 
 
 def _stored_type(name: str, value: np.ndarray) -> type:
@@ -172,13 +175,14 @@ def _stored_type(name: str, value: np.ndarray) -> type:
     return np.float16 if np.ndim(value) > 1 else np.float32
 
 
-def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 over names, types, shapes and bytes of all arrays."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape};".encode())
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return digest.hexdigest()
+def seal(content: bytes) -> bytes:
+    """Put the checksum of a whole file, header included, in the place of its zeros."""
+    return content.replace(UNSEALED.encode(), _digest(content, UNSEALED).encode(), 1)
+
+
+def _digest(content: bytes, checksum: str) -> str:
+    """SHA-256 of a file in which zeros stand for its checksum."""
+    return hashlib.sha256(content.replace(checksum.encode(), UNSEALED.encode(), 1)).hexdigest()
 
 
 def _read_note(said: Mapping[str, Any]) -> TrainingNote:

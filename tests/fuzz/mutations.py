@@ -14,7 +14,7 @@ import numpy as np
 from safetensors.numpy import load, save
 
 from softdeca.surrogate.corpus.shard import TABLES, Shard
-from softdeca.surrogate.networks.weights import _checksum as weights_checksum
+from softdeca.surrogate.networks.weights import UNSEALED, seal
 
 from ..robustness.whole_files import glb, glb_words
 
@@ -308,21 +308,19 @@ def _checksum(file: h5py.File) -> str:
 
 
 def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
+    """Weights whose arrays or words are others, mostly with a right checksum."""
     size = int.from_bytes(content[:8], "little")
     head = json.loads(content[8 : 8 + size])
-    about = head["__metadata__"]["softdeca"]
+    about = json.loads(head["__metadata__"]["softdeca"])
+    if rng.random() < 0.8:
+        about["checksum"] = UNSEALED
     if rng.random() < 0.5:
-        arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
-        said = json.loads(about)
-        arrays = {
-            name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")) for name, array in arrays.items()
-        }
-        if rng.random() < 0.9:
-            said["checksum"] = weights_checksum(arrays)
-        return save(arrays, metadata={"softdeca": json.dumps(said)})
-    if rng.random() < 0.5:
-        head["__metadata__"]["softdeca"] = of_json(about.encode(), rng).decode()
+        changed_arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
+        arrays = {k: np.ascontiguousarray(v, dtype=v.dtype.newbyteorder("=")) for k, v in changed_arrays.items()}
+        return seal(save(arrays, metadata={"softdeca": json.dumps(about)}))
+    if rng.random() < 0.7:
+        head["__metadata__"]["softdeca"] = of_json(json.dumps(about).encode(), rng).decode()
         text = json.dumps(head).encode()
     else:
         text = of_json(json.dumps(head).encode(), rng)
-    return len(text).to_bytes(8, "little") + text + content[8 + size :]
+    return seal(len(text).to_bytes(8, "little") + text + content[8 + size :])

@@ -15,7 +15,7 @@ from softdeca.lhm.base.files.atomic import replaced
 from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.fit import is_upright
 from softdeca.lhm.head_file import load_head, save_head
-from softdeca.reference import Parameters, Scene, facial_scene, terms
+from softdeca.reference import Parameters, Scene, facial_scene, settle, terms
 from softdeca.surrogate.corpus.plan import PRESETS
 
 from ..refusals import refused
@@ -279,6 +279,10 @@ def fixed_at(vertex):
     return Scene(CORNERS, [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([vertex])])
 
 
+def with_targets(head, move):
+    return facial_scene(head, Parameters(), move(head.skin.vertices))
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -287,8 +291,22 @@ def fixed_at(vertex):
         (lambda head: fixed_at(-1), r"term 1 \(Fixed\): vertex -1 is outside 0..3"),
         (lambda head: facial_scene(head, Parameters(), head.skin.vertices[:-1]), "targets: expected the skin's shape"),
         (lambda head: facial_scene(head, Parameters(), head.skin.vertices * np.nan), "targets: .* not finite"),
-        (lambda head: facial_scene(head, Parameters(), head.skin.vertices + 201.0), "targets: .*200 mm"),
-        (lambda head: facial_scene(head, Parameters(), head.skin.vertices * 1e9), "targets: .*200 mm"),
+        (lambda head: Scene(np.ma.masked_array(CORNERS, False), [[0, 1, 2, 3]], []), "vertices: expected numbers"),
+        (
+            lambda head: Scene(CORNERS, np.ma.masked_array([[0, 1, 2, 3]], True), []),
+            "tets: expected integers, got Masked",
+        ),
+        (lambda head: terms.Strain(np.ma.masked_array([1.0, 2.0])), "stiffness: expected numbers"),
+        (lambda head: Parameters(soft_volume=np.ma.masked_array([1.0, 1.1])), "soft_volume: .* masked array"),
+        (lambda head: Parameters(soft_volume=np.array([1.0 + 1j])), "soft_volume: expected a number, got complex128"),
+        (lambda head: with_targets(head, lambda x: x + 101.0), "targets: .*at most 100 mm"),
+        (lambda head: with_targets(head, lambda x: x * 1e9), "targets: 1e.09 times as large as the neutral skin"),
+        (lambda head: with_targets(head, lambda x: x / 1000), "targets: 0.001 times as large .* are its units off"),
+        (lambda head: with_targets(head, lambda x: x / 25.4), "targets: 0.0394 times as large"),
+        (lambda head: with_targets(head, lambda x: x * [-1, 1, 1]), "targets: its likeness .* is it mirrored"),
+        (lambda head: with_targets(head, lambda x: x[::-1]), "targets: its likeness"),
+        (lambda head: with_targets(head, lambda x: np.ma.masked_less(x, 0.0)), "targets: expected an array of numbers"),
+        (lambda head: settle(head, Parameters()).scene(head.skin.vertices / 10), "targets: 0.1 times as large"),
     ],
 )
 def test_a_bad_scene_is_named_in_one_line(sphere_head, make, message):

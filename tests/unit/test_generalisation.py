@@ -60,7 +60,7 @@ class Watching:
             self.weights.append(weights)
             return np.zeros(face.skin.shape, dtype=np.float32)
 
-        return CorrectedRig(face.skin, face.shapes, correct)
+        return CorrectedRig(face.person.skin, face.shapes, correct)
 
 
 @pytest.fixture(scope="module")

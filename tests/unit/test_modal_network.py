@@ -95,6 +95,14 @@ def shapes():
     return SPACE.expression_deltas(np.zeros(SPACE.code_size))
 
 
+TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+SHUFFLED = np.random.default_rng(0).permutation(N)
+
+
+def moved_skin(move):
+    return SPACE.mean.with_vertices(move(SPACE.mean.vertices))
+
+
 def bound(surrogate, **changes):
     arguments = {"skin": SPACE.mean, "code": np.zeros(SPACE.code_size), "parameters": Parameters()}
     return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
@@ -432,15 +440,27 @@ def test_weights_outside_their_range_are_clipped_and_counted(surrogate):
     [
         ({"skin": Spheres(2).mean}, "skin: 162 vertices, .* has 42"),
         ({"skin": Surface(SPACE.mean.vertices, SPACE.mean.triangles[::-1])}, "its triangles are not"),
-        ({"code": np.zeros(3)}, "code: expected 4"),
-        ({"code": np.full(4, np.nan)}, "code: expected 4 finite"),
-        ({"parameters": np.zeros((5, len(STATIC)))}, r"parameters: expected finite values of shape \(80, "),
+        ({"skin": moved_skin(lambda x: x / 1000)}, "skin: not of the size"),
+        ({"skin": moved_skin(lambda x: x @ TURN)}, "skin: .* or turned from it"),
+        ({"skin": moved_skin(lambda x: x * [-1, 1, 1])}, "skin: .*turned|skin: its likeness"),
+        ({"skin": moved_skin(lambda x: x[::-1])}, "skin: .*turned|skin: its likeness"),
+        ({"skin": moved_skin(lambda x: np.roll(x, 1, axis=0))}, "skin: .*turned|skin: its likeness"),
+        ({"code": np.zeros(3)}, r"code: expected shape \(4,\)"),
+        ({"code": np.full(4, np.nan)}, "code: 4 values are not finite"),
+        ({"code": np.full(4, 1e9)}, "code: 1e\\+09 at 0; expected -4..4"),
+        ({"code": np.zeros(4) + 1j}, "bind: code: expected an array of numbers"),
+        ({"parameters": np.zeros((5, len(STATIC)))}, r"parameters: expected shape \(80, "),
         ({"parameters": np.zeros((80, len(STATIC)))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
         ({"parameters": Parameters(soft_volume=np.ones(7))}, "soft_volume: expected one value, or one per face"),
-        ({"expressions": np.zeros((51, N, 3))}, "expressions: expected finite"),
-        ({"expressions": np.full((52, N, 3), np.nan)}, "expressions: expected finite"),
+        ({"expressions": np.zeros((51, N, 3))}, "expressions: expected shape"),
+        ({"expressions": np.full((52, N, 3), np.nan)}, "expressions: .* not finite"),
+        ({"expressions": 1e4 * shapes()}, "expressions: .* too large; expected at most 100"),
+        ({"expressions": shapes() / 1000}, "expressions: the largest moves by 0.0.* mm"),
+        ({"expressions": shapes()[:, SHUFFLED]}, "expressions: .* moves neighbours apart"),
+        ({"expressions": np.ma.masked_greater(shapes(), 1)}, "expressions: expected an array of numbers or None"),
+        ({"exact": "yes"}, "exact: expected True or False"),
+        ({"head": SPACE.mean}, "head: expected a LayeredHead"),
     ],
-    ids=["vertices", "triangles", "code size", "code", "shape", "range", "field", "shapes", "NaN"],
 )
 def test_bad_bindings_are_named(surrogate, changes, message):
     with pytest.raises(InputError, match=message):
@@ -452,11 +472,21 @@ def test_bad_bindings_are_named(surrogate, changes, message):
     [
         (np.zeros(51), {}, "the 52 of ARKit"),
         (np.r_[np.zeros(51), np.nan], {}, "number 51 is not finite"),
+        ("jawOpen", {}, "weights: expected the 52 of ARKit as numbers"),
+        ({"jawOpen": 1}, {}, "weights: expected the 52 of ARKit as numbers"),
+        (np.zeros(52) + 1j, {}, "weights: expected the 52 of ARKit as numbers, got complex128"),
+        (np.ma.masked_array(np.zeros(52)), {}, "weights: .*masked array"),
         (np.zeros(52), {"blended": np.zeros((41, 3))}, "blended: expected"),
-        (np.zeros(52), {"blended": np.full((N, 3), np.inf)}, "blended: expected finite"),
-        (np.zeros(52), {"out": np.zeros((N, 3))}, "out: expected contiguous float32"),
+        (np.zeros(52), {"blended": "skin"}, "blended: expected"),
+        (np.zeros(52), {"blended": np.full((N, 3), np.inf)}, "blended: .* not finite"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices / 1000}, "blended: 0.001 times as large"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices * [-1, 1, 1]}, "blended: its likeness"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices[SHUFFLED]}, "blended: its likeness"),
+        (np.zeros(52), {"blended": SPACE.mean.vertices + 100}, "blended: vertex .* mm from the neutral skin"),
+        (np.zeros(52), {"out": np.zeros((N, 3))}, "out: expected a contiguous, writeable array of float32"),
+        (np.zeros(52), {"out": np.broadcast_to(np.float32(0), (N, 3))}, "out: expected a contiguous, writeable"),
+        (np.zeros(52), {"out": [0.0]}, "out: expected a contiguous, writeable"),
     ],
-    ids=["size", "NaN", "blended", "infinite", "out"],
 )
 def test_bad_frames_are_named(surrogate, given, options, message):
     with pytest.raises(InputError, match=message):
@@ -543,11 +573,22 @@ def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, 
         Weights.load(path)
 
 
-def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content[:-1000] + bytes([content[-1000] ^ 1]) + content[-999:], "does not match"),
+        (lambda content: content.replace(b'"people\\": ', b'"people\\": 1'), "does not match|no weights"),
+        (lambda content: content.replace(b"[-1.0, 1.0]", b"[-0.9, 1.0]", 1), "does not match their checksum"),
+        (lambda content: content.replace(b'space\\"', b'spacE\\"', 1), "does not match their checksum"),
+        (lambda content: content.replace(b"checksum", b"checksun", 1), "without a checksum"),
+    ],
+    ids=["a number", "a longer header", "what was seen", "a name", "none"],
+)
+def test_a_changed_file_of_weights_is_found_by_its_checksum(weights, tmp_path, change, words):
     path = tmp_path / "modal.safetensors"
     weights.save(path)
-    content = bytearray(path.read_bytes())
-    content[-1000] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="their numbers do not match their checksum"):
+    before = path.read_bytes()
+    path.write_bytes(change(before))
+    assert path.read_bytes() != before
+    with pytest.raises(InputError, match=words):
         Weights.load(path)
