@@ -21,7 +21,7 @@ from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import Face, Frames
 from .corpus.plan import Split
 from .corpus.reading import Faces, Row, Table
-from .corpus.references import FEM_LAWS
+from .corpus.shard import FEM_LAWS
 from .heads import BindCosts, Heads
 from .methods import Method, Takes
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of

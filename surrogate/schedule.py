@@ -10,6 +10,8 @@ import logging
 import os
 import re
 import signal
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -179,7 +181,7 @@ def _processes(workers: int) -> Iterator[Client]:
             scheduler_kwargs={"dashboard_address": ":0"},  # its own port, or a second cluster would warn of the first
             silence_logs=logging.CRITICAL,
         )
-    with cluster, Client(cluster) as client:
+    with _ended_by_sigterm(), cluster, Client(cluster) as client:
         try:
             yield client
         finally:
@@ -188,6 +190,19 @@ def _processes(workers: int) -> Iterator[Client]:
                 nanny.auto_restart = False
                 if nanny.pid is not None:
                     os.kill(nanny.pid, signal.SIGKILL)
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end the process by SystemExit, so that processes and semaphores are given back first."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

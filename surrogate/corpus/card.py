@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from datetime import date
@@ -16,23 +15,30 @@ import numpy as np
 
 from ...lhm.base.files.atomic import replaced
 from ...lhm.base.mesh import Floats
-from .folder import Corpus, CorpusStatus
+from ...lhm.identities import TransferredSpace
+from ..sphere import Spheres
+from .folder import Corpus, CorpusStatus, shorten_reason
 from .mixture import KINDS
-from .shard import ACCEPTED, TABLES, read_arrays_of
+from .people import OfSpace, People
+from .shard import ACCEPTED, TABLES, columns_of, read_arrays_of
 
 QUARTERS = (5, 25, 50, 75, 95)
 LICENCE = "cc0-1.0"
-"""Of a corpus of the default head, whose data is CC0 as well; of other heads it is for their owners to say."""
+"""Of a corpus of the default head, whose data is CC0 as well, and of spheres."""
+OTHER = "other"
+OWNERS = "The owners of the heads that it was made of say its licence."
 CROISSANT = "http://mlcommons.org/croissant/1.0"
 
 
-def write_card(corpus: Corpus, *, licence: str = LICENCE, machine: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def write_card(
+    corpus: Corpus, *, licence: str | None = None, machine: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Write README.md, figures.json and croissant.json into the corpus' folder; return the figures of the card.
 
-    `machine`, where and with what it was made, is kept in figures.json.
+    `licence`: by default that of the people. `machine`, where and with what it was made, is kept in figures.json.
     Raises InputError for shards that are damaged, and where a file cannot be written.
     """
-    status = corpus.status()
+    status, licence = corpus.status(), licence or licence_of(corpus.people)
     figures = corpus_figures(corpus, status)
     with replaced(corpus.folder / "README.md") as temporary:
         temporary.write_text(card_text(corpus, status, figures, licence), encoding="utf-8")
@@ -44,6 +50,12 @@ def write_card(corpus: Corpus, *, licence: str = LICENCE, machine: Mapping[str, 
     with replaced(corpus.folder / "croissant.json") as temporary:
         temporary.write_text(json.dumps(croissant(corpus, licence), indent=1), encoding="utf-8")
     return figures
+
+
+def licence_of(people: People) -> str:
+    """Return the licence of a corpus of these people."""
+    free = isinstance(people, OfSpace) and isinstance(people.space, (TransferredSpace, Spheres))
+    return LICENCE if free else OTHER
 
 
 def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
@@ -65,7 +77,7 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
     gathered = {key: np.concatenate(values) for key, values in moved.items()}
     reasons: dict[str, int] = {}
     for rejection in status.rejected:
-        reason = re.sub(r"[0-9.]*[0-9]", "N", rejection.reason)[:80]
+        reason = shorten_reason(rejection.reason)
         reasons[reason] = reasons.get(reason, 0) + 1
     return {
         "frames": {key: len(values) for key, values in gathered.items()},
@@ -100,7 +112,10 @@ def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], lic
     )
     counts = "\n".join(f"| {table} | {status.asked[table]} | {status.accepted[table]} |" for table in status.asked)
     rejected = "\n".join(f"| {reason} | {count} |" for reason, count in figures["rejected"].items()) or "| none | 0 |"
-    fields_ = "\n".join(f"- **{table}**: {' '.join((kind.__doc__ or '').split())}" for table, kind in TABLES.items())
+    fields_ = "\n".join(
+        f"- **{table}**: {' '.join((kind.__doc__ or '').split())} Ranges: {_ranges(kind)}."
+        for table, kind in TABLES.items()
+    )
     rate = figures["frames_per_core_hour"]
     speed = "not measured" if rate is None else f"{rate:.0f}"
     hours = figures["core_hours"]
@@ -119,7 +134,9 @@ blendshapes (S) of random people under random materials and effects. Made by sof
 of seed {plan.seed}; the same plan gives the same bytes on one kind of machine.
 
 {status.identities_done} of {status.identities} people of `{corpus.people.name}`, {tested} of them in test. Test
-shares no person, no parameter set and no recording with training. Speech and conversations are synthetic.
+shares no person, no parameter set and no recording with training. Speech and conversations are synthetic.{
+        "" if licence != OTHER else f" {OWNERS}"
+    }
 
 | table | frames or rows made | accepted |
 |---|---|---|
@@ -152,6 +169,12 @@ processor seconds that it took, which differ between runs.
 
 {fields_}
 """
+
+
+def _ranges(kind: type) -> str:
+    """Join the ranges of a table's columns, which `intact` checks."""
+    told = {name: column.describe_range() for name, column in columns_of(kind).items()}
+    return "; ".join(f"{name} {words}" for name, words in told.items() if words)
 
 
 def _category(frames: int) -> str:
@@ -192,7 +215,7 @@ def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
         "description": "Simulated faces after SoftDECA: T - S of random people, materials, effects and expressions. "
         f"Each shard has tables of arrays. {_tables()}",
         "conformsTo": CROISSANT,
-        "license": f"https://spdx.org/licenses/{licence.upper()}.html",
+        "license": f"https://spdx.org/licenses/{licence.upper()}.html" if licence != OTHER else OWNERS,
         "citeAs": "Wagner, Schwanecke, Botsch: SoftDECA. MIG '23. https://doi.org/10.1145/3623264.3624439",
         "datePublished": date.today().isoformat(),
         "version": "1.0.0",

@@ -68,6 +68,11 @@ class External:
         return f"{self.other.name}-in-{self.own.name}"
 
     @property
+    def code_size(self) -> int:
+        """The default space's."""
+        return self.own.code_size
+
+    @property
     def mean(self) -> Surface:
         """The default space's mean skin [mm]."""
         return self.own.mean

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -17,11 +19,12 @@ import numpy as np
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import check_manifest, lock_folder
+from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.sequence import Velocities
 from ..schedule import Schedule, run_items
 from ..surface_hash import surface_hash
-from .intact import check_person, read_intact
+from .intact import check_intact, check_shard, read_intact
 from .manifest import MANIFEST, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
@@ -90,10 +93,24 @@ class Corpus:
     ):
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
-        self.manifest = describe_simulation(plan, people) | {"format": FORMAT}
+        self._named = describe_simulation(plan, people) | {"format": FORMAT}
         if (self.folder / MANIFEST).exists():
             self._check_plan(read_manifest(self.folder))
-            check_manifest(self.folder / MANIFEST, "corpus", self.manifest)
+            check_manifest(self.folder / MANIFEST, "corpus", self._named)
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """What the folder's corpus.json says, or will say."""
+        said = self._named | {
+            "parameters": list(NAMES),
+            "code_size": self.people.code_size,
+            "content": json.loads(self.plan.to_json()),
+            "tested": self.plan.tested,
+            "pools": self.plan.pools,
+            "takes": str(Path(self.plan.takes).resolve()) if self.plan.takes else "",
+            "made_with": self._made_with,
+        }
+        return Manifest(self.folder, said, self.plan, self._made_with)
 
     def _check_plan(self, kept: Manifest) -> None:
         """Raise InputError, naming each field that differs, where the folder's corpus is of another plan."""
@@ -110,11 +127,11 @@ class Corpus:
     @property
     def owner(self) -> str:
         """What each shard names as its corpus."""
-        return "-".join(map(str, self.manifest.values()))
+        return self.manifest.owner
 
     def shard_path(self, identity: int) -> Path:
         """Return the place of a person's shard."""
-        return shard_path(self.folder, identity)
+        return self.manifest.shard_path(identity)
 
     def people_there(self) -> list[int]:
         """List the numbers of people whose shards are there, usable or not."""
@@ -123,8 +140,8 @@ class Corpus:
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
-        Raises InputError where another generation runs in the folder or it cannot be written, and SoftdecaError if a
-        worker dies again and again.
+        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed
+        meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
             for left in self.folder.glob(PARTIAL):
@@ -136,7 +153,16 @@ class Corpus:
             rate = _Rate(self.plan, len(pending), on_progress)
             for seconds in run_items(self.make, pending, on=on, name="corpus"):
                 rate.add(seconds)
-        return self.status()
+            status = self.status(on_progress=on_progress)
+            if status.identities_done + len(status.damaged) < status.identities:
+                raise self._removed(status.identities_done)
+        return status
+
+    def _removed(self, done: int) -> InputError:
+        return InputError(
+            f"{self.folder}: files were removed while the corpus was made, {done} of {self.plan.identities} people are "
+            "there; run again"
+        )
 
     def _order(self) -> list[int]:
         """Order all people, those in test spread among the others: a part of a corpus can be learned from, too."""
@@ -151,9 +177,15 @@ class Corpus:
 
     def make(self, identity: int) -> float:
         """Simulate one person and write the shard; returns the processor seconds that it took."""
+        if not (self.folder / MANIFEST).exists():
+            raise self._removed(len(self.people_there()))
         begin = time.process_time()
         velocities = self._velocities() if self.plan.sequences else None
         shard = simulate_person(self.plan, self.people, identity, velocities)
+        try:
+            check_shard(shard, self.manifest, self.people.mean, identity)
+        except InputError as error:
+            raise InputError(f"person {identity}: {error}") from None
         write_shard(self.shard_path(identity), shard, self.owner)
         return time.process_time() - begin
 
@@ -175,28 +207,15 @@ class Corpus:
 
     def shard(self, identity: int) -> Shard:
         """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
-        n = len(self.people.mean.vertices)
-        return read_intact(self.shard_path(identity), self.owner, self.plan, identity, n)
+        return read_intact(self.manifest, self.people.mean, identity)
 
-    def verify(self, *, on_progress: OnProgress = silent) -> None:
-        """Check every shard; InputError names the first that is missing or damaged: see `verify_folder`."""
-        verify_folder(self.folder, on_progress=on_progress)
-
-    def status(self) -> CorpusStatus:
+    def status(self, *, on_progress: OnProgress = silent) -> CorpusStatus:
         """Count what is there: see `read_status`."""
-        return read_status(self.folder, self.plan, self.owner)
+        return read_status(self.manifest, self.people.mean, on_progress=on_progress)
 
     def _write_manifest(self):
-        content = self.manifest | {
-            "parameters": list(NAMES),
-            "content": json.loads(self.plan.to_json()),
-            "tested": self.plan.tested,
-            "pools": self.plan.pools,
-            "takes": str(Path(self.plan.takes).resolve()) if self.plan.takes else "",
-            "made_with": self._made_with,
-        }
         write_template(self.folder, self.people.mean)
-        write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
+        write_whole(self.folder / MANIFEST, json.dumps(self.manifest.said, indent=1).encode())
 
 
 def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -206,30 +225,32 @@ def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
 
 
-def read_status(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
-    """Count what is there, and list what was rejected or is damaged, in the folder of a corpus by its plan and name.
+def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = silent) -> CorpusStatus:
+    """Count what is there, and list what was rejected or is damaged, in a corpus with this mean skin.
 
-    Only small arrays are read, unchecked; see `verify_folder`.
+    Every shard is read whole, once per process; see `intact`.
     """
+    plan, owner = manifest.counts, manifest.owner
     tables = ("groups", "statics", "sequences", "references")
     asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
     rejected, damaged, done, size = [], [], 0, 0
     versions: dict[str, int] = {}
     timed: list[dict[str, float]] = []
-    names = [f"{table}/status" for table in tables] + ["groups/number", "responses/group", "sequences/iterations"]
+    names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
     for identity in range(plan.identities):
-        path = shard_path(folder, identity)
+        path = manifest.shard_path(identity)
         if not path.exists():
             continue
         try:
+            check_intact(manifest, mean, identity)
             arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
-            check_person(arrays["groups/number"], plan.parameter_numbers(identity))
         except InputError as error:
             damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
             continue
         done, size = done + 1, size + path.stat().st_size
         versions[label.version] = versions.get(label.version, 0) + 1
         timed.append(spent)
+        on_progress("check", (identity + 1) / plan.identities)
         for table in tables:
             status = arrays[f"{table}/status"]
             each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
@@ -247,19 +268,14 @@ def read_status(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
 def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
     """Read every shard of a corpus whole, and return how many there are.
 
-    InputError names the first that is missing, damaged, or of another corpus or person; see `intact`.
+    InputError names the first that is missing, damaged, or of another corpus or person, or the template; see `intact`.
     """
-    manifest, n = read_manifest(folder), len(read_template(folder).vertices)
+    manifest, mean = read_manifest(folder), read_template(folder)
     people = manifest.counts.identities
     for identity in range(people):
-        read_intact(shard_path(manifest.folder, identity), manifest.owner, manifest.counts, identity, n)
+        read_intact(manifest, mean, identity)
         on_progress("verify", (identity + 1) / people)
     return people
-
-
-def shard_path(folder: Path, identity: int) -> Path:
-    """Return the place of a person's shard in a corpus' folder."""
-    return folder / f"person-{identity:05d}.h5"
 
 
 def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
@@ -298,11 +314,17 @@ class _Rate:
         left = wall / self._done * self._left
         self._progress(
             f"corpus: {people} of {self._plan.identities} people, {frames:.0f} static frames a core-hour with all that "
-            f"belongs to them, {_duration(left)} left",
+            f"belongs to them, {describe_duration(left)} left",
             people / self._plan.identities,
         )
 
 
-def _duration(seconds: float) -> str:
+def shorten_reason(reason: str) -> str:
+    """Return the reason of a rejection without its numbers, which differ from row to row."""
+    return re.sub(r"[0-9.]*[0-9]", "N", reason)[:80]
+
+
+def describe_duration(seconds: float) -> str:
+    """Return seconds as minutes, or as hours and minutes."""
     minutes = int(seconds / 60.0 + 0.5)
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -1,6 +1,6 @@
-"""Shards that readers may trust: of their corpus and person, whole, and of arrays that fit together.
+"""Shards that readers may trust: of their corpus and person, whole, and of numbers that a simulation can have.
 
-A shard is read once per process and file for this, some 12 ms a megabyte: later readers of the same file trust it.
+A shard is read once per process and file for this, some 2 ms a megabyte: later readers of the same file trust it.
 """
 
 from __future__ import annotations
@@ -10,35 +10,43 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.base.checks import array_of_kind, in_range, indices_below, integers, real, shape
-from ...lhm.base.errors import InputError
-from .plan import CorpusPlan
-from .shard import ACCEPTED, TABLES, VERTICES, Shard, columns_of, read_shard
+from ...lhm.base.checks import in_range, indices_below, integers, one_of, shape
+from ...lhm.base.errors import InputError, quote
+from ...lhm.base.mesh import Surface
+from .manifest import Manifest
+from .mixture import NAMES
+from .shard import ACCEPTED, CODE, TABLES, VERTICES, Column, Groups, Sequences, Shard, columns_of, read_shard
+from .simulator import UNDIFFERENTIATED
 
 REMEDY = "`softdeca corpus generate` makes it anew"
-Key = tuple[str, str, int, int, int, int, int]
-"""Path, corpus, person, vertices; and inode, size and time of change of the file."""
+UNLIKE = 0.5
+"""Most of the root mean square distance of a person's skin from the mean one, over the mean skin's from its middle."""
+ROUNDED = 1e-3
+"""Of float32: of a rotation's scalar products, and of a parameter's place in its range."""
+ONCE = {"responses": ("group",), "parameter_responses": ("group", "name"), "references": ("static", "law")}
+"""Columns whose rows differ from one another."""
+Key = tuple[str, str, int, int, int, int]
+"""Path, corpus, person; and inode, size and time of change of the file."""
 _intact: set[Key] = set()
 """The files that this process has checked."""
 
 
-def check_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> None:
+def check_intact(manifest: Manifest, mean: Surface, identity: int) -> None:
     """Check a person's shard once per process: see `read_intact`."""
-    key = _key(path, owner, identity, vertices)
+    key = _key(manifest, identity)
     if key is None or key not in _intact:
-        read_intact(path, owner, plan, identity, vertices)
+        read_intact(manifest, mean, identity)
 
 
-def read_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> Shard:
-    """Read a person's shard and check it: checksum, corpus, person, and shapes and indices for so many vertices.
+def read_intact(manifest: Manifest, mean: Surface, identity: int) -> Shard:
+    """Read a person's shard of a corpus with this mean skin, and check it: checksum, corpus, person and `check_shard`.
 
     Raises InputError naming the file and the array.
     """
-    before = _key(path, owner, identity, vertices)
-    shard = read_shard(path, owner)
+    before, path = _key(manifest, identity), manifest.shard_path(identity)
+    shard = read_shard(path, manifest.owner)
     try:
-        _check_arrays(shard, vertices)
-        check_person(shard.groups.number, plan.parameter_numbers(identity))
+        check_shard(shard, manifest, mean, identity)
     except InputError as error:
         raise InputError(f"shard {path}: {error}; {REMEDY}") from None
     if before is not None:
@@ -53,35 +61,104 @@ def check_person(stored: np.ndarray, numbers: list[int]) -> None:
         raise InputError(f"of another person, with parameter sets {kept[:3]}, expected {numbers[:3]}")
 
 
-def _key(path: Path, owner: str, identity: int, vertices: int) -> Key | None:
+def _key(manifest: Manifest, identity: int) -> Key | None:
+    path: Path = manifest.shard_path(identity)
     try:
         state = path.stat()
     except OSError:
         return None
-    return str(path.resolve()), owner, identity, vertices, state.st_ino, state.st_size, state.st_mtime_ns
+    return str(path.resolve()), manifest.owner, identity, state.st_ino, state.st_size, state.st_mtime_ns
 
 
-def _check_arrays(shard: Shard, vertices: int) -> None:
-    """Check each column's shape, range and indices; numbers of rows that are not accepted are not used."""
+def check_shard(shard: Shard, manifest: Manifest, mean: Surface, identity: int) -> None:
+    """Check each column's kind, shape and range, and what columns have to do with one another.
+
+    Numbers of rows that are not accepted are not used, and not checked. InputError names the array.
+    """
+    plan = manifest.counts
+    rows = {"persons": 1, "groups": plan.groups, "statics": plan.groups * plan.frames, "sequences": plan.sequences}
+    lengths = {VERTICES: len(mean.vertices), CODE: manifest.code_size}
     for table, kind in TABLES.items():
         arrays = vars(getattr(shard, table))
-        rows = 1 if table == "persons" else _rows(arrays)
+        count = rows.setdefault(table, _rows(arrays))
         for name, column in columns_of(kind).items():
-            axes = (vertices if length == VERTICES else length for length in column.shape)
-            shape(f"{table}/{name}", arrays[name], (rows, *axes))
-            if column.dtype.kind == "S":
-                array_of_kind(f"{table}/{name}", arrays[name], "S", "texts")
-        accepted = arrays["status"] == ACCEPTED.encode() if "status" in arrays else slice(None)
+            _check_kind(f"{table}/{name}", arrays[name], column, (count, *(lengths.get(n, n) for n in column.shape)))
+        accepted = arrays["status"] == ACCEPTED.encode() if "status" in arrays else np.ones(count, dtype=bool)
         for name, column in columns_of(kind).items():
-            if column.below:
-                indices_below(f"{table}/{name}", arrays[name], _rows(vars(getattr(shard, column.below))))
-            elif np.isfinite(column.high):
-                in_range(f"{table}/{name}", arrays[name], column.low, column.high)
-            elif column.dtype.kind == "f":
-                real(f"{table}/{name}", arrays[name][accepted])
+            used = arrays[name] if column.dtype.kind != "f" or accepted.all() else arrays[name][accepted]
+            _check_range(f"{table}/{name}", used, column, rows.get(column.below, 0))
+        if "recording" in arrays:
+            _check_recordings(table, arrays["recording"], arrays["frame"], manifest.recordings)
+        if table in ONCE and len({*zip(*(arrays[name].tolist() for name in ONCE[table]), strict=True)}) < count:
+            raise InputError(f"{table}: two rows of one {' and '.join(ONCE[table])}")
+    planned = {"statics": np.repeat(np.arange(plan.groups), plan.frames), "sequences": np.arange(plan.sequences)}
+    for table, order in planned.items():
+        if not np.array_equal(getattr(shard, table).group, order):
+            raise InputError(f"{table}/group: the rows are not in the plan's order")
+    check_person(shard.groups.number, plan.parameter_numbers(identity))
+    _check_parameters(shard.groups)
+    _check_skin(shard.persons.skin[0], mean)
+    _check_rotations(shard.sequences)
 
 
 def _rows(arrays: Mapping[str, np.ndarray]) -> int:
     """Return the length of a table's first column."""
     first = next(iter(arrays.values()))
     return len(first) if np.ndim(first) else 0
+
+
+def _check_kind(name: str, array: np.ndarray, column: Column, expected: tuple[int | None, ...]) -> None:
+    if array.dtype != column.dtype:
+        raise InputError(f"{name}: expected {column.dtype}, got {array.dtype}")
+    shape(name, array, expected)
+
+
+def _check_range(name: str, array: np.ndarray, column: Column, below: int) -> None:
+    if column.dtype.kind == "S":
+        for text in set(array.tolist()):
+            if not (text.isascii() and text.decode().isprintable()):
+                raise InputError(f"{name}: {quote(text)} is no text of plain letters")
+            if column.choices:
+                one_of(name, text.decode(), column.choices)
+    elif column.below:
+        indices_below(name, array, below)
+    elif column.dtype == np.float16:
+        # Bits of halves rise with size, infinity and NaN above all: a tenth of the time of comparing halves.
+        if array.size and (array.view(np.uint16) & 0x7FFF).max() > np.float16(column.high).view(np.uint16):
+            in_range(name, array, column.low, column.high)
+    elif column.dtype.kind in "fi":
+        in_range(name, array, column.low, column.high)
+
+
+def _check_recordings(table: str, names: np.ndarray, frames: np.ndarray, known: Mapping[str, int]) -> None:
+    for name, frame in zip(names.tolist(), frames.tolist(), strict=True):
+        count = known.get(name.decode(), 0)
+        if frame >= count:
+            raise InputError(f"{table}/frame: {frame} of recording {quote(name.decode())}, which has {count} frames")
+
+
+def _check_parameters(groups: Groups) -> None:
+    """Check that each parameter stays in its range all over the face, and that something differs from the default."""
+    first, waves = groups.coefficients[..., 0].astype(np.float64), groups.coefficients[..., 1:].astype(np.float64)
+    extent = np.abs(first) + np.abs(waves).sum(axis=-1)
+    in_range("groups/coefficients, a parameter over its range", extent, 0.0, 1.0 + ROUNDED)
+    static = [name not in UNDIFFERENTIATED for name in NAMES]
+    if not groups.varied[:, static].any(axis=1).all():
+        raise InputError("groups/varied: no parameter differs from the default")
+
+
+def _check_rotations(sequences: Sequences) -> None:
+    turned = sequences.rotations[sequences.status == ACCEPTED.encode()].astype(np.float64)
+    off = np.abs(turned @ turned.swapaxes(-1, -2) - np.eye(3)).max(initial=0.0)
+    if off > ROUNDED or (np.linalg.det(turned) < 0.0).any():
+        raise InputError("sequences/rotations: some are no rotations: they shear or mirror")
+
+
+def _check_skin(skin: np.ndarray, mean: Surface) -> None:
+    size = np.sqrt(np.mean(np.sum((mean.vertices - mean.vertices.mean(axis=0)) ** 2, axis=1)))
+    away = np.sqrt(np.mean(np.sum((skin - mean.vertices) ** 2, axis=1)))
+    if away > UNLIKE * size:
+        raise InputError(
+            f"persons/skin: {away:.3g} mm from the mean skin, expected at most {UNLIKE * size:.3g}; "
+            "are its units, its place or its order of vertices off?"
+        )

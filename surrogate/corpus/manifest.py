@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ...lhm.base.checks import finite, text
+from ...lhm.base.checks import finite, integers, text
 from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Surface
+from ..surface_hash import surface_hash
+from .mixture import NAMES
 from .plan import CorpusPlan
+from .shard import FARTHEST, FORMATS, READ
 
 MANIFEST = "corpus.json"
 TEMPLATE = "template.npz"
-FARTHEST = 1e4
-"""[mm] Of a vertex, and of how far a shape moves one: ten metres."""
 OWNER = ("plan", "people", "template", "generator", "format")
 """The fields that name the corpus in each of its shards."""
 
@@ -35,6 +38,20 @@ class Manifest:
     said: Mapping[str, Any]
     counts: CorpusPlan
     made_with: Mapping[str, Any]
+
+    @property
+    def recordings(self) -> dict[str, int]:
+        """Frames of each recording by name."""
+        return {name: each[1] for name, each in self.said["content"]["recordings"].items()}
+
+    @property
+    def code_size(self) -> int | None:
+        """How many numbers a person's code has; None where nobody says, as in format 2."""
+        return self.said.get("code_size")
+
+    def shard_path(self, identity: int) -> Path:
+        """Return the place of a person's shard."""
+        return self.folder / f"person-{identity:05d}.h5"
 
     @property
     def people(self) -> str:
@@ -83,6 +100,19 @@ def _check(folder: Path, said: Any) -> Manifest:
     counts = CorpusPlan(**{name: content[name] for name in expected})
     if said.get("tested") != counts.tested:
         raise InputError(f"tested: {quote(said.get('tested'))}, expected {counts.tested}")
+    if said.get("parameters") != list(NAMES):
+        raise InputError("parameters: others than this version has")
+    if hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16] != said["plan"]:
+        raise InputError(f"content: not that of plan {quote(said['plan'])}")
+    recordings = content.get("recordings")
+    if not isinstance(recordings, dict) or not all(
+        isinstance(each, list) and len(each) == 4 and isinstance(each[1], int) for each in recordings.values()
+    ):
+        raise InputError("recordings: expected kind, frames, rate and origin by name")
+    if said["format"] not in FORMATS:
+        raise InputError(f"format: {quote(said['format'])}, this version reads {READ}")
+    if said["format"] > min(FORMATS):
+        integers("code_size", said.get("code_size"), 1, 1_000_000, ())
     return Manifest(folder, said, counts, made_with)
 
 
@@ -92,12 +122,17 @@ def write_template(folder: str | PathLike[str], mean: Surface) -> None:
 
 
 def read_template(folder: str | PathLike[str]) -> Surface:
-    """Read the mean neutral skin; InputError names the file if it is missing, damaged, or not in millimetres."""
-    path = Path(folder) / TEMPLATE
+    """Read the mean neutral skin; InputError names a file that is missing, damaged, or not the one of corpus.json."""
+    path, named = Path(folder) / TEMPLATE, read_manifest(folder).said["template"]
     arrays = read_arrays(path, of="a corpus' template")
     try:
         if set(arrays) != {"vertices", "triangles"}:
             raise InputError(f"expected vertices and triangles, got {quote(', '.join(arrays))}")
-        return Surface(finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST), arrays["triangles"])
+        mean = Surface(finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST), arrays["triangles"])
+        if not named.startswith(surface_hash(mean)):
+            raise InputError(f"not of the mesh that {MANIFEST} names")
+        return mean
     except SoftdecaError as error:
-        raise InputError(f"{path}: not a corpus' template, or damaged ({error})") from None
+        raise InputError(
+            f"{path}: not this corpus' template, or damaged ({error}); `softdeca corpus generate` makes it anew"
+        ) from None

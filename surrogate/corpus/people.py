@@ -41,6 +41,11 @@ class People(Protocol):
         ...
 
     @property
+    def code_size(self) -> int:
+        """How many numbers a person's code has."""
+        ...
+
+    @property
     def digest(self) -> str:
         """A name for all that heads are made from, such as a template's digest; empty where nobody tells."""
         ...
@@ -67,6 +72,11 @@ class OfSpace:
     def name(self) -> str:
         """The space's."""
         return self.space.name
+
+    @property
+    def code_size(self) -> int:
+        """The space's."""
+        return self.space.code_size
 
     def person(self, rng: np.random.Generator) -> Person:
         """Draw a sample of the space."""

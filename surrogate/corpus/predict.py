@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from threadpoolctl import threadpool_limits
 
 from ...lhm.expressions import ARKIT
 from .folder import CorpusStatus
@@ -16,18 +19,24 @@ from .simulate import simulate_person
 
 VARIED = 9
 """Parameters of a set, about, in the mean over kinds."""
+REFERENCE = 10.0
+"""Static frames that cost what one of FEniCSx' answers costs, where none was measured."""
 PROBED = {"frames": 4, "references": 0, "run": 16}
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Processor seconds of one process: per person (shapes and fit), group, static frame, sequence frame, reference."""
+    """Processor seconds of one process: per person (shapes and fit), group, static frame, sequence frame, reference.
+
+    busy: seconds that pass for each of them on this machine, where that was measured.
+    """
 
     person: float
     group: float
     static: float
     sequence: float
     reference: float | None
+    busy: float | None = None
 
     @classmethod
     def of(cls, status: CorpusStatus) -> Rates | None:
@@ -50,7 +59,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Counts of a plan, bytes of its shards, and core-hours in all."""
+    """Counts of a plan, bytes of its shards, core-hours, and hours of one process on this machine as busy as now."""
 
     people: int
     groups: int
@@ -60,6 +69,7 @@ class Prediction:
     references: int
     bytes: int
     core_hours: float
+    hours: float | None
 
     @property
     def bytes_per_frame(self) -> float:
@@ -70,21 +80,27 @@ class Prediction:
 def measure_rates(plan: CorpusPlan, people: People) -> Rates:
     """Measure rates on the plan's second person; the first warms caches and does not count."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, threadpool_limits(1):
         begun = load_velocities(Path(folder), small, people) if plan.sequences else None
         simulate_person(small, people, 0, begun)
+        begin = time.monotonic(), time.process_time()
         seconds = simulate_person(small, people, 1, begun).seconds
+        busy = (time.monotonic() - begin[0]) / (time.process_time() - begin[1])
     return Rates(
         seconds["shapes"] + seconds["fit"],
         (seconds["settling"] + seconds["derivatives"]) / small.groups,
         seconds["statics"] / (small.groups * small.frames),
         seconds.get("sequences", 0.0) / max(LENGTH * small.sequences, 1),  # a plan may have none
         None,
+        busy,
     )
 
 
 def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
-    """Predict counts, bytes and core-hours of a plan over a skin of so many vertices."""
+    """Predict counts, bytes and core-hours of a plan over a skin of so many vertices.
+
+    The long run of the velocities counts by its frames, which cost what those of sequences cost.
+    """
     field = 2 * 3 * vertices  # float16
     groups = plan.identities * plan.groups
     sequences, statics = plan.identities * plan.sequences, plan.static_frames
@@ -98,5 +114,10 @@ def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
         + 2 * references * field
     )
     seconds = plan.identities * rates.person + groups * rates.group + statics * rates.static
-    seconds += LENGTH * sequences * rates.sequence + 2 * references * (rates.reference or 0.0)
-    return Prediction(plan.identities, groups, statics, sequences, responses, references, size, seconds / 3600.0)
+    seconds += (LENGTH * sequences + (plan.run if sequences else 0)) * rates.sequence
+    seconds += 2 * references * (REFERENCE * rates.static if rates.reference is None else rates.reference)
+    hours = seconds / 3600.0
+    return Prediction(
+        plan.identities, groups, statics, sequences, responses, references, size, hours,
+        None if rates.busy is None else hours * rates.busy,
+    )  # fmt: skip

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Ints, Surface
-from ..surface_hash import surface_hash
 from .face import Derivatives, Face, Frames
-from .folder import shard_path
 from .intact import check_intact
 from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
@@ -77,12 +75,17 @@ class Table:
         self.folder, self.table = Path(folder), table
         self._manifest = read_manifest(folder)
         self.mean = read_template(folder)
-        if not self._manifest.said["template"].startswith(surface_hash(self.mean)):
-            raise InputError(f"corpus {folder}: template.npz is not of the mesh that corpus.json names")
         self.people = self._manifest.people
         people, first = self._manifest.counts.identities, self._manifest.counts.trained
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
-        there = [k for k in numbers if not partial or shard_path(self.folder, k).exists()]
+        there = [k for k in numbers if self._manifest.shard_path(k).exists()]
+        if len(there) < len(numbers) and not partial:
+            first = next(k for k in numbers if k not in there)
+            raise InputError(
+                f"corpus {folder}: {len(there)} of {len(numbers)} people of the {split or 'whole'} split are there, "
+                f"{self._manifest.shard_path(first).name} is missing; `softdeca corpus generate --out {folder}` makes "
+                "them, --partial takes those that are there"
+            )
         chosen = there[: round(share * len(there))]
         self._people = {k: self._person(k) for k in chosen}
         rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
@@ -93,9 +96,8 @@ class Table:
         self.rows = np.array(rows)
 
     def _person(self, identity: int) -> _Person:
-        path = shard_path(self.folder, identity)
-        n = len(self.mean.vertices)
-        check_intact(path, self._manifest.owner, self._manifest.counts, identity, n)
+        path = self._manifest.shard_path(identity)
+        check_intact(self._manifest, self.mean, identity)
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         arrays = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())

@@ -8,13 +8,12 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import prepare
+from ...reference import apply_law, prepare
 from ...reference.face.derivatives import spring_norm
 from ...reference.face.facial import PD_ENERGY
-from .shard import ACCEPTED
-from .simulator import Answer, FaceSimulator
+from .shard import ACCEPTED, FEM_LAWS
+from .simulator import Answer, FaceSimulator, reject_moved
 
-FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 SMALL = 1e-2
 """[mm] Targets' distance whose springs' force is asked for relative to, at the least."""
 TOLERANCE = 1e-6
@@ -30,13 +29,22 @@ class Reference:
     iterations: int = 0
 
 
-def references(face: FaceSimulator, weights: Floats, answer: Answer) -> list[Reference]:
-    """Solve a frame by FEniCSx with each of FEM_LAWS, each on the neutral face that has settled by that law.
+def references(face: FaceSimulator, weights: Floats, answer: Answer) -> dict[str, Reference]:
+    """Solve a frame by FEniCSx with those of FEM_LAWS that the face has, each on the neutral face settled by that law.
 
     FEniCSx starts at the answer of projective dynamics, or at the settled face where that answer has inverted tets.
     """
     positions = face.solve(weights).positions
-    return [_reference(face, weights, positions, answer, law) for law in FEM_LAWS]
+    return {law: _reference(face, weights, positions, answer, law) for law in FEM_LAWS if _has_law(face, law)}
+
+
+def _has_law(face: FaceSimulator, law: str) -> bool:
+    """Whether a law has a counterpart of the face's p: none of stiffnesses that vary, a strain limit or growth."""
+    try:
+        apply_law(face.linear.prepared.scene, law)
+    except SceneError:
+        return False
+    return True
 
 
 def _reference(face: FaceSimulator, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
@@ -56,5 +64,5 @@ def _reference(face: FaceSimulator, weights: Floats, positions: Floats, answer: 
         return Reference(none, f"fenicsx: {error}")
     if not solution.converged:
         return Reference(none, f"fenicsx: {solution.reason}", solution.iterations)
-    corrected = neutral.skin_after(expression, solution.positions) - expression
-    return Reference(corrected.astype(np.float16), ACCEPTED, solution.iterations)
+    corrected = (neutral.skin_after(expression, solution.positions) - expression).astype(np.float16)
+    return Reference(corrected, reject_moved(corrected) or ACCEPTED, solution.iterations)

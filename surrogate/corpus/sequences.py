@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from ...reference.face.sequence import Velocities, is_plausible
 from .people import People, Person
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
-from .simulator import Answer, FaceSimulator
+from .simulator import Answer, FaceSimulator, reject_moved
 
 RUN = "velocities.npz"
 RUN_TOLERANCE = 5e-4
@@ -67,12 +68,13 @@ def simulate_sequence(
         answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
     except SoftdecaError as error:
         return SequenceAnswer.failed(f"sequence: {error}", take, first, n)
+    before = np.stack([at_rest, at_rest - velocity / RATE])
     return SequenceAnswer(
         weights=weights,
         rotations=turned,
-        before=np.stack([at_rest, at_rest - velocity / RATE]),
+        before=before,
         corrected=np.stack([answer.corrected for answer in answers]),
-        status=_status(answers),
+        status=reject_moved(before) or _status(answers),
         iterations=np.array([answer.iterations for answer in answers]),
         residual=np.array([answer.residual for answer in answers]),
         smallest_volume_ratio=np.array([answer.smallest_volume_ratio for answer in answers]),
@@ -132,9 +134,14 @@ def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocitie
     )
 
     def expressions():
+        begin = time.monotonic()
         for number, w in enumerate(weights):
             yield _expression(person, w)
-            on_progress(f"a long run: frame {number + 1} of {plan.run}", (number + 1) / plan.run)
+            left = (time.monotonic() - begin) / (number + 1) * (plan.run - number - 1) / 60.0
+            on_progress(
+                f"velocities: a long run for all sequences, frame {number + 1} of {plan.run}, {left:.0f} min left",
+                (number + 1) / plan.run,
+            )
 
     return Velocities.from_sequence(running, expressions())
 

@@ -3,7 +3,8 @@
 Arrays are stored as they are, one run of bytes each, so that a row can be read without HDF5 (`Place`). T is the
 simulator's skin, S that of the linear blendshapes; T - S is kept in float16, which rounds by less
 than 0.001 mm below 2 mm and 0.008 mm below 16 mm. The same content gives the same bytes: processor seconds, which
-differ between runs, lie in a JSON file beside the shard.
+differ between runs, lie in a JSON file beside the shard. Each column says the range of its numbers, which `intact`
+checks; the card of a corpus lists them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -26,14 +27,20 @@ from numpy.typing import NDArray
 from ...lhm.base.errors import InputError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import read_json
-from ...lhm.base.limits import SHARD_BYTES
+from ...lhm.base.limits import PARAMETER_SETS, SHARD_BYTES, TAKE_FRAMES
 from ...lhm.base.mesh import Floats
-from .mixture import NAMES, WAVES
+from ...reference.face.facial import PD_ENERGY
+from .mixture import KINDS, NAMES, WAVES
 from .plan import LENGTH
 
 ACCEPTED = "accepted"
-FORMAT = 2
+FORMAT = 3
 """Of the file, and of what its arrays mean; raised when either changes."""
+FORMATS = (2, FORMAT)
+"""Formats that are read: in 2 the checksum covers the arrays alone, not owner, format and version."""
+READ = " and ".join(map(str, FORMATS))
+FEM_LAWS = (PD_ENERGY, "neo-Hookean")
+"""Laws by which FEniCSx answers."""
 LONGEST = 200
 """Characters of a status."""
 WEIGHTS = 52
@@ -49,38 +56,54 @@ Texts = NDArray[np.bytes_]
 class Column:
     """A row of a table's column: its type and lengths of axes; None is any, VERTICES the skin's.
 
-    large: left in the file by readers until a row is asked for. low, high: the range of its numbers, where one is told.
-    below: its numbers are rows of that table.
+    large: left in the file by readers until a row is asked for. low, high: the range of its numbers. below: its numbers
+    are rows of that table. choices: its texts are among these, if there are any.
     """
 
     dtype: np.dtype
-    shape: tuple[int | None, ...]
+    shape: tuple[int, ...]
     large: bool
     low: float
     high: float
     below: str
+    choices: tuple[str, ...]
+
+    def describe_range(self) -> str:
+        """Return the range in words; empty where there is none."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.below:
+            return f"a row of {self.below}"
+        return "" if self.dtype.kind in "Sb" else f"{self.low:g} to {self.high:g}"
 
 
-VERTICES = -1
-FARTHEST = 1e5
-"""[mm] Of a vertex, and of a number of a code or a coefficient, whatever its unit."""
+VERTICES, CODE = -1, -2
+"""Lengths of axes that a corpus has: of its skins, and of its people's codes."""
+FARTHEST = 10_000.0
+"""[mm] Of a vertex, and of a derivative."""
+MOVED = 500.0
+"""[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
+CODES = 10.0
+"""Most of a code's number; people are drawn within 2.5."""
+COUNT = 2**31
+"""Most of a count."""
 
 
 def column(
-    dtype: Any,
-    *shape: int | None,
-    large: bool = False,
-    low: float = -np.inf,
-    high: float = np.inf,
-    below: str = "",
+    dtype: Any, *shape: int, large: bool = False, low: float = 0, high: float = COUNT, below: str = "", choices=()
 ) -> Any:
     """Make a field of a table; see `Column`."""
-    return field(metadata={"column": Column(np.dtype(dtype), shape, large, low, high, below)})
+    return field(metadata={"column": Column(np.dtype(dtype), shape, large, low, high, below, tuple(choices))})
 
 
-def text_column() -> Any:
+def moved_column(*shape: int, farthest: float = MOVED) -> Any:
+    """Make a field of displacements [mm] in float16, large."""
+    return column(np.float16, *shape, 3, large=True, low=-farthest, high=farthest)
+
+
+def text_column(choices: Sequence[str] = ()) -> Any:
     """Make a field of texts."""
-    return column(f"S{LONGEST}")
+    return column(f"S{LONGEST}", choices=choices)
 
 
 def columns_of(kind: type) -> dict[str, Column]:
@@ -92,9 +115,9 @@ def columns_of(kind: type) -> dict[str, Column]:
 class Persons:
     """The one person: code (1, c), neutral skin (1, n, 3) [mm], and shapes (1, 52, n, 3) [mm]."""
 
-    code: Floats = column(np.float64, None, low=-FARTHEST, high=FARTHEST)
+    code: Floats = column(np.float64, CODE, low=-CODES, high=CODES)
     skin: Singles = column(np.float32, VERTICES, 3, large=True, low=-FARTHEST, high=FARTHEST)
-    shapes: Halves = column(np.float16, WEIGHTS, VERTICES, 3, large=True)
+    shapes: Halves = moved_column(WEIGHTS, VERTICES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +127,11 @@ class Groups:
     settled (G, n, 3) [mm]: how far the neutral skin moved; status: accepted, or why it did not settle.
     """
 
-    number: Numbers = column(np.int64)
-    kind: Texts = text_column()
+    number: Numbers = column(np.int64, high=PARAMETER_SETS.most - 1)
+    kind: Texts = text_column(KINDS)
     varied: NDArray[np.bool_] = column(bool, len(NAMES))
-    coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES, low=-FARTHEST, high=FARTHEST)
-    settled: Halves = column(np.float16, VERTICES, 3, large=True)
+    coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES, low=-1.0, high=1.0)
+    settled: Halves = moved_column(VERTICES)
     status: Texts = text_column()
 
 
@@ -123,14 +146,14 @@ class Statics:
 
     group: Numbers = column(np.int64, below="groups")
     recording: Texts = text_column()
-    frame: Numbers = column(np.int64)
+    frame: Numbers = column(np.int64, high=TAKE_FRAMES.most - 1)
     weights: Singles = column(np.float32, WEIGHTS, low=0.0, high=1.0)
-    corrected: Halves = column(np.float16, VERTICES, 3, large=True)
-    moved: Singles = column(np.float32, 2)
+    corrected: Halves = moved_column(VERTICES)
+    moved: Singles = column(np.float32, 2, high=2.0 * MOVED)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
     residual: Singles = column(np.float32)
-    smallest_volume_ratio: Singles = column(np.float32)
+    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=FARTHEST)
     inverted: Numbers = column(np.int64)
     crossings: Numbers = column(np.int64)
 
@@ -146,15 +169,15 @@ class Sequences:
 
     group: Numbers = column(np.int64, below="groups")
     recording: Texts = text_column()
-    frame: Numbers = column(np.int64)
+    frame: Numbers = column(np.int64, high=TAKE_FRAMES.most - 1)
     weights: Singles = column(np.float32, LENGTH, WEIGHTS, low=0.0, high=1.0)
     rotations: Singles = column(np.float32, LENGTH, 3, 3, low=-1.001, high=1.001)
-    before: Halves = column(np.float16, 2, VERTICES, 3, large=True)
-    corrected: Halves = column(np.float16, LENGTH, VERTICES, 3, large=True)
+    before: Halves = moved_column(2, VERTICES)
+    corrected: Halves = moved_column(LENGTH, VERTICES)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64, LENGTH)
     residual: Singles = column(np.float32, LENGTH)
-    smallest_volume_ratio: Singles = column(np.float32, LENGTH)
+    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=FARTHEST)
     inverted: Numbers = column(np.int64, LENGTH)
     crossings: Numbers = column(np.int64, LENGTH)
 
@@ -168,8 +191,8 @@ class Responses:
 
     group: Numbers = column(np.int64, below="groups")
     exact: NDArray[np.bool_] = column(bool)
-    offset: Halves = column(np.float16, VERTICES, 3, large=True)
-    expressions: Halves = column(np.float16, WEIGHTS, VERTICES, 3, large=True)
+    offset: Halves = moved_column(VERTICES)
+    expressions: Halves = moved_column(WEIGHTS, VERTICES, farthest=FARTHEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,17 +203,20 @@ class ParameterResponses:
     """
 
     group: Numbers = column(np.int64, below="groups")
-    name: Texts = text_column()
-    change: Halves = column(np.float16, VERTICES, 3, large=True)
+    name: Texts = text_column(NAMES)
+    change: Halves = moved_column(VERTICES, farthest=FARTHEST)
 
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """The M answers of FEniCSx: static (row of Statics), law ("PD" or "neo-Hookean"), corrected = T - S (M, n, 3)."""
+    """The M answers of FEniCSx: static (row of Statics), law ("PD" or "neo-Hookean"), corrected = T - S (M, n, 3).
+
+    A law that has no counterpart of a face's p, such as a stiffness that varies, has no row.
+    """
 
     static: Numbers = column(np.int64, below="statics")
-    law: Texts = text_column()
-    corrected: Halves = column(np.float16, VERTICES, 3, large=True)
+    law: Texts = text_column(FEM_LAWS)
+    corrected: Halves = moved_column(VERTICES)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
 
@@ -236,7 +262,7 @@ def stack_rows(kind: type, rows: Sequence[Mapping[str, Any]], vertices: int) -> 
         if values:
             arrays[name] = np.array(values, dtype=column.dtype)
         else:
-            lengths = (vertices if length == VERTICES else length or 0 for length in column.shape)
+            lengths = ({VERTICES: vertices, CODE: 0}.get(length, length) for length in column.shape)
             arrays[name] = np.zeros((0, *lengths), dtype=column.dtype)
     return kind(**arrays)
 
@@ -250,7 +276,8 @@ def write_shard(path: Path, shard: Shard, owner: str) -> None:
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="`product` is deprecated")  # in Debian's h5py
-        file.attrs.update(owner=owner, checksum=shard.checksum, format=FORMAT, version=version("softdeca"))
+        label = Label(owner, FORMAT, version("softdeca"))
+        file.attrs.update(asdict(label) | {"checksum": label.checksum(shard)})
         for table, kind in TABLES.items():
             for item in fields(kind):
                 file.create_dataset(f"{table}/{item.name}", data=getattr(getattr(shard, table), item.name))
@@ -259,12 +286,17 @@ def write_shard(path: Path, shard: Shard, owner: str) -> None:
 
 @dataclass(frozen=True)
 class Label:
-    """The attributes of a shard: corpus, format, version of the software, checksum."""
+    """The attributes of a shard but its checksum: corpus, format, version of the software."""
 
     owner: str
     format: int
     version: str
-    checksum: str
+
+    def checksum(self, shard: Shard) -> str:
+        """SHA-256 over this label and the shard's arrays; of format 2 over the arrays alone."""
+        if self.format == 2:
+            return shard.checksum
+        return hashlib.sha256(json.dumps([*vars(self).values(), shard.checksum]).encode()).hexdigest()
 
 
 def read_label(path: Path) -> Label:
@@ -303,14 +335,14 @@ def read_shard(path: Path, owner: str) -> Shard:
     Its seconds are left to `read_seconds`.
     """
     with _opened(path) as file:
-        label = _label(file)
+        label, kept = _label(file), str(file.attrs["checksum"])
         _check_label(path, label, owner)
         tables = {
             table: kind(**{item.name: _array(file, f"{table}/{item.name}") for item in fields(kind)})
             for table, kind in TABLES.items()
         }
     shard = Shard(**tables)
-    if shard.checksum != label.checksum:
+    if label.checksum(shard) != kept:
         raise InputError(f"shard {path}: its content does not match its checksum; {_REMEDY}")
     return shard
 
@@ -399,18 +431,12 @@ class _opened:
 
 
 def _label(file: h5py.File) -> Label:
-    attributes = file.attrs
-    return Label(
-        owner=str(attributes["owner"]),
-        format=int(attributes["format"]),
-        version=str(attributes["version"]),
-        checksum=str(attributes["checksum"]),
-    )
+    return Label(str(file.attrs["owner"]), int(file.attrs["format"]), str(file.attrs["version"]))
 
 
 def _check_label(path: Path, label: Label, owner: str) -> None:
-    if label.format != FORMAT:
-        raise InputError(f"shard {path}: of format {label.format}, this version makes {FORMAT}; {_REMEDY}")
+    if label.format not in FORMATS:
+        raise InputError(f"shard {path}: of format {label.format}, this version reads {READ}; {_REMEDY}")
     if label.owner != owner:
         raise InputError(
             f"shard {path}: of another corpus ({label.owner}, expected {owner}): its plan or template differs"

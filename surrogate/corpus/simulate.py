@@ -19,10 +19,10 @@ from ...reference.face.sequence import Velocities
 from .mixture import ParameterSet
 from .people import People, Person
 from .plan import IDENTITY, VELOCITIES, CorpusPlan
-from .references import FEM_LAWS, references
+from .references import references
 from .sequences import SequenceAnswer, simulate_sequence
-from .shard import ACCEPTED, TABLES, Shard, stack_rows
-from .simulator import Answer, FaceSimulator, settle_neutral
+from .shard import ACCEPTED, FARTHEST, TABLES, Shard, stack_rows
+from .simulator import Answer, FaceSimulator, reject_moved, settle_neutral
 
 GENERATOR = 9
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
@@ -126,14 +126,16 @@ class _PersonRows:
         self.rows["sequences"].append({"group": group, "recording": name, "frame": first} | vars(sequence))
 
     def _add_derivatives(self, group: int, face: FaceSimulator, by_weights: bool, by_parameters: bool) -> None:
-        if by_weights:
-            known = face.derivatives
+        known = face.derivatives
+        if by_weights and not (reject_moved(known.offset) or reject_moved(known.responses, FARTHEST)):
             self.rows["responses"].append(
                 {"group": group, "exact": known.exact, "offset": known.offset, "expressions": known.responses}
             )
         if by_parameters:
             self.rows["parameter_responses"] += [
-                {"group": group, "name": name, "change": change} for name, change in face.parameter_responses.items()
+                {"group": group, "name": name, "change": change}
+                for name, change in face.parameter_responses.items()
+                if not reject_moved(change, FARTHEST)
             ]
 
     def _add_references(self, group: int, face: FaceSimulator, answers: list[Answer], count: int) -> None:
@@ -141,7 +143,7 @@ class _PersonRows:
         for row in accepted[:count]:
             static = group * self.plan.frames + row
             weights = self.rows["statics"][static]["weights"].astype(np.float64)
-            for law, reference in zip(FEM_LAWS, references(face, weights, answers[row]), strict=True):
+            for law, reference in references(face, weights, answers[row]).items():
                 self.rows["references"].append({"static": static, "law": law} | vars(reference))
 
     @contextmanager

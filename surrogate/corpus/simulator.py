@@ -18,7 +18,7 @@ from .face import Derivatives, Face
 from .mixture import INFOS, ParameterSet
 from .people import People, Person
 from .plan import CorpusPlan
-from .shard import ACCEPTED
+from .shard import ACCEPTED, MOVED
 
 UNDIFFERENTIATED = ("frequency", "damping", "strain_limit")
 
@@ -45,9 +45,14 @@ class Answer:
 def settle_neutral(people: People, head: LayeredHead, parameters: ParameterSet) -> SettledFace:
     """Settle the neutral face under a parameter set; SceneError where it does not come to rest."""
     neutral = settle(head, parameters.parameters(head, people.mean), **TARGET_OPTIONS)
-    if not neutral.converged:
-        raise SceneError(str(neutral.reason))
+    if not neutral.converged or reject_moved(neutral.displacement):
+        raise SceneError(reject_moved(neutral.displacement) if neutral.converged else str(neutral.reason))
     return neutral
+
+
+def reject_moved(displacements: np.ndarray, farthest: float = MOVED) -> str:
+    """Say why displacements [mm] are not kept in a corpus; empty where they are."""
+    return "" if (np.abs(displacements) <= farthest).all() else f"a vertex moves farther than {farthest:g} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +202,7 @@ class FaceSimulator:
             return f"solver: {solution.reason}"
         if soft or inverted.mean() > self.plan.inverted_share:
             return f"{np.count_nonzero(inverted)} inverted tets, {soft} of them in soft tissue"
-        if not np.isfinite(corrected).all():
-            return "positions beyond the range of float16"
-        return ACCEPTED
+        return reject_moved(corrected) or ACCEPTED
 
 
 _last: dict[str, Analysis] = {}

@@ -112,7 +112,10 @@ class ModalLesson:
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         people = np.unique(faces.groups[:, 0])
         if len(people) < 10:
-            raise InputError(f"training: {len(people)} people have derivatives; at least 10 are needed")
+            raise InputError(
+                f"training: {len(people)} people of {faces.folder} have derivatives; at least 10 are needed, "
+                "`softdeca corpus generate --preset small --people 12 --out FOLDER` makes them"
+            )
         rng = np.random.default_rng([config.seed, 0])
         self.held = hold_out_people(people, config.validation, rng)
         is_held = np.isin(faces.groups[:, 0], self.held)

@@ -1,6 +1,7 @@
 """Each Python block of README and docs runs alone, as it stands; those that build a head, on the coarsest."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -14,6 +15,10 @@ from softdeca.lhm import expressions, load_template
 from softdeca.lhm.registration import register_by_mapping
 from softdeca.reference import Parameters, facial_scene, solve
 from softdeca.reference.problems.meshes import box, triangles_at
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.people import OfSpace
+from softdeca.surrogate.corpus.plan import PRESETS
+from softdeca.surrogate.sphere import Spheres
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -48,8 +53,20 @@ def test_every_block_is_run_here():
         "fit_scan",
         "read_scene",
         "TITLE =",
+        "DataLoader(",
     )
     assert {example(words) for words in run} == set(EXAMPLES) and len(EXAMPLES) == len(run)
+
+
+def test_a_corpus_is_read_by_torch(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    space = Spheres(1)
+    plan = replace(PRESETS["tiny"], sequences=0, references=0, responses=0.0)
+    Corpus("corpus", plan, OfSpace(space, space.mean, space.fit)).generate()
+    names = ran("DataLoader(")
+    assert names["weights"].shape == (4, 52) and names["corrected"].shape == (4, 42, 3)
+    assert set(names["row"]) >= {"identity", *names["frames"][0]} - {"recording"}
 
 
 def test_a_solver_for_the_arena(tmp_path):

@@ -26,7 +26,7 @@ from softdeca.lhm.scans import read_guesses
 from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import read_status, verify_folder
-from softdeca.surrogate.corpus.manifest import read_manifest
+from softdeca.surrogate.corpus.manifest import read_manifest, read_template
 from softdeca.surrogate.corpus.plan import read_plan
 from softdeca.surrogate.corpus.reading import Table
 from softdeca.surrogate.sphere import Spheres
@@ -54,7 +54,7 @@ def all_formats() -> Iterator[Format]:
     """Every format; each name is the place of the file beside those that it is read with."""
     arrays, text, tree = mutations.of_npz, mutations.renumbered, mutations.of_json
     yield Format("head.npz", read_head, arrays)
-    yield Format("template.npz", read_template, arrays)
+    yield Format("template.npz", read_template_file, arrays)
     yield Format("depths.npz", read_depths, arrays)
     yield Format("anatomy.npz", lambda path: arrays_of_anatomy(bodyparts.load(path)), arrays)
     yield Format("ict.npz", lambda path: arrays_of_space(identities.ICTFaceKit(path)), arrays)
@@ -114,7 +114,7 @@ def read_head(path: Path) -> list[np.ndarray]:
     return [*moved, *(array for each in surfaces for array in of_surface(each)), made.bone]
 
 
-def read_template(path: Path) -> list[np.ndarray]:
+def read_template_file(path: Path) -> list[np.ndarray]:
     made = template_file.read_template(path)
     carried = [made.wrap_from_skin @ made.skin.vertices, made.skin_from_wrap @ made.skin_wrap.vertices]
     return [*carried, *of_surface(made.skin), *of_surface(made.skull), made.stack, made.room, made.parts, made.bone]
@@ -182,13 +182,12 @@ def read_counts(path: Path) -> list[np.ndarray]:
 
 def read_corpus(path: Path) -> list[np.ndarray]:
     folder, read = path.parent, []
-    manifest = read_manifest(folder)
     for table in ("statics", "responses", "groups"):
         rows = Table(folder, table, None)
         read += [np.asarray(v, dtype=float) for v in rows[len(rows) - 1].values() if v.dtype.kind in "fiub"]
         read += [rows.skin(0).vertices, rows.shapes(0)]
     verify_folder(folder)
-    status = read_status(folder, manifest.counts, manifest.owner)
+    status = read_status(read_manifest(folder), read_template(folder))
     return [*read, np.array([status.bytes])]
 
 

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from safetensors.numpy import load, save
 
-from softdeca.surrogate.corpus.shard import TABLES, Shard
+from softdeca.surrogate.corpus.shard import TABLES, Label, Shard
 from softdeca.surrogate.networks.weights import UNSEALED, seal
 
 from ..robustness.whole_files import glb, glb_words
@@ -296,13 +296,14 @@ def of_shard(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _checksum(file: h5py.File) -> str:
-    """That of the arrays as they are, where they are all there."""
+    """That of the label and the arrays as they are, where they are all there."""
     try:
         tables = {
             name: kind(**{field: file[f"{name}/{field}"][()] for field in kind.__dataclass_fields__})
             for name, kind in TABLES.items()
         }
-        return Shard(**tables).checksum
+        label = Label(file.attrs["owner"], int(file.attrs["format"]), file.attrs["version"])
+        return label.checksum(Shard(**tables))
     except (KeyError, ValueError, MemoryError):
         return "0"
 

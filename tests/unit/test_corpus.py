@@ -1,6 +1,7 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,15 +13,16 @@ import pytest
 
 from softdeca.lhm import FitError, InputError
 from softdeca.lhm.expressions import conversation_take
+from softdeca.lhm.identities.space import LinearSpace
 from softdeca.reference import Parameters, Sequence
 from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
-from softdeca.surrogate.corpus.card import write_card
-from softdeca.surrogate.corpus.folder import Corpus, sum_seconds
+from softdeca.surrogate.corpus.card import licence_of, write_card
+from softdeca.surrogate.corpus.folder import Corpus, sum_seconds, verify_folder
 from softdeca.surrogate.corpus.mixture import NAMES, basis
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
-from softdeca.surrogate.corpus.predict import Rates, predict_cost
+from softdeca.surrogate.corpus.predict import REFERENCE, Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
@@ -189,9 +191,9 @@ def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
     with h5py.File(made.shard_path(2), "r+") as file:
         file["statics/corrected"][0, 0, 0] += np.float16(0.5)
     with pytest.raises(InputError, match="person-00000.*missing"):
-        made.verify()
+        verify_folder(made.folder)
     status = made.status()
-    assert status.identities_done == 1 and "truncated" in status.damaged[0]
+    assert status.identities_done == 0 and "truncated" in status.damaged[0] and "checksum" in status.damaged[1]
     with pytest.raises(InputError, match="person-00002.*checksum"):
         made.shard(2)
     seen = []
@@ -203,8 +205,8 @@ def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
     run.write_bytes(whole[: len(whole) // 2])
     with h5py.File(made.shard_path(1), "r+") as file:
         file.attrs["format"] = 0
-    with pytest.raises(InputError, match="of format 0, this version makes 2; `softdeca corpus generate` makes it anew"):
-        made.verify()
+    with pytest.raises(InputError, match="of format 0, this version reads 2 and 3; `softdeca corpus generate` makes"):
+        verify_folder(made.folder)
     Corpus(made.folder, PLAN, PEOPLE).generate()
     assert checksums(made) == before and run.read_bytes() == whole and not left.exists()
     replace_people = OfSpace(SPACE, SPACE.mean, refuse)
@@ -299,12 +301,25 @@ def test_the_card_says_what_is_there(made):
     assert all(len(item["sha256"]) == 64 for item in files)
 
 
+def test_a_corpus_of_heads_of_others_has_no_licence_of_ours(made):
+    space = Spheres(1)
+    other = LinearSpace("others", space.mean, np.zeros((4, 42, 3)), np.zeros((52, 42, 3)), np.zeros(42, dtype=int))
+    assert licence_of(PEOPLE) == "cc0-1.0" and licence_of(OfSpace(other, other.mean, SPACE.fit)) == "other"
+    write_card(made, licence="other")
+    assert "license: other" in (made.folder / "README.md").read_text()
+    assert "owners" in json.loads((made.folder / "croissant.json").read_text())["license"]
+
+
 def test_a_plan_predicts_what_it_takes(made):
     status = made.status()
     rates = Rates.of(status)
     found = predict_cost(PLAN, len(SPACE.mean.vertices), rates)
     assert (found.statics, found.sequences, found.responses) == (6, 3, 3)
-    assert found.core_hours == pytest.approx(sum(status.seconds.values()) / 3600.0, rel=1e-2)
+    run = PLAN.run * rates.sequence
+    assert found.core_hours == pytest.approx((sum(status.seconds.values()) + run) / 3600.0, rel=1e-2)
+    assert found.hours is None and predict_cost(PLAN, 42, replace(rates, busy=2.5)).hours == 2.5 * found.core_hours
+    more = predict_cost(replace(PLAN, references=5), 42, rates)
+    assert more.core_hours - found.core_hours == pytest.approx(10 * REFERENCE * rates.static / 3600.0)
     larger = predict_cost(PLAN, 4463, rates), predict_cost(PRESETS["paper"], 4463, rates)
     assert larger[1].statics + 16 * larger[1].sequences == pytest.approx(500_000, rel=0.001)
     assert larger[1].bytes < 35e9  # a third of it shapes
@@ -393,14 +408,202 @@ def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
         Table(copied, "statics", "test")
 
 
+def test_a_checksum_covers_owner_format_and_version(copied):
+    path = copied / "person-00001.h5"
+    whole = path.read_bytes()
+    for name, value in (("version", "0.1.1"), ("format", 2), ("checksum", "0"), ("checksum", None)):
+        path.write_bytes(whole)
+        with h5py.File(path, "r+") as file:
+            del file.attrs[name]
+            file.attrs.update({} if value is None else {name: value})
+        with pytest.raises(InputError, match=r"person-00001.h5: .*checksum"):
+            verify_folder(copied)
+
+
+def test_a_corpus_of_the_format_before_is_read_and_not_gone_on_with(copied):
+    """Its checksums cover the arrays alone."""
+    said = json.loads((copied / "corpus.json").read_text()) | {"format": 2}
+    del said["code_size"]
+    (copied / "corpus.json").write_text(json.dumps(said))
+    for path in copied.glob("person-*.h5"):
+        with h5py.File(path, "r+") as file:
+            owner = file.attrs["owner"].removesuffix("-3") + "-2"
+        content = read_shard(path, owner.removesuffix("-2") + "-3").checksum
+        with h5py.File(path, "r+") as file:
+            file.attrs.update(owner=owner, format=2, checksum=content)
+    assert verify_folder(copied) == 3 and len(Table(copied, "statics", "train")) == 4
+    with pytest.raises(InputError, match=r"holds a corpus of another format \(2, expected 3\)"):
+        Corpus(copied, PLAN, PEOPLE)
+
+
+def put(name, **how):
+    """Put another dataset in the place of one."""
+
+    def damage(file):
+        kept = file[name][()]
+        del file[name]
+        file.create_dataset(name, **({"data": kept} | how))
+
+    return damage
+
+
+def replace_by(name, make):
+    def damage(file):
+        del file[name]
+        file[name] = make(file)
+
+    return damage
+
+
+def change_one(file):
+    file["statics/weights"][0, 0] = 0.123
+
+
+DAMAGES = {
+    "one value": change_one,
+    "gzip": put("statics/corrected", compression="gzip"),
+    "in chunks": put("statics/corrected", chunks=True),
+    "a soft link": replace_by("statics/corrected", lambda file: h5py.SoftLink("/statics/weights")),
+    "a link to another file": replace_by(
+        "groups/settled", lambda file: h5py.ExternalLink("other.h5", "/groups/settled")
+    ),
+    "storage elsewhere": put("statics/weights", external=[("other.raw", 0, 10**4)]),
+    "a group": lambda file: (file.__delitem__("statics/weights"), file.create_group("statics/weights")),
+    "two persons": lambda file: put("persons/code", data=np.repeat(file["persons/code"][()], 2, axis=0))(file),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_status_names_what_verify_names(copied, command, damage):
+    (copied / "other.raw").write_bytes(bytes(10**4))
+    with h5py.File(copied / "person-00001.h5", "r+") as file:
+        damage(file)
+    named = command("corpus", "verify", copied).refusal()
+    assert "person-00001.h5: " in named
+    ended = command("corpus", "status", copied)
+    assert (
+        ended.status == 1 and f"DAMAGED {named.partition('error: ')[2]}" in ended.out and "2 of 3 people" in ended.out
+    )
+
+
+def forged(shard, table, **arrays):
+    """The shard with other arrays of a table, each a function of what it has."""
+    rows = getattr(shard, table)
+    changed = {name: change(getattr(rows, name).copy()) for name, change in arrays.items()}
+    return replace(shard, **{table: replace(rows, **changed)})
+
+
+def put_at(place, value):
+    def change(array):
+        array[place] = value
+        return array
+
+    return change
+
+
+MIRROR = np.diag([1.0, 1.0, -1.0])
+FORGED = {
+    "rotations of zeros": ("sequences", "rotations", lambda a: 0 * a),
+    "mirrors": ("sequences", "rotations", lambda a: a @ MIRROR.astype(a.dtype)),
+    "T - S of 60 m": ("statics", "corrected", put_at((0, 0, 0), 6e4)),
+    "T - S not finite": ("statics", "corrected", put_at((0, 0, 0), np.inf)),
+    "settled by 60 m": ("groups", "settled", put_at((0, 0, 0), -6e4)),
+    "begun 60 m off": ("sequences", "before", put_at((0, 0, 0, 0), 6e4)),
+    "derivatives of 60 m": ("responses", "expressions", put_at((0, 0, 0, 0), 6e4)),
+    "shapes of 60 m": ("persons", "shapes", lambda a: 0 * a + 6e4),
+    "a point": ("persons", "skin", lambda a: 0 * a),
+    "far away": ("persons", "skin", lambda a: 0 * a + 9e4),
+    "in metres": ("persons", "skin", lambda a: a / 1000),
+    "vertices reversed": ("persons", "skin", lambda a: a[:, ::-1]),
+    "mirrored": ("persons", "skin", lambda a: a * np.float32([-1, 1, 1])),
+    "a long code": ("persons", "code", lambda a: np.zeros((1, 5))),
+    "a large code": ("persons", "code", lambda a: a + 1e5),
+    "coefficients of 99,999": ("groups", "coefficients", lambda a: 0 * a + 99_999),
+    "waves beyond the range": ("groups", "coefficients", lambda a: 0 * a + 0.9),
+    "nothing varied": ("groups", "varied", lambda a: a & False),
+    "an unknown kind": ("groups", "kind", put_at(0, b"magic")),
+    "a kind not UTF-8": ("groups", "kind", put_at(0, b"\xff\xfe")),
+    "another set": ("groups", "number", lambda a: a + 1),
+    "weights of 2": ("statics", "weights", put_at((0, 0), 2.0)),
+    "a recording not UTF-8": ("statics", "recording", put_at(0, b"\xff\xfe")),
+    "an unknown recording": ("statics", "recording", put_at(0, b"hard/99")),
+    "a negative frame": ("statics", "frame", put_at(0, -1)),
+    "a frame beyond the end": ("sequences", "frame", put_at(0, 10**5)),
+    "a row of no group": ("statics", "group", put_at(0, 7)),
+    "negative iterations": ("statics", "iterations", put_at(0, -1)),
+    "a negative residual": ("statics", "residual", put_at(0, -1.0)),
+    "a negative distance": ("statics", "moved", put_at((0, 0), -1.0)),
+    "inverted tets, negative": ("sequences", "inverted", put_at((0, 0), -5)),
+    "a letter of a terminal": ("statics", "status", put_at(0, b"\x1b[2J")),
+    "an unknown parameter": ("parameter_responses", "name", put_at(0, b"charm")),
+    "a parameter twice": ("parameter_responses", "name", lambda a: a[[0] * len(a)]),
+    "numbers of 64 bits": ("statics", "weights", lambda a: a.astype(np.float64)),
+}
+
+
+@pytest.mark.parametrize(("table", "name", "change"), FORGED.values(), ids=FORGED)
+def test_numbers_that_no_simulation_has_are_refused_whatever_the_checksum_says(made, copied, table, name, change):
+    """By readers, by verify, and by generate, which makes the shard anew."""
+    write_shard(copied / "person-00002.h5", forged(made.shard(2), table, **{name: change}), made.owner)
+    with pytest.raises(InputError, match="person-00002.h5: (.*/)?.*; `softdeca corpus generate` makes it anew"):
+        verify_folder(copied)
+    with pytest.raises(InputError, match="person-00002.h5"):
+        Table(copied, "statics", "test")
+    assert not Corpus(copied, PLAN, PEOPLE).is_whole(2)
+
+
+def test_numbers_of_frames_that_are_not_accepted_are_not_checked(made, copied):
+    status = {"status": put_at(0, b"solver: lost"), "corrected": put_at(0, np.nan), "residual": put_at(0, np.nan)}
+    write_shard(copied / "person-00002.h5", forged(made.shard(2), "statics", **status), made.owner)
+    assert verify_folder(copied) == 3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a | {"vertices": a["vertices"][::-1]},
+        lambda a: a | {"triangles": a["triangles"][:, ::-1]},
+        lambda a: a | {"vertices": 1.1 * a["vertices"]},
+    ],
+    ids=["reversed", "flipped", "larger"],
+)
+def test_another_template_is_named_and_made_anew(copied, command, change):
+    path = copied / "template.npz"
+    whole = path.read_bytes()
+    np.savez_compressed(path, **change(dict(np.load(path))))
+    for word in ("verify", "status", "sample"):
+        assert "template.npz: not this corpus' template" in command("corpus", word, copied).refusal()
+    Corpus(copied, PLAN, PEOPLE).generate()
+    assert path.read_bytes() == whole and verify_folder(copied) == 3
+
+
+@pytest.mark.parametrize("gone", ["", "corpus.json", "person-00000.h5"], ids=["folder", "description", "shard"])
+def test_files_that_vanish_while_a_corpus_is_made_end_it(tmp_path, gone):
+    plan = replace(PLAN, sequences=0, responses=0.0)
+    corpus = Corpus(tmp_path / "corpus", plan, PEOPLE)
+
+    def remove(what, share):
+        if what.startswith("corpus: 2 of 3"):
+            path = corpus.folder / gone
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    with pytest.raises(InputError, match="files were removed while the corpus was made"):
+        corpus.generate(on_progress=remove)
+    assert corpus.generate().identities_done == 3 and verify_folder(corpus.folder) == 3
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"content": None}, "content and made_with: expected objects"),
         ({"people": None}, "people: expected a text"),
         ({"tested": None}, "tested: None, expected 1"),
-        ({"template": "0" * 16}, "template.npz is not of the mesh"),
+        ({"template": "0" * 16}, "not of the mesh that corpus.json names"),
         ({"format": None}, "format: expected a number, got None"),
+        ({"format": 1}, "format: 1, this version reads 2 and 3"),
+        ({"code_size": 0}, "code_size: 0"),
+        ({"plan": "0" * 16}, "content: not that of plan 0000"),
+        ({"parameters": []}, "parameters: others than this version has"),
     ],
 )
 def test_nulls_and_others_in_a_manifest_are_named(copied, change, words):

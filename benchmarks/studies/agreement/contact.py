@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
-from ....surrogate.corpus.folder import shard_path
 from ....surrogate.corpus.manifest import read_manifest
 from ....surrogate.corpus.people import people_from_text
 from ....surrogate.corpus.reading import Table as CorpusTable
@@ -239,7 +237,8 @@ def measure_person(folder: str, people: int, identity: int, count: int) -> Value
 @lru_cache(maxsize=1)
 def _open_corpus(folder: str, people: int) -> CorpusTable:
     """Open the static frames of a corpus' first people."""
-    there = sum(shard_path(Path(folder), k).exists() for k in range(read_manifest(folder).counts.identities))
+    manifest = read_manifest(folder)
+    there = sum(manifest.shard_path(k).exists() for k in range(manifest.counts.identities))
     return CorpusTable(folder, "statics", None, partial=True, share=min(1.0, people / max(there, 1)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....surrogate.corpus.folder import shard_path, sum_seconds
+from ....surrogate.corpus.folder import sum_seconds
 from ....surrogate.corpus.manifest import read_manifest
 from ....surrogate.corpus.shard import read_seconds
 from ....surrogate.evaluate import Score
@@ -58,8 +58,9 @@ def compute_breakeven(corpus: Path, note: TrainingNote, network: Score) -> Break
 
     None if none of them has frames, or if the seconds of one are not known.
     """
-    counts = read_manifest(corpus).counts
-    paths = (shard_path(corpus, identity) for identity in range(counts.trained))
+    manifest = read_manifest(corpus)
+    counts = manifest.counts
+    paths = map(manifest.shard_path, range(counts.trained))
     timed = [read_seconds(path) for path in paths if path.exists()]
     spent = {phase: sum_seconds(timed).get(phase, 0.0) for phase in PAID}
     groups = len(timed) * counts.groups

@@ -12,7 +12,7 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.progress import OnProgress
 from ....surrogate.corpus.reading import Faces
-from ....surrogate.corpus.references import FEM_LAWS
+from ....surrogate.corpus.shard import FEM_LAWS
 from ....surrogate.evaluate import read_references
 from ....surrogate.heads import Heads
 from ....surrogate.methods import Derivatives, NetworkMethod
