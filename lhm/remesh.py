@@ -13,7 +13,7 @@ from scipy.sparse import identity as sparse_identity
 
 from .base.errors import InputError, MeshError, MissingDependencyError
 from .base.geometry.topology import midpoints, split_triangles
-from .base.mesh import Floats, Ints, Surface, TetMesh
+from .base.mesh import FACES, Floats, Ints, Surface, TetMesh
 from .head import LayeredHead
 
 # Edges of a tet by their two corners; the corner tets of the red refinement, and the octahedron's four tets about each
@@ -180,7 +180,7 @@ def _reason(gmsh: ModuleType, error: object) -> str:
 
 def _fills(tets: Ints, triangles: Ints, outer: int, inner: int) -> bool:
     """Whether the border of some tets is just the triangles of two wraps, whose first vertices are given."""
-    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    faces = np.sort(tets[:, FACES].reshape(-1, 3), axis=1)
     distinct, count = np.unique(faces, axis=0, return_counts=True)
     wraps = np.sort(np.vstack([triangles + outer, triangles + inner]), axis=1)
     return np.array_equal(distinct[count == 1], np.unique(wraps, axis=0))

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
@@ -54,26 +55,22 @@ class Scene:
                 term.check(self)
             except SceneError as error:
                 raise SceneError(f"term {position} ({term.name}): {error}") from None
-        object.__setattr__(self, "columns", tuple(np.asarray(column) for column in self.columns))
         self._check_columns()
         held, _ = self.dirichlet()
         self._check_bodies(held.any(axis=1))
 
     def _check_columns(self):
-        """Raise SceneError for columns that are no indices (k, m) of vertices, or that share one inside a row."""
-        n = len(self.vertices)
+        """Take columns of indices (k, m) of vertices; SceneError for others, and where two rows share an inner one."""
+        n, columns = len(self.vertices), []
         for position, column in enumerate(self.columns):
-            if column.ndim != 2 or column.shape[1] < 2 or column.dtype.kind not in "iu":
-                raise SceneError(
-                    f"columns {position}: expected indices of shape (k, m), m at least 2, got {column.dtype} of shape "
-                    f"{column.shape}"
-                )
-            if column.size and not (0 <= column.min() and column.max() < n):
-                raise SceneError(f"columns {position}: expected indices from 0 to {n - 1}, got {column.max()}")
-        if not self.columns:
+            columns.append(indices_below(f"columns {position}", column, n, (None, None), error=SceneError))
+            if columns[-1].shape[1] < 2:
+                raise SceneError(f"columns {position}: expected at least 2 vertices a row, got {columns[-1].shape[1]}")
+        object.__setattr__(self, "columns", tuple(columns))
+        if not columns:
             return
-        inside = np.bincount(np.concatenate([column[:, 1:-1].ravel() for column in self.columns]), minlength=n)
-        ends = np.concatenate([column[:, [0, -1]].ravel() for column in self.columns])
+        inside = np.bincount(np.concatenate([column[:, 1:-1].ravel() for column in columns]), minlength=n)
+        ends = np.concatenate([column[:, [0, -1]].ravel() for column in columns])
         twice = np.flatnonzero(inside > 1)
         if not twice.size:
             twice = ends[inside[ends] > 0]

@@ -226,6 +226,8 @@ class Limits:
 
 def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
     """Return where a solve begins [mm], shape (n, 3): a start, a solution's end, or rest; SceneError for another."""
+    if start is not None and warm is not None:
+        raise SceneError("start and warm both say where to begin: give one of them")
     if start is None and warm is not None:
         start = warm.positions
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
@@ -242,7 +244,8 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with its solution, whole or not at all.
 
     Per vertex `displacement` and `reaction`, per tet `J`, `von_mises`, `cauchy` and `first_piola` (nine components,
-    row by row). Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.
+    row by row); NaN for what is not finite, as Cauchy's stress of a flat tet. Raises InputError for another suffix, a
+    solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
     if scene.in_parts:
@@ -255,13 +258,13 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
             f"{len(scene.vertices)} and {len(scene.tets)}"
         )
     tensors = {"cauchy": solution.cauchy, "first_piola": solution.first_piola}
-    numbers = {"J": solution.volume_ratio, "von_mises": solution.von_mises}
+    quantities = {"J": solution.volume_ratio, "von_mises": solution.von_mises}
+    quantities |= {name: tensor.reshape(-1, 9) for name, tensor in tensors.items()}
     mesh = meshio.Mesh(
         scene.vertices,
         [("tetra", scene.tets)],
         point_data={"displacement": solution.positions - scene.vertices, "reaction": solution.reactions},
-        cell_data={name: [np.nan_to_num(values)] for name, values in numbers.items()}
-        | {name: [np.nan_to_num(values.reshape(-1, 9))] for name, values in tensors.items()},
+        cell_data={name: [np.where(np.isfinite(values), values, np.nan)] for name, values in quantities.items()},
     )
     with replaced(path) as temporary, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         mesh.write(temporary, file_format=path.suffix.lower()[1:])

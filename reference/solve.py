@@ -32,8 +32,8 @@ class Prepared(Protocol):
     ) -> Solution:
         """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        start [mm], shape (n, 3), default rest, or where `warm`, a solution before, ended; of that solver's own
-        unknowns and what it has learnt more is kept if the solution before was to `remember` them.
+        start [mm], shape (n, 3), default rest. `warm`, a solution before, takes its place: the solve begins where that
+        ended. With `remember`, the solver's own state (edge nodes, L-BFGS' pairs) carries over, too.
         tolerance is the gradient norm relative to its start, `absolute` [mN] one that is not: what asks the same
         wherever a solve starts. Raises SceneError if `scene` needs a new preparation, or any of these is out of range.
         """

@@ -56,6 +56,8 @@ def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
     return elements
 
 
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+"""The face opposite each corner of a tet of positive volume, counter-clockwise from outside."""
 FLAT = 1e-15
 """A tet of less than this share of the cube around it is flat."""
 

@@ -25,7 +25,7 @@ from ..terms import StrainRule
 from .bones import Bones, carry_wraps, jaw_motion, prescribed_bones, rigid_bones, scale_bone, soft_bones
 from .palsy import Springs
 from .parameters import TETS_PER_PRISM, TISSUE_DENSITY, Parameters, spread_to_tets, spread_to_triangles
-from .tissue import Attachment, Stack, connecting_tets, guard, is_guard
+from .tissue import Attachment, Guard, Stack, connecting_tets, guard
 
 PARTS = ("muscle", "skin")
 OF_TETS = (
@@ -283,7 +283,7 @@ def apply_law(scene: Scene, law: FaceLaw) -> Scene:
         if law not in laws:
             raise SceneError(f"law {law!r}: there are {', '.join((PD_ENERGY, *laws))}")
         law = laws[law]
-    strains = [strain for strain in scene.of(terms.Strain) if not is_guard(strain)]
+    strains = [strain for strain in scene.of(terms.Strain) if not isinstance(strain, Guard)]
     volumes = scene.of(terms.Volume)
     same = len(strains) == len(volumes)
     if not same or any(

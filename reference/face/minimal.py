@@ -79,8 +79,8 @@ def smallest_scene(
 ) -> Smallest:
     """Leave in a scene as few of its terms as keep every vertex within so many mm of where all of them put it.
 
-    Terms are named by their kind, and by their number where there are several. Raises as `smallest`, and SoftdecaError
-    where the whole scene is not solved.
+    Terms are named by their kind, and by their number where there are several. Raises as `find_smallest`, and
+    SoftdecaError where the whole scene is not solved.
     """
     kinds = [type(term).__name__ for term in scene.terms]
     names = {
@@ -166,7 +166,7 @@ FACIAL_PIECES: Mapping[str, Callable[[FacialModel], FacialModel]] = {
 def smallest_facial_scene(model: FacialModel, *, within: float = WITHIN) -> Smallest:
     """Leave in a facial scene as few of `FACIAL_PIECES` as keep its skin within so many mm of the whole one's.
 
-    Regions are left out on heads that have them. Raises as `smallest`.
+    Regions are left out on heads that have them. Raises as `find_smallest`.
     """
     pieces = dict(FACIAL_PIECES)
     if "face" not in model.head.regions:

@@ -27,7 +27,7 @@ from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.tets import untangle
 from ...lhm.base.geometry.topology import split_triangles
-from ...lhm.base.mesh import Floats, Ints, Surface, as_points, tet_volumes
+from ...lhm.base.mesh import FACES, Floats, Ints, Surface, as_points, tet_volumes
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ...lhm.layers import prism_tets, stack_wraps
 from ..scene import Scene
@@ -151,25 +151,24 @@ def _inverse_distance_weights(vertices: Floats, wraps: int) -> csr_matrix:
     return csr_matrix((weight.ravel(), near.ravel(), rows), shape=(len(near), wraps))
 
 
-def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Strain | None:
+@dataclass(frozen=True, eq=False)
+class Guard(Strain):
+    """A Strain that is no energy of tissue: it makes thin tets resist stretches that no face has."""
+
+
+def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Guard | None:
     """Guard tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
 
     stiffness [kPa]: soft tissue's, one or one per tet.
     """
     x = vertices[tets]
-    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
-    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
+    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in FACES]
     height = 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)  # the smallest: over the largest face
     thin = np.flatnonzero(height < GUARDED_HEIGHT)
     if not thin.size:
         return None
     own = np.broadcast_to(stiffness, len(tets))[thin]
-    return Strain(GUARD_STIFFNESS * own * (GUARDED_HEIGHT / height[thin] - 1.0), FREE_STRETCH, tets=thin)
-
-
-def is_guard(strain: Strain) -> bool:
-    """Whether a scene's Strain is a guard: tissue's own strain limit is never as wide."""
-    return bool(np.all(strain.limit >= FREE_STRETCH))
+    return Guard(GUARD_STIFFNESS * own * (GUARDED_HEIGHT / height[thin] - 1.0), FREE_STRETCH, tets=thin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,10 +72,31 @@ static inline vec larger_entries(const vec *s, vec tau, vec *t) {
   return (2.0 * tau - s[2]) * slope;
 }
 
+/* Replace t by the flatter stationary point of `nearest` in the lanes `alike` where there is one and it is nearer.
+
+   Its tau is the smallest. The product is concave from 0 to there, so Newton's method climbs to it and never past it;
+   where it passes the top, there is none. */
+static void flatten(const vec *s, vec target, mask alike, vec *t) {
+  vec flat[3], tau = target / (s[0] * s[1]), far = {};
+  for (int n = 0; n < 100; n++) {
+    const vec slope = larger_entries(s, tau, flat), product = flat[0] * flat[1] * tau;
+    const vec gain = product * (1.0 / tau + slope), after = tau + (target - product) / gain;
+    alike &= (gain > 0.0) & (after < 0.5 * s[2]);
+    const mask moved = alike & (vfabs(after - tau) > 4e-16 * tau);
+    if (!any(moved)) break;
+    tau = select(moved, after, tau);
+  }
+  larger_entries(s, tau, flat);
+  flat[2] = tau;
+  for (int i = 0; i < 3; i++) far += (flat[i] - s[i]) * (flat[i] - s[i]) - (t[i] - s[i]) * (t[i] - s[i]);
+  for (int i = 0; i < 3; i++) t[i] = select(alike & (far < 0.0), flat[i], t[i]);
+}
+
 /* The positive t nearest to singular values s with t[0] t[1] t[2] = target > 0.
 
    Stationary points obey t_i (t_i - s_i) = mu, so t[2] = tau alone decides: mu = tau (tau - s[2]), and the others take
-   the larger root. The product grows with tau on the bracket chosen here, where Newton is kept by bisection. */
+   the larger root. The product grows with tau on the bracket chosen here, where Newton is kept by bisection. Only
+   stretches that differ by less than 6.1 %, of a product above six times the target, have a second such point. */
 static void nearest(const vec *s, vec target, vec *t) {
   const mask below = (s[2] <= 0.0) | (s[0] * s[1] * s[2] <= target);
   vec third = target;
@@ -101,6 +122,8 @@ static void nearest(const vec *s, vec target, vec *t) {
   }
   larger_entries(s, tau, t);
   t[2] = tau;
+  const mask alike = (s[0] < 1.1 * s[2]) & (s[0] * s[1] * s[2] > 5.9 * target);
+  if (any(alike)) flatten(s, target, alike, t);
 }
 
 /* stiffness/2 times the squared distance of F to {det = target}, by singular values.

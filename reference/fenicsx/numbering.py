@@ -12,13 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.mesh import FACES, Floats, Ints
 from ..scene import Scene
 from ..terms import OnTriangles
 from . import dolfinx_version as seam
 from .dolfinx_version import ALL, ALONE, MPI
 from .parallel import IndexMap, gather
-from .parts import FACES, PartScene
+from .parts import PartScene
 
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""

@@ -18,18 +18,13 @@ import numpy as np
 
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
-from ...lhm.base.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import FACES, Floats, Ints, tet_volumes
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Term
 from . import dolfinx_version as seam
 from .dolfinx_version import ALL, MPI
 from .parallel import IndexMap, gather
-
-FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""The corners of the face opposite to each corner of a tet."""
-OUTWARD = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""The same, counter-clockwise as seen from outside a tet of positive volume."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +163,7 @@ def _part(domain, tags: Ints, facet_tags: tuple[Ints, Ints] | None) -> Part:
     turned = tet_volumes(vertices, tets) < 0.0
     tets[turned, 2:] = tets[turned, :1:-1]
     facets, beside, local = seam.boundary(domain)
-    boundary = cells[beside[:, None], OUTWARD[local]]
+    boundary = cells[beside[:, None], FACES[local]]
     boundary[turned[beside]] = boundary[turned[beside]][:, [0, 2, 1]]
     boundary_tags = np.zeros(len(facets), dtype=np.int64)
     if facet_tags is not None:

@@ -78,6 +78,8 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     names = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
     if linear_solver not in names:
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {', '.join(names)}")
+    if linear_solver == "block" and scene.of(Pressure):
+        raise SceneError("solver 'fenicsx': linear_solver 'block' has no use for Pressure, which takes factors")
     if ranks_for(scene).size > 1:
         scene = ranks.first(scene)
     return PreparedFenicsx(scene, element, linear_solver)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -63,9 +64,11 @@ class Problem:
         if mixed:
             self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
         self.solids = Solids(scene, numbering, self.pressure, self.pressure_dofs if mixed else None)
-        self._parts = self._parts_of(scene)
+        self._nodal: dict[type[NodalEnergy], tuple[list[Term], Sequence[NodalEnergy]]] = {}
+        self._parts = self._take_nodal(scene)
         nodes = [part.nodes for part in self._parts]
         self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
+        self._slots = [self.stiffness.slots(each) for each in nodes]
         self.symmetric = not anywhere(self.comm, [part.is_load for part in self._parts])
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[: numbering.nodes.owned], self.comm))
@@ -85,9 +88,16 @@ class Problem:
         """The matrix that every Hessian is assembled into."""
         return self.stiffness.matrix
 
-    def _parts_of(self, scene: Scene) -> list[NodalEnergy]:
-        models = [model for model in dict.fromkeys(MODELS.values()) if issubclass(model, NodalEnergy)]
-        return [part for model in models for part in model.from_scene(scene, self.numbering)]
+    def _take_nodal(self, scene: Scene) -> list[NodalEnergy]:
+        """Return the nodal parts; those of a kind are made anew if `varying` numbers of its terms have changed."""
+        for model in dict.fromkeys(MODELS.values()):
+            if not issubclass(model, NodalEnergy):
+                continue
+            terms = [term for kind in MODELS if MODELS[kind] is model for term in scene.of(kind)]
+            before, _ = self._nodal.get(model, (None, ()))
+            if before is None or not all(map(_have_same_numbers, before, terms)):
+                self._nodal[model] = terms, model.from_scene(scene, self.numbering)
+        return [part for _, parts in self._nodal.values() for part in parts]
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -101,8 +111,7 @@ class Problem:
             raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
         self.loads = dead_loads(scene, order)
         self.solids.set(scene)
-        self._parts = self._parts_of(scene)
-        self._slots = [self.stiffness.slots(part.nodes) for part in self._parts]
+        self._parts = self._take_nodal(scene)
         sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
         self.energy_scale = scene.force_scale() * sizes
 
@@ -138,6 +147,10 @@ class Problem:
     def moved(self, state: State, step: Floats) -> State:
         """The problem after a step of all dofs [mm], a vector (3 owned,)."""
         return self.at(state.u + self.numbering.nodes.spread(step.reshape(-1, 3)), state.p, state.share)
+
+
+def _have_same_numbers(one: Term, other: Term) -> bool:
+    return one is other or all(np.array_equal(getattr(one, key), getattr(other, key)) for key in one.varying)
 
 
 class State:

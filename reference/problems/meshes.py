@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import FACES, Floats, Ints, tet_volumes
 
 
 def box(cells: tuple[int, int, int], lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Floats, Ints]:
@@ -38,7 +38,7 @@ def unstructured(cells: int, size: float = 1.0, *, seed: int = 0) -> tuple[Float
 
 def boundary_triangles(tets: Ints) -> Ints:
     """The triangles that belong to one tet only, shape (k, 3), counter-clockwise from outside."""
-    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+    faces = tets[:, FACES].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return faces[first[count == 1]]
 

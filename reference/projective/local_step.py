@@ -2,9 +2,9 @@
 
 The stress is P = R f(S), with F = R S and f the sum of the terms' principal stresses. A Strain of limit 1 needs R
 alone: w (F - R). For the others f is the quadratic in S that meets the principal stresses at the three stretches
-(Newton's divided differences), which needs no singular vectors. Volume's principal stress is d_i = s_i - t_i = -m/t_i,
-whose differences are d[i, j] = m/(t_i t_j + m), where nothing cancels however near two stretches are. Blocks with a tet
-so flat that R is not sure, or at a kink of its stress, go by singular values.
+(Newton's divided differences), which needs no singular vectors. Volume's principal stress is d_i = s_i - t_i = -m/t_i
+(`volumes`), whose differences are d[i, j] = m/(t_i t_j + m), where nothing cancels however near two stretches are.
+Blocks with a tet so flat that R is not sure, or at a kink of its stress, go by singular values.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
-from ...lhm.base.errors import SceneError
+from ...lhm.base.checks import check_arguments, one_of
+from ...lhm.base.errors import SceneError, quote
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats, Ints
 from ..clock import Clock, Seconds
@@ -114,7 +114,7 @@ class ProjectivePrepared:
         start and, if it was to `remember` them (16 numbers per unknown), the pairs of steps and changes that L-BFGS
         begins with. What is Fixed is put where it is held, and a RigidBody where it fits best, before the first
         iteration. A start with inverted tets is untangled first, unless it is known to need none: not to `untangle` one
-        near the answer saves half the iterations.
+        near the answer saves half the iterations, and method "plain" never does.
         `absolute` [mN] is the gradient norm to stop at, in place of one relative to the start's: what asks the same of
         every frame, wherever it starts. `metric`, from `tangent`, is the Hessian at an answer near by, in place of the
         PD matrix: from there to here far fewer iterations are left, each of about twice the price.
@@ -127,6 +127,8 @@ class ProjectivePrepared:
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         limits = Limits(tolerance, absolute, max_iterations)
+        if remember and self.method != "lbfgs":
+            raise SceneError(f"remember: method {self.method!r} keeps nothing but positions; method 'lbfgs' does")
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
         place = coordinates.start(np.where(held, values, first_positions(scene, start, warm)) - scene.vertices)
@@ -232,6 +234,13 @@ def prepare(
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
         raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
+    if linear_solver is not None:
+        one_of("linear solver", linear_solver, get_args(LinearSolver))  # also where nothing is left to factor
+    if like is not None and not (isinstance(like, ProjectivePrepared) and linear_solver == "cholmod"):
+        raise SceneError(
+            "projective: like: expected a scene that this solver has prepared, and linear_solver 'cholmod', which alone "
+            f"takes over a factorisation; got {quote(like)} and {linear_solver!r}"
+        )
     clock = Clock()
     energy = Energy.from_scene(scene, threads)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])

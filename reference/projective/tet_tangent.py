@@ -2,8 +2,8 @@
 
 With F = U diag(s) Vᵀ and principal stresses p, dP/dF has a 3x3 block on the stretches and, per pair (i, j), a twist
 (p_i + p_j)/(s_i + s_j) and a flip (p_i - p_j)/(s_i - s_j) (Smith, de Goes, Kim 2019, "Analytic Eigensystems for
-Isotropic Distortion Energies", Section 4). Volume's nearest stretches have t_i (t_i - s_i) = m, so with
-q_i = 1/(t_i² + m) its block, flip and twist are rational in t and m and nothing cancels where stretches are equal.
+Isotropic Distortion Energies", Section 4). Volume's nearest stretches (`volumes`) have t_i (t_i - s_i) = m, so
+with q_i = 1/(t_i² + m) its block, flip and twist are rational in t and m and nothing cancels where stretches are equal.
 Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a tet's corners as `PAIRS`.
 """
 

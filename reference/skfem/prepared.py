@@ -49,7 +49,7 @@ class Prepared:
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        `warm`, a solution before, gives the default start; there is nothing else to `remember`. Held components are
+        `warm`, a solution before, gives the default start, with nodes on edges if it was to `remember` them. Held components are
         carried to their places first, before the first iteration of the history, and rigid bodies to their first ones:
         that of their shape, or the nearest to a given start. Inverted tets of stiff volume are led out by shape
         alone first; its iterations count, and may raise the energy.
@@ -68,12 +68,14 @@ class Prepared:
         held, positions = scene.dirichlet()
         begin, at_rest = first_positions(scene, start, warm), start is None and warm is None
         free = ~at.held_dofs(held)
-        goal = np.where(free, at.by_dof(begin), at.by_dof(positions))
+        x, before = at.by_dof(begin), None if warm is None else warm.memory
+        if isinstance(before, tuple) and before[0] is at:
+            x = before[1]
+        goal = np.where(free, x, at.by_dof(positions))
         bodies = Body.from_scene(scene, at)
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
-        x = at.by_dof(begin)
         carried = carry(energy, x, goal, free=free, scales=scales) if np.isfinite(energy.value(x)) else None
         x, forces = (goal, 0.0) if carried is None else carried
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
@@ -88,6 +90,7 @@ class Prepared:
             float(history.energy[-1]),
             history,
             volume_ratio(scene, answer),
+            memory=(at, x) if remember else None,
             recovery=partial(recover, scene, at.element, x),
             times=recorder.times(self.spent),
         )

@@ -19,7 +19,7 @@ from softdeca.benchmarks.studies.arena.summaries import tabulate_series, tabulat
 from softdeca.benchmarks.studies.person import person
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, facial_scene, solve, terms
-from softdeca.reference.face.tissue import is_guard
+from softdeca.reference.face.tissue import Guard
 from softdeca.reference.problems.meshes import block, vertices_at
 
 HEAD = """
@@ -141,7 +141,7 @@ def test_a_posed_face_is_the_face_of_the_simulator():
     face, of = problems.face(1), person(seed=None, level=1)
     targets = of.shape(problems.EXPRESSION)
     scene = facial_scene(of.head, Parameters(muscle_strain_ratio=1.0), targets, bones="prescribed")
-    guards = {id(term) for term in scene.of(terms.Strain) if is_guard(term)}
+    guards = {id(term) for term in scene.of(terms.Strain) if isinstance(term, Guard)}
     scene = replace(scene, terms=tuple(term for term in scene.terms if id(term) not in guards))
     end = solve(scene, tolerance=1e-9).positions
     assert np.abs(end - scene.vertices).max() > 5.0

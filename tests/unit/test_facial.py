@@ -70,6 +70,9 @@ def test_neo_hookean_counterpart_has_the_same_small_strain_moduli(sphere_head):
     limited = facial_scene(sphere_head, Parameters(strain_limit=1.1), sphere_head.skin.vertices)
     with pytest.raises(SceneError, match="no counterpart"):
         apply_law(limited, "neo-Hookean")
+    stiff = replace(scene, terms=(*scene.terms, terms.Strain(500.0, limit=4.0)))  # tissue's own, however wide its limit
+    with pytest.raises(SceneError, match="each Strain term needs a Volume term on the same tets"):
+        apply_law(stiff, "neo-Hookean")
 
 
 def test_targets_of_another_skin_are_refused(sphere_head):

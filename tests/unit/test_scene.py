@@ -83,9 +83,11 @@ def test_a_scene_names_the_term_that_does_not_fit(term, message):
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ([[0, 1, 2]], r"columns 0: expected indices of shape \(k, m\), m at least 2, got int64 of shape \(3,\)"),
-        ([[[0.0, 1.0]]], "columns 0: expected indices .* got float64"),
-        ([[[0, 1]], [[0, 9]]], r"columns 1: expected indices from 0 to 4, got 9"),
+        ([[0, 1, 2]], r"columns 0: expected shape \(n, n\), got \(3,\)"),
+        ([[[0.0, 1.0]]], "columns 0: expected integers, got float64"),
+        ([[[0, 1]], [[0, 9]]], r"columns 1: 9 at \(0, 1\); expected 0..4"),
+        ([[[0, 1], [2, -1]]], r"columns 0: -1 at \(1, 1\); expected 0..4"),
+        ([[[0]]], "columns 0: expected at least 2 vertices a row, got 1"),
         ([[[0, 1, 2]], [[3, 1, 4]]], "columns: vertex 1 is inside one row and in another one too"),
         ([[[0, 1, 2], [1, 3, 4]]], "columns: vertex 1 is inside one row"),
     ],

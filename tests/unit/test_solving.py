@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from softdeca.lhm.base.errors import MissingDependencyError
-from softdeca.reference import Reason, Scene, SceneError, materials, terms
+from softdeca.lhm.base.errors import MissingDependencyError, SoftdecaError
+from softdeca.reference import Reason, Scene, SceneError, materials, prepare, terms
 from softdeca.reference.problems import meshes
 
 from .by_solver import SOLVERS, WAYS, element_options, prepare_by, solve_by
@@ -96,6 +96,28 @@ def test_a_sequence_is_prepared_once(solver, element):
         prepared.solve(Scene(X, TETS, [terms.Strain(9.0, 1.02, tets=scene.terms[0].tets), *scene.terms[1:]]))
 
 
+def test_only_nodal_terms_that_change_are_made_anew(monkeypatch):
+    pytest.importorskip("dolfinx")
+    from softdeca.reference.fenicsx.problem import Membrane, Rings, Springs
+
+    made = []
+
+    def counted(cls, *arguments):
+        made.append(cls.__name__)
+        return originals[cls](cls, *arguments)
+
+    originals = {model: model.from_scene.__func__ for model in (Membrane, Rings, Springs)}
+    for model in originals:
+        monkeypatch.setattr(model, "from_scene", classmethod(counted))
+    scene = pulled_block()
+    prepared = prepare(scene, solver="fenicsx")
+    prepared.solve(max_iterations=0)
+    assert sorted(made) == ["Membrane", "Rings", "Springs"]
+    prepared.solve(scene.with_targets(scene.of(terms.Target)[0].positions + 0.1), max_iterations=0)
+    prepared.solve(pulled_block(), max_iterations=0)
+    assert made[3:] == ["Springs", "Springs"]
+
+
 @each_way
 @pytest.mark.parametrize("place", [0, 20])
 def test_vertices_of_no_tet_stay_or_are_held(solver, element, place):
@@ -142,6 +164,7 @@ class Wind(terms.Term):
 
 
 LOADED = [terms.Strain(1.0, tets=[0]), terms.Gravity((0, -1, 0), density=1.0)]
+PUSHED = [SOFT, terms.Pressure(meshes.triangles_at(X, TETS, 2, 1.0), 0.1)]
 INDICATOR = [terms.Strain(1.0, rule="indicator")]
 
 
@@ -152,6 +175,21 @@ INDICATOR = [terms.Strain(1.0, rule="indicator")]
         ("projective", [SOFT], {}, "cannot model Hyperelastic"),
         ("fenicsx", [SOFT], {"element": "P7"}, "unknown element 'P7'; there are P1, P2, P2P1"),
         ("fenicsx", [SOFT], {"linear_solver": "jacobi"}, "unknown linear_solver 'jacobi'; there are cg, mumps"),
+        *(
+            ("projective", [terms.Strain(1.0), terms.Fixed(np.arange(len(X)))], {"linear_solver": name}, message)
+            for name, message in (("pardiso", "linear solver 'pardiso': expected one of"), (0, "linear solver 0: exp"))
+        ),
+        *(
+            ("projective", [terms.Strain(1.0)], {"like": like}, "projective: like: expected a scene that this solver")
+            for like in ("another", prepare(Scene(X, TETS, [terms.Strain(1.0)])))
+        ),
+        ("skfem", [SOFT], {"linear_solver": "mumps"}, "'skfem' has no option 'linear_solver'; it has element"),
+        *((solver, [SOFT], {"method": "plain"}, f"'{solver}' has no option 'method'") for solver in SOLVERS[1:]),
+        *((solver, [SOFT], {"threads": 2}, f"'{solver}' has no option 'threads'") for solver in SOLVERS[1:]),
+        *((solver, [SOFT], {"like": None}, f"'{solver}' has no option 'like'") for solver in SOLVERS[1:]),
+        ("projective", [terms.Strain(1.0)], {"element": "P1"}, "has no option 'element'; it has method"),
+        ("fenicsx", [SOFT], {"linear_solver": "block"}, "unknown linear_solver 'block'; there are cg, mumps"),
+        ("fenicsx", PUSHED, {"linear_solver": "block", "element": "P2P1"}, "'block' has no use for Pressure"),
         ("fenicsx", LOADED, {}, "carries a load, but no energy acts on it"),
         ("skfem", [SOFT], {"element": "P9"}, "element"),
         *((solver, [Wind()], {}, f"'{solver}' cannot model Wind") for solver in SOLVERS),
@@ -159,8 +197,14 @@ INDICATOR = [terms.Strain(1.0, rule="indicator")]
     ],
 )
 def test_what_a_solver_does_not_know_is_refused(solver, parts, options, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(SoftdecaError, match=message):
         prepare_by(solver, Scene(X, TETS, parts), **options).solve()
+
+
+@pytest.mark.parametrize("method", ["anderson", "plain"])
+def test_a_method_that_keeps_nothing_is_not_to_remember(method):
+    with pytest.raises(SceneError, match=f"remember: method '{method}' keeps nothing but positions"):
+        prepare(Scene(X, TETS, [terms.Strain(1.0)]), method=method).solve(remember=True)
 
 
 WEIGHT = terms.Gravity((0, -9810.0, 0), 1e-6)

@@ -173,6 +173,15 @@ def test_a_solution_is_written_with_all_that_was_found(solver, tmp_path):
     np.testing.assert_allclose(again.cauchy, solution.cauchy, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["flat.vtu", "flat.vtk"])
+def test_stresses_of_flat_tets_are_written_as_no_numbers(name, tmp_path):
+    scene = Scene(X, TETS, [terms.Strain(1.0), terms.Fixed(np.arange(len(X)), X * [1.0, 1.0, 0.0])])
+    write_solution(tmp_path / name, scene, solve(scene))
+    written = meshio.read(tmp_path / name).cell_data
+    assert np.isnan(written["von_mises"][0]).all() and np.isnan(written["cauchy"][0]).any(axis=1).all()
+    assert np.isfinite(written["first_piola"][0]).all()
+
+
 def test_what_cannot_be_written_is_named(tmp_path):
     scene = bent()
     solution = solve(scene)

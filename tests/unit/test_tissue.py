@@ -12,7 +12,7 @@ from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
 from softdeca.lhm.remesh import refine_head
 from softdeca.reference import Parameters, Scene, SceneError, apply_law, facial_scene, nested_start, solve, terms
-from softdeca.reference.face.tissue import GUARD_STIFFNESS, GUARDED_HEIGHT, Stack, connecting_tets, guard, is_guard
+from softdeca.reference.face.tissue import GUARD_STIFFNESS, GUARDED_HEIGHT, Guard, Stack, connecting_tets, guard
 
 # The heights of a corner cut off a cube: its legs are a long, and the one over the slanted face is a / sqrt(3).
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -22,20 +22,18 @@ def test_stiffness_grows_as_tets_get_thinner():
     scales = np.sqrt(3.0) * np.array([0.5 * GUARDED_HEIGHT, 2.0 * GUARDED_HEIGHT, 0.1 * GUARDED_HEIGHT])
     vertices = np.vstack([scale * CORNER for scale in scales])
     strain = guard(vertices, np.arange(12).reshape(3, 4), np.array([2.0, 2.0, 3.0]))
-    assert strain.tets.tolist() == [0, 2] and is_guard(strain)
+    assert strain.tets.tolist() == [0, 2] and isinstance(strain, Guard)
     assert strain.stiffness == pytest.approx([2.0 * GUARD_STIFFNESS, 27.0 * GUARD_STIFFNESS])
     assert guard(10.0 * GUARDED_HEIGHT * CORNER, np.arange(4)[None], 1.0) is None
 
 
 def test_what_no_guard_is_for_stays_as_it_was(spheres):
     """Targets that stretch nothing threefold: the same answer without the guard, which only thin layers have."""
-    assert not any(map(is_guard, facial_scene(spheres(), Parameters(), spheres().skin.vertices).of(terms.Strain)))
+    assert not facial_scene(spheres(), Parameters(), spheres().skin.vertices).of(Guard)
     scene = _dragged(spheres, 3.0)
     guarded, plain = (solve(one, tolerance=1e-9) for one in (scene, _unguarded(scene)))
     assert np.abs(guarded.positions - plain.positions).max() < 1e-6
-    assert _unguarded(scene).of(terms.Volume) and not any(
-        map(is_guard, apply_law(scene, "neo-Hookean").of(terms.Strain))
-    )
+    assert _unguarded(scene).of(terms.Volume) and not apply_law(scene, "neo-Hookean").of(terms.Strain)
 
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
@@ -58,7 +56,7 @@ def _dragged(spheres, distance: float) -> Scene:
 
 
 def _unguarded(scene: Scene) -> Scene:
-    kept = tuple(term for term in scene.terms if not (isinstance(term, terms.Strain) and is_guard(term)))
+    kept = tuple(term for term in scene.terms if not isinstance(term, Guard))
     assert len(kept) == len(scene.terms) - 1
     return Scene(scene.vertices, scene.tets, kept)
 

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ..errors import MeshError
-from ..mesh import Floats, Ints, tet_volumes
+from ..mesh import FACES, Floats, Ints, tet_volumes
 
 
 def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:
     """Return the smallest of the six angles [degrees] between the faces of each tet, shape (m,)."""
     x = vertices[tets]
-    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
-    normals = np.stack([np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]) for i, j, k in faces], axis=1)
+    normals = np.stack([np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]) for i, j, k in FACES], axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-30)
     smallest = np.full(len(tets), 180.0)
     for i in range(4):
@@ -31,8 +30,7 @@ def aspect_ratios(vertices: Floats, tets: Ints) -> Floats:
     x = vertices[tets]
     edges = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     longest = np.sqrt(np.max([((x[:, j] - x[:, i]) ** 2).sum(axis=1) for i, j in edges], axis=0))
-    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
-    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
+    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in FACES]
     # Height over a face = 3 volumes / area.
     height = 6.0 * np.abs(tet_volumes(vertices, tets)) / np.maximum(np.max(doubled, axis=0), 1e-30)
     return longest / np.maximum(height, 1e-30)

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix, identity
 from ....lhm.base.errors import SceneError
 from ....lhm.base.geometry.bvh import TetTree, TriangleTree
 from ....lhm.base.geometry.triangles import crossed_edges, parting_shifts
-from ....lhm.base.mesh import Floats, Ints, Surface
+from ....lhm.base.mesh import FACES, Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
 from .constraints import Constraints
@@ -20,8 +20,6 @@ REACH = 15.0
 """How far behind the surface [mm] flesh is looked through for vertices that went in: the deepest overlap seen."""
 ON_A_FACE = 1e-6
 """A vertex with a lesser barycentric weight in a tet touches it only."""
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""A tet's faces, each seen counter-clockwise from outside."""
 TURNED = 0.3
 """A triangle whose normal has more than this cosine with a vertex' own is no place that the vertex went in at."""
 PARALLEL = 0.1
