@@ -60,7 +60,7 @@ def all_formats() -> Iterator[Format]:
     yield Format("ict.npz", lambda path: arrays_of_space(identities.ICTFaceKit(path)), arrays)
     yield Format("flame.npz", lambda path: arrays_of_space(identities.FLAME(path)), arrays)
     yield Format("flame.pkl", lambda path: arrays_of_space(identities.FLAME(path)), mutations.of_pickle)
-    yield Format("people/0.npz", read_people, arrays)
+    yield Format("people/0.npz", read_people, arrays, ("people: ",))
     yield Format("people/parts.npy", read_people, mutations.of_npy)
     yield Format("people/parts.json", read_people, tree)
     yield Format("bodyparts/FMA52748.obj", read_bodyparts, text)

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from softdeca.benchmarks.face import score as scorer
-from softdeca.benchmarks.face.archive import write_archive
-from softdeca.benchmarks.face.problems import PROBLEMS
+from softdeca.benchmarks.face.archive import describe, write_archive
+from softdeca.benchmarks.face.problems import MESHES, PROBLEMS
 from softdeca.lhm import head_file, template_file
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files import moving_surface, tet_file
@@ -120,18 +120,23 @@ def face_benchmark(folder: Path) -> dict[str, bytes]:
     rng = np.random.default_rng(0)
     moved = np.round(rng.normal(size=coarse.vertices.shape), 1)
     moved[coarse.held_vertices] = 0.0
-    answers = {f"{problem}.{kind}": moved for problem in PROBLEMS for kind in ("converged", "linear.coarse")}
-    quantity = {"name": "skin, mean", "unit": "mm", "value": [1.0], "band": 0.1}
-    limits = {problem: {"band_mm": 0.1, "answers": [quantity]} for problem in PROBLEMS}
+    answers = {f"{problem}.converged": moved for problem in PROBLEMS}
+    for body, mesh in zip(bodies, MESHES, strict=True):
+        answers |= {f"{problem}.linear.{mesh}": np.zeros_like(body.vertices) for problem in PROBLEMS}
+    limits = {problem: {"band_mm": 0.1, "largest_mm": 0.2, "answers": []} for problem in PROBLEMS}
+    asked, still = describe(bodies, limits, "none"), np.zeros_like(moved)
+    shares = dict.fromkeys(asked["bones"], np.zeros(len(moved)))
+    values = scorer.measure(asked, 0, moved, still, np.zeros((len(coarse.tets), 3, 3)), shares)
+    for limit in limits.values():
+        limit["answers"] = [{"name": name, "unit": "mm", "value": each, "band": 0.1} for name, each in values.items()]
     write_archive(folder / "whole.zip", bodies, limits, answers, "none")
     buffer = io.BytesIO()
     with zipfile.ZipFile(folder / "whole.zip") as whole, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as small:
-        for name in (scorer.DESCRIPTION, scorer.ANSWERS, "meshes/coarse.vtu"):
+        for name in (scorer.DESCRIPTION, scorer.ANSWERS, scorer.CHECKSUMS, "meshes/coarse.vtu"):
             small.writestr(name, whole.read(name))
-        mesh = scorer.read_mesh("coarse.vtu", whole.read("meshes/coarse.vtu"))
-    tets = len(mesh.cells_dict["tetra"])
-    points = {"displacement": moved, "reaction": np.zeros_like(moved)}
-    answer = meshio.Mesh(mesh.points, mesh.cells, points, {"cauchy": [np.zeros((tets, 9))]})
+        mesh = scorer.read_mesh(Path(whole.extract("meshes/coarse.vtu", folder)))
+    points, cells = {"displacement": moved, "reaction": still}, {"cauchy": [np.zeros((len(coarse.tets), 9))]}
+    answer = meshio.Mesh(mesh.points, mesh.cells, points, cells)
     answer.write(folder / "gravity.vtu", binary=False)
     return {"benchmark.zip": buffer.getvalue(), "gravity.vtu": (folder / "gravity.vtu").read_bytes()}
 
