@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.base.files.atomic import replaced
+from ..lhm.base.files.atomic import replaced, write_whole
 from ..lhm.base.limits import TRAINING_STEPS
 from .options import count_range
 from .terminal import show_progress
@@ -105,7 +105,7 @@ def train(
             path, curve = _gradients(network, corpus, out, given, batch, recurrence_steps or 0, read, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
-    (out / "curve.png").write_bytes(draw_learning_curve(curve))
+    write_whole(out / "curve.png", draw_learning_curve(curve))
     for written in (path, out / "curve.json", out / "curve.png"):
         click.echo(f"wrote {written}")
     return 0

@@ -194,6 +194,27 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
     return csr_matrix((values, columns_of, ends), shape=(rows, columns))
 
 
+UNIT = 0.01
+"""By how much a quaternion's length may differ from 1: files round its numbers."""
+
+
+def rotations_from_quaternions(name: str, quaternions: Any) -> Floats:
+    """Return rotation matrices (n, 3, 3) of quaternions (x, y, z, w), shape (n, 4), of length 1 within UNIT."""
+    q = finite(name, quaternions, (None, 4))
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(q, axis=1, keepdims=True)
+    wrong = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT))
+    if len(wrong):
+        raise InputError(f"{name}: quaternion {wrong[0]} has length {lengths[wrong[0], 0]:.3g}; expected 1")
+    x, y, z, w = (q / lengths).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
 def _place(flat: int, array: np.ndarray) -> str:
     """Return the index of an entry, "3" or "(3, 1)"."""
     place = tuple(int(each) for each in np.unravel_index(int(flat), array.shape))

@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 
 from ..arkit import ARKIT, index
 from ..base.checks import check_arguments
-from ..base.errors import InputError, quote
+from ..base.errors import InputError, MissingDependencyError, quote
 from ..base.limits import SPEECH_LETTERS
 from ..base.mesh import Floats
 from .readers import read_livelink
@@ -419,7 +419,7 @@ def speech(text: str, *, pace: float = PACE) -> Take:
     gaze and head rest.
 
     Raises InputError for a text without words or with one that has no sounds, such as 3, for one that is longer than
-    `limits.SPEECH_LETTERS`, for a pace outside [2, 30], and where openfacefx is not installed.
+    `limits.SPEECH_LETTERS`, and for a pace outside [2, 30]; MissingDependencyError without openfacefx.
     """
     SPEECH_LETTERS.check("speech", len(text))
     if not SLOWEST <= pace <= FASTEST:
@@ -428,7 +428,7 @@ def speech(text: str, *, pace: float = PACE) -> Take:
         import openfacefx as fx
         from openfacefx.retarget import PRESETS, retarget
     except ImportError:
-        raise InputError("speech needs the package openfacefx: pip install 'softdeca[speech]'") from None
+        raise MissingDependencyError("speech needs the package openfacefx: pip install 'softdeca[speech]'") from None
     segments = _segments(text, 1.0 / pace)
     track = fx.generate_from_alignment(segments, gestures=fx.GestureParams(seed=zlib.crc32(text.encode())))
     csv, _ = fx.livelink_csv_string(retarget(track, PRESETS["arkit"] | GESTURES))

@@ -11,6 +11,7 @@ import io
 import math
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arkit import ARKIT, index
-from ..base.checks import check_arguments
+from ..base.checks import check_arguments, rotations_from_quaternions
 from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as load_json
-from ..base.files.text import read_bytes
+from ..base.files.text import parse_number, read_bytes
 from ..base.limits import TAKE_BYTES, TAKE_FRAMES
 from ..base.mesh import Floats
-from .takes import Take, angles_from_rotations, check_rate, rotations_from_quaternions, take_from_columns
+from .takes import Take, angles_from_rotations, take_from_columns
 
 Row = tuple[int, list[str]]
 """A line's number, from 1, and its cells."""
@@ -47,6 +48,10 @@ def read_take(path: str | os.PathLike[str]) -> Take:
         suffixes = ", ".join(dict.fromkeys(reader.suffix for reader in READERS))
         raise InputError(f"{path}: unknown kind of file; expected one of {suffixes}")
     content = read_bytes(path, TAKE_BYTES)
+    if path.suffix.lower() == ".csv":  # a line, or a column, per frame
+        lines = content.splitlines()
+        most = max((len(lines) - 1, *(line.count(b",") for line in lines)), default=1)
+        TAKE_FRAMES.check(f"{path}: it has", max(most, 1))
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -73,7 +78,9 @@ MIRRORED = (-1.0, 1.0, -1.0)
 """From the file's yaw, pitch and roll to ours. In real takes the eyes' yaw falls with eyeLookOutLeft and their pitch
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
 weight tells, as the same mirrored frame has it."""
-_TIMECODE = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})[:;](\d{1,3}(?:\.\d+)?)")
+_TIMECODE = re.compile(r"([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)[:;](\d{1,3}(?:\.\d+)?)", re.ASCII)
+SECONDS_SEEN = 3
+"""Seconds that have to begin in a take before the number of frames in them is held against the rate."""
 _DAY = 24 * 3600
 
 
@@ -128,9 +135,10 @@ def _expression_columns(header: list[str]) -> dict[int, str]:
     names = list(columns.values())
     if not names:
         raise InputError("not a take: line 1 names none of ARKit's 52 expressions")
-    twice = [name for name in ARKIT if names.count(name) > 1]
+    listed = [BY_LOWER.get(name.lower(), name.lower()) for name in header]
+    twice = [name for name in (*ARKIT, *sorted(OTHER_COLUMNS)) if listed.count(name) > 1]
     if twice:
-        raise InputError(f"line 1: column {twice[0]} stands there {names.count(twice[0])} times")
+        raise InputError(f"line 1: column {twice[0]} stands there {listed.count(twice[0])} times")
     others = [name for name in header if name.lower() not in BY_LOWER and name.lower() not in OTHER_COLUMNS]
     _refuse_misspelt([(1, name) for name in others], names, "column")
     return columns
@@ -160,6 +168,10 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     if (steps <= 0).any():
         raise InputError(f"line {timecodes[int(np.argmax(steps <= 0)) + 1][0]}, column Timecode: time does not rise")
     step = round(float(np.median(steps)), 2) if len(steps) else 1.0
+    across = steps[np.diff(seconds) == 1]
+    if len(across) >= SECONDS_SEEN and np.median(across) > 3.0 * step + 1.0:
+        line = timecodes[int(parts[:, 3].argmax())][0]
+        raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
     return usual[0] / max(step, 0.01), (at - at[0]) / usual[0]
 
 
@@ -167,6 +179,8 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
 
 RECORDER_RATE = 60.0
 """[Hz] Where there are no timestamps, or these say nearly so."""
+RATES = 1.0, 1000.0
+"""[Hz] Of a take in a file: the least and the greatest. Milliseconds for seconds make 24 to 240 Hz less."""
 TIME, HEAD = "timestamp", ("head x", "head y", "head z", "head w")
 
 
@@ -187,7 +201,14 @@ def read_recorder(text: str) -> Take:
     """
     named: dict[str, Row] = {}
     unknown = []
-    for line, row in _rows(text):
+    rows = _rows(text)
+    if rows and not rows[0][1][0].strip():
+        line, row = rows[0]
+        counts = Counter(cell.strip() for cell in row[1:] if cell.strip())
+        if counts.total() > len(counts):
+            frame, times = counts.most_common(1)[0]
+            raise InputError(f"line {line}: frame {quote(frame)} stands there {times} times")
+    for line, row in rows:
         name = row[0].strip()
         known = BY_LOWER.get(name.lower(), name.lower())
         if known not in (*ARKIT, TIME, *HEAD):
@@ -212,10 +233,7 @@ def read_recorder(text: str) -> Take:
     head = None
     if all(name in values for name in HEAD):
         quaternions = np.stack([values[name] for name in HEAD], axis=1)
-        none = np.flatnonzero(~quaternions.any(axis=1))
-        if len(none):
-            raise InputError(f"head, frame {none[0]}: a quaternion of zeros is no rotation")
-        head = angles_from_rotations(rotations_from_quaternions(quaternions))
+        head = angles_from_rotations(rotations_from_quaternions("head, by frame", quaternions))
     return take_from_columns(np.stack([values[name] for name in names], axis=1), names, rate, times, head=head)
 
 
@@ -226,8 +244,15 @@ def _times_from_stamps(stamps: Floats | None, frames: int) -> tuple[float, Float
     steps = np.diff(stamps)
     if (steps <= 0).any():
         raise InputError(f"{TIME}, frame {int(np.argmax(steps <= 0)) + 1}: time does not rise")
-    rate = 1.0 / float(np.median(steps)) if len(steps) else RECORDER_RATE
+    rate = _check_rate(1.0 / float(np.median(steps))) if len(steps) else RECORDER_RATE
     return (RECORDER_RATE if abs(rate - RECORDER_RATE) < 1.0 else rate), stamps - stamps[0]
+
+
+def _check_rate(rate: float) -> float:
+    """Return a rate [Hz] that a file says, or that follows from its times."""
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(f"rate: {rate:.6g} Hz, expected {RATES[0]:g} to {RATES[1]:,g}; are its times milliseconds?")
+    return rate
 
 
 # JSON: an object with `frames`, and `rate` (or `fps`) [Hz] unless the frames carry their times.
@@ -242,7 +267,9 @@ def read_json_take(text: str) -> Take:
 
     Names are ARKit's, whatever their order and case; an unknown one is an error. Of `rate` and `time` the times win.
     """
-    content = load_json(text, allow_nan=True)  # weights and times that are not finite are named with their frame
+    content = load_json(
+        text, allow_nan=True, entries=TAKE_FRAMES
+    )  # weights and times that are not finite are named with their frame
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError('not a take: expected an object with a list "frames" that is not empty')
@@ -255,28 +282,33 @@ def read_json_take(text: str) -> Take:
             [f["weights"] if isinstance(f, dict) and "weights" in f else f for f in frames], names
         )
     times = [frame.get("time") if isinstance(frame, dict) and "weights" in frame else None for frame in frames]
-    if times[0] is None:
-        rate = _finite_number(content.get("rate", content.get("fps")), '"rate"')
-        check_rate(rate)
+    if all(time is None for time in times):
+        if "rate" in content and "fps" in content:
+            raise InputError('"rate" and "fps" are the same, and both stand there')
+        rate = _check_rate(_finite_number(content.get("rate", content.get("fps")), '"rate"'))
         return take_from_columns(values, names, rate, np.arange(len(frames)) / rate)
     stamps = np.array([_finite_number(time, f"frame {number}, time") for number, time in enumerate(times)])
     steps = np.diff(stamps)
     if not len(steps) or (steps <= 0).any():
         where = int(np.argmax(steps <= 0)) + 1 if len(steps) else 0
         raise InputError(f"frame {where}, time: expected two frames or more whose times rise")
-    return take_from_columns(values, names, 1.0 / float(np.median(steps)), stamps - stamps[0])
+    return take_from_columns(values, names, _check_rate(1.0 / float(np.median(steps))), stamps - stamps[0])
 
 
 def _values_by_name(frames: list[Any]) -> tuple[list[str], Floats]:
     values = np.zeros((len(frames), len(ARKIT)))
-    used = set()
+    used: set[str] = set()
     for number, frame in enumerate(frames):
         if not isinstance(frame, dict):
             raise InputError(f"frame {number}: expected an object of names and weights, as in frame 0")
+        here: set[str] = set()
         for name, value in frame.items():
             known = _known_name(name, f"frame {number}")
+            if known in here:
+                raise InputError(f"frame {number}: {known} stands there twice")
+            here.add(known)
             values[number, ARKIT.index(known)] = _finite_number(value, f"frame {number}, {name}")
-            used.add(known)
+        used |= here
     names = [name for name in ARKIT if name in used]
     return names, values[:, [ARKIT.index(name) for name in names]]
 
@@ -337,7 +369,7 @@ def _rows(text: str) -> list[Row]:
 
 def _number(cell: str, where: str) -> float:
     try:
-        number = float(cell)
+        number = parse_number(cell)
     except ValueError:
         raise InputError(f"{where}: {quote(cell)!r} is no number") from None
     if not math.isfinite(number):

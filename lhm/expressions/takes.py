@@ -220,15 +220,3 @@ def angles_from_rotations(matrices) -> Floats:
     r = np.asarray(matrices, dtype=np.float64)
     yaw, roll = np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arctan2(r[:, 1, 0], r[:, 1, 1])
     return np.unwrap(np.stack([yaw, np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), roll], axis=1), axis=0)
-
-
-def rotations_from_quaternions(quaternions) -> Floats:
-    """Rotation matrices, shape (frames, 3, 3), of quaternions (x, y, z, w), shape (frames, 4), of any length but 0."""
-    q = np.asarray(quaternions, dtype=np.float64)
-    x, y, z, w = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), 2, 0)

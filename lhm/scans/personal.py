@@ -23,7 +23,7 @@ import numpy as np
 from ..arkit import ARKIT, weights_of
 from ..base.errors import FitError, InputError, SoftdecaError
 from ..base.files.surface_file import read_scan
-from ..base.files.text import is_plain_file, parse_json, read_bytes
+from ..base.files.text import find_beside, parse_json, parse_number, read_bytes
 from ..base.geometry.warp import rigid_motion
 from ..base.limits import JSON_BYTES
 from ..base.mesh import Floats, Surface
@@ -219,24 +219,22 @@ def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
     content = read_bytes(path, JSON_BYTES)
     try:
         rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
-        guesses = _weights(rows, path.parent)
+        guesses = _weights(rows, path)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return guesses
 
 
-def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dict[Path, Floats]:
+def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], path: Path) -> dict[Path, Floats]:
     by_scan: dict[Path, Floats] = {}
     for name, named in rows:
-        scan = folder / name
+        scan = find_beside(path, name)
         if scan in by_scan:
             raise InputError(f"{name:.80}: it stands there twice")
         try:
             by_scan[scan] = weights_of(named)
         except InputError as error:
             raise InputError(f"{name:.80}: {error}") from None
-        if not is_plain_file(scan):
-            raise InputError(f"{name:.80}: no such file beside it")
     if not any(weights.any() for weights in by_scan.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
     return by_scan
@@ -259,6 +257,8 @@ def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
         raise InputError("no lines of scan and weights in it") from None
     if head[0].lower() != "scan":
         raise InputError(f"line 1: begins with {head[0][:40]!r}, expected: scan,jawOpen,...")
+    if len(set(head)) < len(head):
+        raise InputError("line 1: names an expression twice")
     weighted: list[tuple[str, Mapping[str, Any]]] = []
     for row in rows:
         if len(row) != len(head):
@@ -269,6 +269,6 @@ def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
 
 def _number(cell: str) -> Any:
     try:
-        return float(cell)
+        return parse_number(cell)
     except ValueError:
         return cell

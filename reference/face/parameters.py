@@ -20,7 +20,7 @@ import numpy as np
 
 from ...lhm.base.checks import array_of_kind, check_arguments, finite
 from ...lhm.base.errors import InputError, SceneError, escape, quote
-from ...lhm.base.files.text import read_toml
+from ...lhm.base.files.text import find_beside, read_toml
 from ...lhm.base.mesh import Floats, Surface
 
 STANDARD_GRAVITY = 9810.0
@@ -292,7 +292,7 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     named = read_toml(path)
     try:
         values: dict[str, Any] = {
-            Parameters.info(name).name: _read_array(path.parent / value, name) if isinstance(value, str) else value
+            Parameters.info(name).name: _read_array(path, value, name) if isinstance(value, str) else value
             for name, value in named.items()
         }
         return Parameters(**values)
@@ -300,9 +300,13 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
         raise InputError(f"{path}: {error}") from None
 
 
-def _read_array(path: Path, name: str) -> Floats:
-    if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
-        raise InputError(f"parameter {name}: {quote(str(path), 200)}: expected a number, or an .npy file that is there")
+def _read_array(naming: Path, value: str, name: str) -> Floats:
+    if not value.endswith(".npy"):
+        raise InputError(f"parameter {name}: {quote(value)}: expected a number, or an .npy file")
+    try:
+        path = find_beside(naming, value)
+    except InputError as error:
+        raise InputError(f"parameter {name}: {error}") from None
     try:
         # A map of the file cannot be longer than the file, whatever its header says.
         array = np.load(path, mmap_mode="r", allow_pickle=False)

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
+from ...lhm.base.files.atomic import check_replaceable
 from ...lhm.base.mesh import FACES, Floats, Ints, tet_volumes
 from ..scene import Scene
 from ..solution import Solution
@@ -93,6 +94,8 @@ class PartScene(Scene):
             raise InputError(f"{path}: unknown kind of file; expected .xdmf")
         if not path.parent.is_dir():
             raise InputError(f"{path}: no such folder")
+        check_replaceable(path)
+        check_replaceable(path.with_suffix(".h5"))
         displacement = {"displacement": solution.positions - self.vertices}
         seam.write_xdmf(path, self.part.domain, displacement, {"J": solution.volume_ratio})
 

@@ -1,8 +1,11 @@
 """Bad input ends in one line that names the thing, an exit status that is not 0, and no file left half-written."""
 
 import fcntl
+import os
+import re
 import resource
 import shlex
+import socket
 import time
 import zipfile
 
@@ -10,8 +13,9 @@ import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.lhm import SoftdecaError, Surface, expressions, fit_head, load_template
-from softdeca.lhm.base.files.atomic import replaced
+from softdeca.lhm import InputError, SoftdecaError, Surface, expressions, fit_head, load_template
+from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
+from softdeca.lhm.base.files.resumable import RowStore, lock_folder
 from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.fit import is_upright
 from softdeca.lhm.head_file import load_head, save_head
@@ -273,6 +277,58 @@ def test_a_file_stays_as_it_was_when_its_writer_fails(tmp_path):
             temporary.write_text("half")
             raise error
     assert file.read_text() == "before" and list(tmp_path.iterdir()) == [file]
+
+
+def pipe(file, folder):
+    os.mkfifo(file)
+
+
+def socket_there(file, folder):
+    with socket.socket(socket.AF_UNIX) as there:
+        there.bind(str(file))
+
+
+def link(file, folder):
+    (folder / "precious").write_text("precious")
+    file.symlink_to(folder / "precious")
+
+
+NO_FILES = {
+    "it is a link to .*/precious; give that name": link,
+    "it is a link to .*/nowhere; give that name": lambda file, folder: file.symlink_to(folder / "nowhere"),
+    "it is a link to /dev/null": lambda file, folder: file.symlink_to("/dev/null"),
+    "it is a pipe": pipe,
+    "it is a socket": socket_there,
+    "Is a directory": lambda file, folder: file.mkdir(),
+    "it is read-only": lambda file, folder: file.touch(0o444),
+}
+
+
+@pytest.mark.parametrize("words", NO_FILES)
+def test_nothing_is_replaced_but_a_plain_file(tmp_path, command, words):
+    file = tmp_path / "out.msh"
+    NO_FILES[words](file, tmp_path)
+    before = {path.name: path.lstat() for path in tmp_path.iterdir()}
+    message = rf"out\.msh: cannot be written \({words}"
+    refused(message, check_place, file, folder=False)
+    refused(message, write_whole, file, b"new")
+    refused(message, RowStore(tmp_path, file=file.name).add, {})
+    assert re.search(message, command("head", "mesh", "head.npz", "--out", file).refusal())
+    assert {path.name: path.lstat() for path in tmp_path.iterdir()} == before
+    assert "precious" not in before or (tmp_path / "precious").read_text() == "precious"
+
+
+def test_devices_are_not_replaced():
+    for device in ("/dev/null", "/dev/full"):
+        refused(f"{device}: cannot be written .it is a device", check_place, device, folder=False)
+    refused("/dev/stdout: cannot be written .it is a link to ", check_place, "/dev/stdout", folder=False)
+
+
+def test_a_lock_that_is_a_link_leaves_what_it_leads_to(tmp_path):
+    link(tmp_path / ".lock", tmp_path)
+    with pytest.raises(InputError, match="lock: cannot be written .it is a link"), lock_folder(tmp_path, "study"):
+        pass
+    assert (tmp_path / "precious").read_text() == "precious"
 
 
 def fixed_at(vertex):

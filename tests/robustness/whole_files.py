@@ -271,6 +271,7 @@ def draco_glb() -> bytes | None:
     gltf = Gltf(extensionsRequired=["KHR_draco_mesh_compression"])
     packed = gltf.view(DracoPy.encode(x.astype(np.float32), triangles.astype(np.uint32)))
     place = gltf.access({"componentType": 5126, "count": len(x), "type": "VEC3"})
-    extension = {"bufferView": packed, "attributes": {"POSITION": 0}}
-    gltf.mesh({"attributes": {"POSITION": place}, "extensions": {"KHR_draco_mesh_compression": extension}})
+    corners = gltf.access({"componentType": 5125, "count": triangles.size, "type": "SCALAR"})
+    extensions = {"KHR_draco_mesh_compression": {"bufferView": packed, "attributes": {"POSITION": 0}}}
+    gltf.mesh({"attributes": {"POSITION": place}, "indices": corners, "extensions": extensions})
     return gltf.glb()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.lhm.expressions import (
     ARKIT,
     combinations,
@@ -267,7 +268,7 @@ def test_without_openfacefx_its_extra_is_named(monkeypatch):
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    refused(r"softdeca\[speech\]", speech, "hello")
+    refused(r"softdeca\[speech\]", speech, "hello", error=MissingDependencyError)
 
 
 def test_hard_expressions_have_two_to_five_shapes_up_to_full_weight():

@@ -70,4 +70,12 @@ def test_damaged_data_are_told(cut):
         (SEQUENCE[: len(SEQUENCE) // 2], 800, 4, "INDICES"),
     ):
         refused("damaged or cut short", decode_meshopt, packed[:cut], count, stride, mode)
+    for packed, count, stride, mode in (
+        (VERTICES_0, 16, 8, "ATTRIBUTES"),
+        (VERTICES_1, 32, 8, "ATTRIBUTES"),
+        (PACKED_TRIANGLES, 99, 4, "TRIANGLES"),
+        (PACKED_TRIANGLES, 101, 4, "TRIANGLES"),
+        (SEQUENCE, 7, 4, "INDICES"),
+    ):
+        refused("damaged or cut short", decode_meshopt, packed, count, stride, mode)
     refused("unknown mode", decode_meshopt, SEQUENCE, 8, 4, "POINTS")

@@ -1,14 +1,20 @@
 """Readers of OBJ, PLY, STL and glTF against trimesh's, skins, and the cache: what each refuses."""
 
 import base64
+import io
 import json
+import os
 import struct
+import tracemalloc
+import warnings
+import zipfile
 
 import numpy as np
 import pytest
 import trimesh
 
 from softdeca.lhm import MeshError, Surface
+from softdeca.lhm.base.files import gltf as gltf_file
 from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_scan, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
@@ -19,7 +25,7 @@ from softdeca.lhm.scans.repair import repair_scan
 from softdeca.lhm.skin import check_skin
 
 from ..refusals import refused
-from ..robustness.whole_files import Gltf, exported, obj, stl
+from ..robustness.whole_files import Gltf, draco_glb, exported, glb, glb_words, obj, packed_glb, stl
 
 UNIT, TRIANGLES = geodesic_sphere(4)
 X = np.round(6400 * UNIT) / 64  # [mm], exact in single precision and in nine digits
@@ -140,7 +146,7 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
     made.words["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(made.chunk).decode()
     assert np.array_equal(mesh_of(written(tmp_path / "b.gltf", json.dumps(made.words)))[0], scan.vertices)
     made.words["buffers"][0]["uri"] = "missing.bin"
-    refused("'missing.bin' is not beside it", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
+    refused("missing.bin: no such file beside it", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
     whole = (tmp_path / "a.glb").read_bytes()
     for cut in (10, 200, len(whole) // 2, len(whole) - 9):
         refused(r"c\.glb: ", read_scan, written(tmp_path / "c.glb", whole[:cut]))
@@ -184,6 +190,49 @@ def many_targets(words):
     primitive(words)["targets"] = [{"POSITION": 3}] * 10_000
 
 
+def two_buffers(words):
+    words["buffers"] += [{"byteLength": 6 * 10**8}] * 2
+
+
+def many_instances(words):
+    words["nodes"] = [{"mesh": 0}] * 5_001
+
+
+def three_instances(words):
+    words["accessors"][0]["count"] = 4 * 10**6
+    words["nodes"] = [{"mesh": 0}] * 3
+
+
+def one_name(words):
+    words["accessors"].append({"componentType": 5126, "count": len(X), "type": "VEC3"})
+    primitive(words)["targets"] = [{"POSITION": 3}] * 2
+    words["meshes"][0]["extras"] = {"targetNames": ["jawOpen", "jawOpen"]}
+
+
+def sparse(*ids):
+    """Zeros, of which two are others, by the first numbers of the buffer."""
+
+    def edit(words):
+        words["buffers"][0]["uri"] = data_uri(np.array(ids, "<u2").tobytes() + bytes(60_000))
+        some = {"count": 2, "indices": {"bufferView": 1, "componentType": 5123}, "values": {"bufferView": 1}}
+        words["bufferViews"][1]["byteOffset"] = 0
+        words["accessors"][0] |= {"sparse": some}
+
+    return edit
+
+
+def data_uri(content):
+    return "data:application/octet-stream;base64," + base64.b64encode(content).decode()
+
+
+def no_weights(words):
+    for name in ("JOINTS_0", "WEIGHTS_0"):
+        words["accessors"].append({"componentType": 5121, "count": len(X), "type": "VEC4"})
+        primitive(words)["attributes"] |= {name: len(words["accessors"]) - 1}
+    words["skins"] = [{"joints": [0]}]
+    words["nodes"][0]["skin"] = 0
+
+
 def zeros(words):
     words["accessors"][0] = {"componentType": 5126, "count": 10**12, "type": "VEC3"}
 
@@ -209,6 +258,22 @@ GLTF = [
     (changed("nodes", 0, scale=[float("nan")] * 3), "NaN is no finite number"),
     (changed("nodes", 0, scale=[1e300] * 3), "scale: 1e\\+300 is too large"),
     (changed("nodes", 0, matrix=[1, 0]), "matrix: expected shape \\(16,\\)"),
+    (changed("nodes", 0, matrix=[1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "matrix: its last row is not 0, 0,"),
+    (changed("nodes", 0, rotation=[0.9, 0.9, 0.9, 0.9]), "rotation: quaternion 0 has length 1.8; expected 1"),
+    (changed("nodes", 0, rotation=[0, 0, 0, 0]), "rotation: quaternion 0 has length 0; expected 1"),
+    (changed("nodes", 0, scale=[1, 1, 0]), "a node's transform flattens its mesh"),
+    (changed("nodes", 0, scale=[0, 0, 0]), "no triangles found"),
+    (changed("buffers", 0, uri="data:;base64,!!!!"), "is no base64"),
+    (changed("buffers", 0, uri="data:text/plain,abc"), "of the kind 'data:text/plain'; expected base64"),
+    (changed("buffers", 0, uri="data:;base64,AAAA"), "shorter than it says"),
+    (changed("buffers", 0, byteLength=10), "shorter than it says"),
+    (two_buffers, "its buffers have: 1,2.* bytes; expected at most"),
+    (many_instances, "its scene has: 10,002 instances of parts"),
+    (three_instances, "its scene has: 24,000,000 vertices"),
+    (one_name, "morph target 'jawOpen' stands there twice"),
+    (sparse(5, 5), "sparse indices: they do not rise"),
+    (sparse(5, 999), "sparse indices: 999"),
+    (no_weights, "WEIGHTS_0: vertex 0 hangs on no joint"),
 ]
 
 
@@ -216,6 +281,17 @@ def edited_glb(edit):
     made = gltf()
     edit(made.words)
     return made.glb()
+
+
+def twice_npz():
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name, array in (("vertices", X), ("vertices.npy", 2 * X), ("triangles.npy", TRIANGLES)):
+            file = io.BytesIO()
+            np.save(file, array)
+            archive.writestr(name, file.getvalue())
+    return content.getvalue()
 
 
 def stl_of(count):
@@ -254,6 +330,13 @@ BAD = [
     ("a.ply", ASCII.replace(b"format ascii", b"format binary"), "no PLY file has"),
     ("a.ply", ASCII.replace(b"end_header", b"end"), "its header has no end"),
     ("a.ply", "", "the file is empty"),
+    ("a.ply", ASCII + b"1 3 4 5 6 0\n", "goes on after the elements"),
+    ("a.ply", BINARY + b"more", "goes on after the elements"),
+    ("a.obj", OBJ + "v 1_0 0 0\n", "line .* is none of an OBJ file"),
+    ("a.obj", OBJ + "f 1 2 1_0\n", "line .* is none of an OBJ file"),
+    ("a.stl", FACET + "outer loop\nvertex 1_0 2 3\n", "line 4 is none of an STL file"),
+    ("a.gltf", '{"asset": {"version": "2.0"}, "nodes": [], "nodes": []}', "the key 'nodes' stands there twice"),
+    ("a.npz", twice_npz(), "it holds two arrays of one name"),
     *(("a.stl", stl_of(count), "its size is not that of the") for count in (10**9, 2**32 - 1, 319, 0)),
     ("a.stl", FACET + "something else\n", "line 3 is none of an STL file"),
     ("a.stl", FACET + "outer loop\nvertex 1 2 3\n", "cut off within a triangle"),
@@ -280,6 +363,100 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path, name, content, message):
     if content is not None:
         written(tmp_path / name, content)
     assert str(tmp_path / name) in refused(f"{name}: .*{message}", read_scan, tmp_path / name)
+
+
+OUTSIDE = [
+    "{outside}", "../outside.bin", "%2e%2e/outside.bin", "below/../../outside.bin", "below%2F..%2F..%2Foutside.bin",
+    "file://{outside}", "file:outside.bin", "C:/outside.bin", "..\\outside.bin", ".hidden.bin", "below/.hidden/a.bin",
+    "linked.bin", "linked/outside.bin", "loop.bin", "pipe.bin", "below", ".", "", "http://127.0.0.1/a.bin",
+    "/proc/self/environ", "/dev/zero", "a" * 100_000, "below/" * 40_000, "a\0b", "%00", "\ud800", 7, ["in.bin"],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("uri", OUTSIDE, ids=range(len(OUTSIDE)))
+def test_a_gltf_opens_no_file_outside_its_folder(tmp_path, uri, binary):
+    made, outside = gltf(), tmp_path / "outside.bin"
+    here = tmp_path / "here"
+    (here / "below" / ".hidden").mkdir(parents=True)
+    for file in (outside, here / ".hidden.bin", here / "below" / ".hidden" / "a.bin"):
+        file.write_bytes(made.chunk)
+    (here / "linked.bin").symlink_to(outside)
+    (here / "linked").symlink_to(tmp_path)
+    (here / "loop.bin").symlink_to(here / "loop.bin")
+    os.mkfifo(here / "pipe.bin")
+    made.words["buffers"][0]["uri"] = uri.format(outside=outside) if isinstance(uri, str) else uri
+    path = written(here / "a.glb", made.glb()) if binary else written(here / "a.gltf", json.dumps(made.words))
+    assert len(refused(f"{path.name}: ", read_scan, path)) < len(str(path)) + 200
+
+
+def test_a_gltf_reads_what_it_states_of_a_file_in_its_folder_also_by_a_link(tmp_path):
+    made, here = gltf(), tmp_path / "here"
+    (here / "below").mkdir(parents=True)
+    (here / "below" / "a b.bin").write_bytes(made.chunk + bytes(10**6))
+    (here / "near.bin").symlink_to(here / "below" / "a b.bin")
+    for uri in ("below/a%20b.bin", "./below/a b.bin", "near.bin"):
+        made.words["buffers"][0]["uri"] = uri
+        written(here / "a.gltf", json.dumps(made.words))
+        np.testing.assert_array_equal(mesh_of(here / "a.gltf")[0][: len(X)], X)
+    # The folder is that of the file, not of the link to it.
+    (tmp_path / "link.gltf").symlink_to(here / "a.gltf")
+    np.testing.assert_array_equal(mesh_of(tmp_path / "link.gltf")[0][: len(X)], X)
+
+
+def test_views_of_a_gltf_are_not_copied_and_its_meshes_are_decoded_once(tmp_path, monkeypatch):
+    made = gltf()
+    made.view(bytes(4 * 10**6))
+    made.words["bufferViews"] = [
+        each | {"byteOffset": 0, "byteLength": len(made.chunk)} for each in made.words["bufferViews"][:1] * 500
+    ]
+    accessors = [made.words["accessors"][0] | {"bufferView": k, "count": 3} for k in range(500)]
+    made.words["accessors"] = accessors
+    made.mesh(*({"attributes": {"POSITION": k}} for k in range(500)))
+    path = written(tmp_path / "views.glb", made.glb())
+    tracemalloc.start()
+    read_scan(path)
+    assert tracemalloc.get_traced_memory()[1] < 6 * len(made.chunk)
+    tracemalloc.stop()
+
+    made, read = gltf(), []
+    made.words["nodes"] = [{"mesh": 0}] * 300
+    whole = gltf_file._strided
+    monkeypatch.setattr(gltf_file, "_strided", lambda *given: read.append(1) or whole(*given))
+    assert len(mesh_of(written(tmp_path / "nodes.glb", made.glb()))[0]) == 600 * len(X)
+    assert len(read) == 4  # twice the vertices, and once each half's corners
+
+
+def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_path):
+    made = gltf()
+    made.words["nodes"][0] |= {"scale": [-1, 1, 1], "rotation": [0, 0, 1.004, 0]}
+    vertices, triangles = mesh_of(written(tmp_path / "a.glb", made.glb()))
+    np.testing.assert_allclose(vertices[: len(X)], X * [1, -1, 1], atol=1e-9)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "number", "changes", "message"),
+    [
+        (packed_glb, "accessors", 1, {"count": 99}, None),
+        (packed_glb, "bufferViews", 1, {"byteLength": 396}, "396 bytes; its meshopt data have 102 times 4"),
+        (packed_glb, "bufferViews", 1, {"byteLength": 3 * 10**9}, "shorter than it says"),
+        (draco_glb, "accessors", 0, {"count": 41}, r"Draco's vertices: expected shape \(41, 3\), got \(42, 3\)"),
+        (draco_glb, "accessors", 1, {"count": 237}, r"Draco's corners: expected shape \(237,\), got \(240,\)"),
+    ],
+)
+def test_counts_of_a_compressed_gltf_are_those_of_what_is_in_it(tmp_path, make, kind, number, changes, message):
+    content = make()
+    if content is None:
+        pytest.skip("DracoPy is not installed")
+    words, chunk = glb_words(content)
+    words[kind][number] |= changes
+    path = written(tmp_path / "a.glb", glb(words, chunk))
+    if message is None:  # an accessor may take the first part of a view
+        assert len(read_scan(path).triangles) == 33
+    else:
+        refused(message, read_scan, path)
 
 
 @pytest.mark.parametrize(
@@ -322,6 +499,11 @@ def test_bad_landmarks_are_named(tmp_path, text, message):
         ("a.csv", "scan,jawOpen\nsmile.ply,1,2\n", "smile.ply: 2 weights"),
         ("a.csv", "scan,jawOpen\nsmile.ply,much\n", "smile.ply: the weight of jawOpen is 'much'"),
         ("a.csv", "scan,jawOpen\nsmile.ply,1\nsmile.ply,1\n", "stands there twice"),
+        ("a.csv", "scan,jawOpen\nsmile.ply,1\n./smile.ply,1\n", "stands there twice"),
+        ("a.csv", "scan,jawOpen,jawOpen\nsmile.ply,1,0\n", "names an expression twice"),
+        ("a.csv", "scan,jawOpen\nsmile.ply,1_0\n", "the weight of jawOpen is '1_0'"),
+        ("a.json", '{"smile.ply": {"jawOpen": 1}, "smile.ply": {"jawOpen": 0}}', "'smile.ply' stands there twice"),
+        ("a.json", '{"../smile.ply": {"jawOpen": 1}}', "has to lie in its folder"),
     ],
 )
 def test_bad_guesses_are_named(tmp_path, name, text, message):

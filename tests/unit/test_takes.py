@@ -1,5 +1,6 @@
 """Takes: LiveLink Face's CSV and JSON, by name and with their times, and resampling."""
 
+import itertools
 import json
 
 import numpy as np
@@ -178,6 +179,11 @@ def test_a_row_per_quantity_is_read_too(write):
     np.testing.assert_allclose(rotations(take.head), turned.as_matrix(), atol=1e-12)
 
 
+def milliseconds(text):
+    first, stamps, *rest = text.splitlines()
+    return "\n".join([first, "timestamp," + ",".join(f"{1000 * float(s)}" for s in stamps.split(",")[1:]), *rest])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -187,7 +193,12 @@ def test_a_row_per_quantity_is_read_too(write):
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,inf,"), "jawOpen, frame 0: inf is not finite"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,"), "8 frames, other quantities have 9"),
         (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
-        (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, frame 0: a quaternion of zeros"),
+        (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
+        (lambda t: t.replace("head w,1.0", "head w,1e200"), "head, by frame: quaternion 0 has length inf; expected 1"),
+        (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
+        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,1_0,"), "jawOpen, frame 0: '1_0' is no number"),
+        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,\u0661,"), "is no number"),
+        (milliseconds, "rate: 0.059988 Hz, expected 1 to 1,000; are its times milliseconds?"),
         (lambda t: "\n".join(line.split(",")[0] for line in t.splitlines()), "no frames, only the names"),
     ],
 )
@@ -218,6 +229,14 @@ def broken_csv():
     yield third(lambda row: row.__setitem__(0, "later")), "line 3, column Timecode: 'later'"
     yield third(lambda row: row.__setitem__(0, "10:00:00:02.25")), "line 4, column Timecode: time does not rise"
     yield third(lambda row: row.__setitem__(0, "10:00:00:900")), "line 3, column Timecode: frame 900"
+    for code in ("24:00:00:00", "99:99:99:00", "10:75:61:00", "10:00:60:00", "-1:00:00:00", "10:00:00:\u0661"):
+        yield third(lambda row, code=code: row.__setitem__(0, code)), "line 3, column Timecode: '"
+    yield third(lambda row: row.__setitem__(column, "1_0")), "line 3, column JawOpen: '1_0' is no number"
+    beyond = csv_text(ramp(240), timecodes(240)).replace("10:00:01:59.250", "10:00:01:90.250")
+    yield beyond, "line 121, column Timecode: frame 90, but most seconds end before it"
+    yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
+    yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
+    yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
@@ -225,7 +244,10 @@ def broken_csv():
     yield b"Timecode,JawOpen\n1\x00,2\n", "."
 
 
-@pytest.mark.parametrize(("content", "message"), list(broken_csv()))
+BROKEN = list(broken_csv())
+
+
+@pytest.mark.parametrize(("content", "message"), BROKEN, ids=range(len(BROKEN)))
 def test_a_bad_csv_is_one_line_that_names_the_place(write, content, message):
     assert message in refused("take.csv: ", read_take, write(content))
 
@@ -258,6 +280,10 @@ def test_the_three_forms_of_json_say_the_same(write):
         assert len(take.missing) == 50 and "jawOpen" not in take.missing
 
 
+def timed(*times):
+    return json.dumps({"names": ["jawOpen"], "frames": [{"weights": [1], "time": time} for time in times]})
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -284,7 +310,24 @@ def test_the_three_forms_of_json_say_the_same(write):
             '{"names": ["jawOpen"], "frames": [{"weights": [1], "time": 1}, {"weights": [1], "time": 1}]}',
             "frame 1, time",
         ),
+        ('{"rate": 30, "frames": [{"jawOpen": 0.1, "JawOpen": 0.9}]}', "frame 0: jawOpen stands there twice"),
+        ('{"rate": 30, "frames": [{"jawOpen": 0.1, "jawOpen": 0.9}]}', "the key 'jawOpen' stands there twice"),
+        ('{"rate": 30, "frames": [{}], "frames": [{"jawOpen": 1}]}', "the key 'frames' stands there twice"),
+        ('{"rate": 30, "fps": 25, "frames": [{"jawOpen": 1}]}', '"rate" and "fps" are the same'),
+        (
+            '{"rate": 0.06, "frames": [{"jawOpen": 1}]}',
+            "rate: 0.06 Hz, expected 1 to 1,000; are its times milli",
+        ),
+        ('{"rate": 60000, "frames": [{"jawOpen": 1}]}', "are its times milliseconds?"),
+        (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
+        (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
+        (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
+        (timed(0.0, None, 0.2), "frame 1, time: None is no finite number"),
+        (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),
+        ('{"rate": 30, "names": ["jawOpen"], "frames": [' + "[1]," * 1_000_000 + "[1]]}", "1,000,001 frames; expected"),
+        ('{"rate": 30, "frames": [' + '{"\\"": 1},' * 1_000_000 + "{}]}", "1,000,001 frames; expected"),
     ],
+    ids=itertools.count(),
 )
 def test_a_bad_json_is_one_line_that_names_the_place(write, text, message):
     assert message in refused("take.json: ", read_take, write(text, "take.json"))

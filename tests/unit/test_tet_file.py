@@ -106,6 +106,15 @@ def test_a_file_of_something_else_is_told(tmp_path, capsys, suffix, content):
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("form", ["HDF", "Binary"])
+def test_an_xdmf_file_opens_no_other(tmp_path, form):
+    path = tmp_path / "head.xdmf"
+    broken("").write(path, data_format=form)
+    for name in ("head.h5", "head0.bin", "head1.bin"):
+        (tmp_path / name).unlink(missing_ok=True)
+    refused(f"head.xdmf: its numbers are of Format '{form}'; expected 'XML'", read_tets, path)
+
+
 def test_missing_and_unknown_files_are_told(tmp_path, sphere_head):
     refused("no such file", read_tets, tmp_path / "none.msh")
     refused("expected one of .msh, .vtu", write_tets, tmp_path / "head.stl", tets_from_head(sphere_head))

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import base64
+import binascii
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 
-from ..checks import finite, in_range, indices_below, shape
+from ..checks import finite, in_range, indices_below, rotations_from_quaternions, shape, texts
 from ..errors import InputError, MissingDependencyError, escape, quote
-from ..limits import CORNERS, GLTF_DEPTH, GLTF_NODES, MORPH_TARGETS, MORPH_VALUES, TRIANGLES, UNPACKED_BYTES, VERTICES
+from ..limits import (
+    CORNERS,
+    FILE_BYTES,
+    GLTF_DEPTH,
+    GLTF_NODES,
+    GLTF_PRIMITIVES,
+    MORPH_TARGETS,
+    MORPH_VALUES,
+    TRIANGLES,
+    UNPACKED_BYTES,
+    VERTICES,
+)
 from ..mesh import Floats, Ints
 from .meshopt import decode_meshopt
-from .text import parse_json, read_bytes, read_json
+from .text import find_beside, parse_json, read_bytes, read_json
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -31,6 +44,8 @@ LARGEST = 1e12
 LONGEST_STRIDE = 65536
 """Bytes; the specification has 252."""
 LONGEST_NAME = 200
+FLAT = 1e-9
+"""Of a transform's largest number, cubed: a determinant below leaves no volume."""
 ENDED = "the file is shorter than it says: is its end missing?"
 
 
@@ -51,9 +66,20 @@ def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
         raise InputError(f"not a sound glTF file ({type(error).__name__}: {escape(str(error))[:60]})") from None
 
 
+@dataclass(frozen=True)
+class _Primitive:
+    """Vertices (n, 3), triangles (m, 3), named targets (n, 3), and joints and weights (n, 4) of a skin."""
+
+    vertices: Floats
+    triangles: Ints
+    targets: dict[str, Floats]
+    joints: Ints | None = None
+    weights: Floats | None = None
+
+
 class _Document:
     def __init__(self, path: Path):
-        self._folder = path.parent
+        self._path = path
         binary = path.suffix.lower() == ".glb"
         self._json, self._chunk = _glb(read_bytes(path)) if binary else (read_json(path, "a glTF file"), None)
         if not isinstance(self._json, dict) or not str(self._json.get("asset", {}).get("version", "")).startswith("2"):
@@ -61,45 +87,67 @@ class _Document:
         needed = {name for name in self._json.get("extensionsRequired", ()) if not name.startswith("KHR_materials_")}
         unknown = sorted(needed - _KNOWN - {"KHR_texture_basisu", "KHR_texture_transform", "EXT_texture_webp"})
         if unknown:
-            raise InputError(f"it needs the glTF extension {unknown[0]!r}, which is not read; export it without")
-        self._buffers: dict[int, bytes] = {}
-        self._views: dict[int, bytes] = {}
+            raise InputError(f"it needs the glTF extension {quote(unknown[0])!r}, which is not read; export it without")
+        self._buffers: dict[int, memoryview] = {}
+        self._unpacked: dict[int, bytes] = {}
+        self._joints: dict[int, Floats] = {}
+        listed = [_bytes("byteLength", buffer["byteLength"]) for buffer in self._json.get("buffers", ())]
+        FILE_BYTES.check("its buffers have", sum(listed))
+        packed = [view["byteLength"] for view in self._json.get("bufferViews", ()) if _meshopt(view) is not None]
+        UNPACKED_BYTES.check("its meshopt data have", sum(_bytes("byteLength", size) for size in packed))
 
     def mesh(self) -> tuple[Floats, Ints, dict[str, Floats]]:
         """Return all instances of meshes in the scene, one after another."""
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        first = corners_in_all = values = 0
-        for node, matrix in self._placed():
-            mesh = self._item("meshes", node["mesh"])
-            names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras"), dict) else []
-            for primitive in mesh["primitives"]:
-                parts = self._primitive(primitive, names)
-                if parts is None:
-                    continue
-                x, corners, targets = parts
-                first += len(x)
-                corners_in_all += len(corners)
-                values += 3 * len(x) * len(targets)
-                VERTICES.check("its scene has", first)
-                TRIANGLES.check("its scene has", corners_in_all)
-                MORPH_VALUES.check("its scene has", values)
-                linear, shift = self._transforms(primitive, node, matrix, len(x))
-                vertices.append(np.einsum("nij,nj->ni", linear, x) + shift)
-                triangles.append(corners + first - len(x))
-                morphs.append({name: np.einsum("nij,nj->ni", linear, moved) for name, moved in targets.items()})
+        placed = self._placed()
+        read: dict[int, list[_Primitive]] = {}
+        first = 0
+        for node, matrix in placed:
+            if node["mesh"] not in read:
+                read[node["mesh"]] = self._primitives(self._item("meshes", node["mesh"]))
+            for primitive in read[node["mesh"]]:
+                linear, shift = self._transforms(primitive, node, matrix)
+                grown = np.linalg.det(linear)
+                if np.abs(grown).max() <= FLAT * np.abs(linear).max() ** 3:
+                    raise InputError("a node's transform flattens its mesh")
+                # A mirrored mesh would be inside out.
+                corners = primitive.triangles[:, ::-1] if np.median(grown) < 0.0 else primitive.triangles
+                vertices.append(np.einsum("nij,nj->ni", linear, primitive.vertices) + shift)
+                triangles.append(corners + first)
+                morphs.append({k: np.einsum("nij,nj->ni", linear, moved) for k, moved in primitive.targets.items()})
+                first += len(primitive.vertices)
         if not vertices:
             raise InputError("no triangles found; is there a mesh in its scene?")
         counts = [len(x) for x in vertices]
         all_names = dict.fromkeys(name for targets in morphs for name in targets)
         MORPH_TARGETS.check("its scene has", len(all_names))
-        MORPH_VALUES.check("its scene has", 3 * sum(counts) * len(all_names))
+        MORPH_VALUES.check("its scene has", 3 * first * len(all_names))
         joined = {
             name: np.vstack([t.get(name, np.zeros((k, 3))) for t, k in zip(morphs, counts, strict=True)])
             for name in all_names
         }
         return np.vstack(vertices), np.vstack(triangles), joined
+
+    def _check_sizes(self, meshes: Sequence[dict]) -> None:
+        """Check the sums over all instances by the counts that accessors state, before any is read."""
+        GLTF_PRIMITIVES.check("its scene has", sum(len(mesh["primitives"]) for mesh in meshes))
+        vertices = triangles = values = 0
+        for primitive in (each for mesh in meshes for each in mesh["primitives"] if _is_surface(each)):
+            count = self._count(primitive["attributes"]["POSITION"])
+            vertices += count
+            corners = self._count(primitive["indices"]) if "indices" in primitive else count
+            triangles += corners // 3 if primitive.get("mode", 4) == 4 else corners
+            values += 3 * count * MORPH_TARGETS.check("a mesh has", len(primitive.get("targets", ())))
+        VERTICES.check("its scene has", vertices)
+        TRIANGLES.check("its scene has", triangles)
+        MORPH_VALUES.check("its scene has", values)
+
+    def _count(self, number: int) -> int:
+        accessor = self._item("accessors", number)
+        # Zeros, where no view is named, take no place in the file.
+        return (CORNERS if accessor["type"] == "SCALAR" else VERTICES).check(f"accessor {number}", accessor["count"])
 
     def _item(self, kind: str, number: Any) -> Any:
         """Return an object by its number in one of the document's lists."""
@@ -108,81 +156,105 @@ class _Document:
             raise InputError(f"{kind}: {quote(number)} is none of its {len(listed)}")
         return listed[number]
 
-    def _placed(self) -> Iterator[tuple[dict, Floats]]:
+    def _placed(self) -> list[tuple[dict, Floats]]:
         """Return nodes that have a mesh, with their global transform (4, 4)."""
         nodes = self._json.get("nodes", [])
         GLTF_NODES.check("it has", len(nodes))
-        self._global: dict[int, Floats] = {}
+        parents: dict[int, int | None] = {}
         scenes = self._json.get("scenes")
         children = {child for node in nodes for child in node.get("children", ())}
         roots = [k for k in range(len(nodes)) if k not in children]
         shown_nodes = self._item("scenes", self._json.get("scene", 0)).get("nodes", []) if scenes else roots
 
-        def walk(k: int, above: Floats, depth: int) -> Iterator[int]:
+        def walk(k: int, parent: int | None, depth: int) -> None:
             GLTF_DEPTH.check("it has", depth)
             node = self._item("nodes", k)
-            if k in self._global:
+            if k in parents:
                 raise InputError(f"its nodes are no tree: node {k} is reached twice")
-            self._global[k] = above @ _local(node)
-            yield k
+            parents[k] = parent
             for child in node.get("children", ()):
-                yield from walk(child, self._global[k], depth + 1)
+                walk(child, k, depth + 1)
 
-        order = [k for root in shown_nodes for k in walk(root, np.eye(4), 0)]
-        if not any("mesh" in nodes[k] for k in order):
-            order += [k for root in roots if root not in self._global for k in walk(root, np.eye(4), 0)]
-        return ((nodes[k], self._global[k]) for k in order if "mesh" in nodes[k])
+        for root in shown_nodes:
+            walk(root, None, 0)
+        if not any("mesh" in nodes[k] for k in parents):
+            for root in roots:
+                if root not in parents:
+                    walk(root, None, 0)
+        self._check_sizes([self._item("meshes", nodes[k]["mesh"]) for k in parents if "mesh" in nodes[k]])
+        self._global: dict[int, Floats] = {}
+        for k, parent in parents.items():
+            local = _local(nodes[k])
+            self._global[k] = local if parent is None else self._global[parent] @ local
+        # A scale of zeros hides a node.
+        shown = [k for k in parents if "skin" in nodes[k] or self._global[k][:3, :3].any()]
+        return [(nodes[k], self._global[k]) for k in shown if "mesh" in nodes[k]]
 
-    def _transforms(self, primitive: dict, node: dict, matrix: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return per vertex the linear map (n, 3, 3) and the shift (n, 3) by node or skin."""
+    def _transforms(self, primitive: _Primitive, node: dict, matrix: Floats) -> tuple[Floats, Floats]:
+        """Return the linear map (1, 3, 3) and shift (1, 3) of a node, or those of a skin for each vertex (n, ...)."""
+        if "skin" not in node or primitive.joints is None:
+            found = matrix[None, :3]
+        else:
+            joints = self._joints_of_skin(node["skin"])
+            which = indices_below("JOINTS_0", primitive.joints, len(joints))
+            found = np.zeros((len(which), 3, 4))
+            for k in range(4):
+                found += primitive.weights[:, k, None, None] * joints[which[:, k], :3]
+        finite("a node's transform", found)
+        return found[:, :, :3], found[:, :, 3]
+
+    def _joints_of_skin(self, number: int) -> Floats:
+        """Return what a skin's joints do to its vertices, (joints, 4, 4)."""
+        skin = self._item("skins", number)
+        if number not in self._joints:
+            listed = skin["joints"]
+            for joint in listed:
+                self._item("nodes", joint)
+            joints = np.array([self._global.get(j, np.eye(4)) for j in listed])
+            if "inverseBindMatrices" in skin:
+                bound = self._accessor(skin["inverseBindMatrices"], "MAT4")
+                shape("inverseBindMatrices", bound, (len(listed), 16))
+                joints = joints @ _affine("inverseBindMatrices", bound)
+            self._joints[number] = joints
+        return self._joints[number]
+
+    def _primitives(self, mesh: dict) -> list[_Primitive]:
+        """Return what a mesh has of triangles; points and lines are left out."""
+        extras = mesh.get("extras")
+        names = texts("targetNames", extras.get("targetNames", [])) if isinstance(extras, dict) else ()
+        return [self._primitive(each, names) for each in mesh["primitives"] if _is_surface(each)]
+
+    def _primitive(self, primitive: dict, names: Sequence[str]) -> _Primitive:
         attributes = primitive["attributes"]
-        skin = self._item("skins", node["skin"]) if "skin" in node else None
-        if skin is None or "JOINTS_0" not in attributes or "inverseBindMatrices" not in skin:
-            return np.broadcast_to(matrix[:3, :3], (count, 3, 3)), np.broadcast_to(matrix[:3, 3], (count, 3))
-        listed = skin["joints"]
-        for joint in listed:
-            self._item("nodes", joint)
-        bound = self._accessor(skin["inverseBindMatrices"], "MAT4")
-        shape("inverseBindMatrices", bound, (len(listed), 16))
-        inverse = bound.reshape(-1, 4, 4).transpose(0, 2, 1)
-        joints = np.array([self._global.get(j, np.eye(4)) for j in listed]) @ inverse
-        which = self._accessor(attributes["JOINTS_0"], "VEC4").astype(np.int64)
-        which = indices_below("JOINTS_0", which, len(joints), (count, 4))
-        weights = in_range("WEIGHTS_0", self._accessor(attributes["WEIGHTS_0"], "VEC4"), 0.0, 1e3, (count, 4))
-        weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-        blended = np.zeros((count, 3, 4))
-        for k in range(4):
-            blended += weights[:, k, None, None] * joints[which[:, k], :3]
-        return blended[:, :, :3], blended[:, :, 3]
-
-    def _primitive(self, primitive: dict, names: list) -> tuple[Floats, Ints, dict[str, Floats]] | None:
-        """Return vertices, triangles and named targets; None for points and lines."""
-        mode = primitive.get("mode", 4)
-        if mode not in (4, 5, 6) or "POSITION" not in primitive["attributes"]:
-            return None
         packed = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
         if packed is not None:
-            position = packed["attributes"]["POSITION"]
-            x, triangles = decode_draco(self._view(packed["bufferView"]), position)
+            x, triangles = decode_draco(bytes(self._view(packed["bufferView"])), packed["attributes"]["POSITION"])
+            shape("Draco's vertices", x, (self._count(attributes["POSITION"]), 3))
+            shape("Draco's corners", triangles.ravel(), (self._count(primitive["indices"]),))
         else:
-            x = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
+            x = self._accessor(attributes["POSITION"], "VEC3")
             ids = np.arange(len(x))
             if "indices" in primitive:
                 ids = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
-            triangles = _triangles(ids, mode)
-        VERTICES.check("a mesh has", len(x))
-        shape("POSITION", x, (None, 3))
+            triangles = _triangles(ids, primitive.get("mode", 4))
         triangles = indices_below("triangles", triangles, len(x), (None, 3))
-        listed = primitive.get("targets", ())
-        MORPH_TARGETS.check("a mesh has", len(listed))
-        MORPH_VALUES.check("a mesh has", 3 * len(x) * len(listed))
-        targets = {}
-        for k, target in enumerate(listed):
-            name = escape(str(names[k]))[:LONGEST_NAME] if k < len(names) else f"target {k}"
+        targets: dict[str, Floats] = {}
+        for k, target in enumerate(primitive.get("targets", ())):
+            name = escape(names[k])[:LONGEST_NAME] if k < len(names) else f"target {k}"
+            if name in targets:
+                raise InputError(f"morph target {quote(name)!r} stands there twice")
             if "POSITION" in target:
                 targets[name] = self._accessor(target["POSITION"], "VEC3")
                 shape(f"morph target {name!r}", targets[name], (len(x), 3))
-        return x, triangles, targets
+        if "JOINTS_0" not in attributes:
+            return _Primitive(x, triangles, targets)
+        joints = self._accessor(attributes["JOINTS_0"], "VEC4").astype(np.int64)
+        shape("JOINTS_0", joints, (len(x), 4))
+        weights = in_range("WEIGHTS_0", self._accessor(attributes["WEIGHTS_0"], "VEC4"), 0.0, 1e3, (len(x), 4))
+        total = weights.sum(axis=1, keepdims=True)
+        if not total.all():
+            raise InputError(f"WEIGHTS_0: vertex {np.argmin(total)} hangs on no joint")
+        return _Primitive(x, triangles, targets, joints, weights / total)
 
     def _accessor(self, number: int, kind_of: str) -> Floats:
         """Return an accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
@@ -190,8 +262,7 @@ class _Document:
         if accessor["type"] != kind_of:
             raise InputError(f"accessor {number}: of type {quote(accessor['type'])}, expected {kind_of}")
         kind, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[kind_of]
-        # Zeros, where no view is named, take no place in the file.
-        count = (CORNERS if width == 1 else VERTICES).check(f"accessor {number}", accessor["count"])
+        count = self._count(number)
         view, offset = accessor.get("bufferView"), accessor.get("byteOffset", 0)
         if view is None:
             values = np.zeros((count, width))
@@ -201,7 +272,10 @@ class _Document:
         if "sparse" in accessor:
             sparse = accessor["sparse"]
             ids = self._sparse(sparse, "indices", np.dtype(_TYPES[sparse["indices"]["componentType"]]), 1)[:, 0]
-            values[indices_below("sparse indices", ids, count)] = self._sparse(sparse, "values", kind, width)
+            ids = indices_below("sparse indices", ids, count)
+            if (np.diff(ids) <= 0).any():
+                raise InputError("sparse indices: they do not rise")
+            values[ids] = self._sparse(sparse, "values", kind, width)
         if accessor.get("normalized") and kind.kind != "f":
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
         return finite(f"accessor {number}", values)
@@ -211,61 +285,85 @@ class _Document:
         count = VERTICES.check("sparse", sparse["count"])
         return _strided(self._view(sparse[which]["bufferView"]), offset, kind, count, width, width * kind.itemsize)
 
-    def _view(self, number: int) -> bytes:
-        if number not in self._views:
-            view = self._item("bufferViews", number)
-            extensions = view.get("extensions", {})
-            packed = extensions.get("EXT_meshopt_compression") or extensions.get("KHR_meshopt_compression")
-            source = view if packed is None else packed
-            whole = self._buffer(source["buffer"])
-            start = _within("byteOffset", source.get("byteOffset", 0), len(whole))
-            size = _within("byteLength", source["byteLength"], len(whole) - start)
-            content = whole[start : start + size]
-            if packed is not None:
-                count = CORNERS.check("its meshopt data have", packed["count"])
-                stride = _within("byteStride", packed["byteStride"], 256)
-                UNPACKED_BYTES.check("its meshopt data have", count * stride + sum(map(len, self._views.values())))
-                content = decode_meshopt(content, count, stride, packed["mode"], packed.get("filter", "NONE"))
-            self._views[number] = content
-        return self._views[number]
+    def _view(self, number: int) -> memoryview | bytes:
+        view = self._item("bufferViews", number)
+        packed = _meshopt(view)
+        source = view if packed is None else packed
+        whole = self._buffer(source["buffer"])
+        start = _bytes("byteOffset", source.get("byteOffset", 0), len(whole))
+        content = whole[start : start + _bytes("byteLength", source["byteLength"], len(whole) - start)]
+        if packed is None:
+            return content
+        if number not in self._unpacked:
+            count, stride = _bytes("count", packed["count"]), _bytes("byteStride", packed["byteStride"])
+            if count * stride != view["byteLength"]:
+                raise InputError(
+                    f"bufferView {number}: {quote(view['byteLength'])} bytes; its meshopt data have {quote(count)} "
+                    f"times {quote(stride)}"
+                )
+            self._unpacked[number] = decode_meshopt(
+                content, count, stride, packed["mode"], packed.get("filter", "NONE")
+            )
+        return self._unpacked[number]
 
-    def _buffer(self, number: int) -> bytes:
+    def _buffer(self, number: int) -> memoryview:
+        """Return a buffer, of which no more is read than its stated length."""
         if number not in self._buffers:
-            uri = self._item("buffers", number).get("uri")
+            buffer = self._item("buffers", number)
+            uri, size = buffer.get("uri"), _bytes("byteLength", buffer["byteLength"])
             if uri is None:
-                if self._chunk is None:
+                if self._chunk is None or number > 0:
                     raise InputError("its binary chunk is missing")
-                self._buffers[number] = self._chunk
+                content = self._chunk
             elif uri.startswith("data:"):
-                self._buffers[number] = base64.b64decode(uri.partition(",")[2])
+                content = memoryview(_from_base64(uri))
             else:
-                file = self._folder / unquote(uri)
-                if not file.is_file():
-                    raise InputError(f"its data file {quote(uri)!r} is not beside it")
-                self._buffers[number] = read_bytes(file)
+                content = memoryview(read_bytes(find_beside(self._path, unquote(uri)), first=size))
+            _bytes("byteLength", size, len(content))
+            self._buffers[number] = content[:size]
         return self._buffers[number]
 
 
-def _glb(content: bytes) -> tuple[Any, bytes | None]:
+def _is_surface(primitive: dict) -> bool:
+    return primitive.get("mode", 4) in (4, 5, 6) and "POSITION" in primitive["attributes"]
+
+
+def _meshopt(view: dict) -> dict | None:
+    """Return the words of a view that meshoptimizer packed."""
+    extensions = view.get("extensions", {})
+    return extensions.get("EXT_meshopt_compression") or extensions.get("KHR_meshopt_compression")
+
+
+def _from_base64(uri: str) -> bytes:
+    kind, _, text = uri.partition(",")
+    if not kind.endswith(";base64"):
+        raise InputError(f"a buffer within the file is of the kind {quote(kind)!r}; expected base64")
+    try:
+        return base64.b64decode(text, validate=True)
+    except binascii.Error as error:
+        raise InputError(f"a buffer within the file is no base64 ({error})") from None
+
+
+def _glb(content: bytes) -> tuple[Any, memoryview | None]:
     """Return the JSON and the binary chunk of a GLB file."""
     if content[:4] != b"glTF":
         raise InputError("not a GLB file (it does not begin with 'glTF')")
     if struct.unpack("<I", content[8:12])[0] > len(content):
         raise InputError(ENDED)
-    chunks: dict[bytes, bytes] = {}
+    chunks: dict[bytes, memoryview] = {}
     place = 12
     while place + 8 <= len(content) and len(chunks) < 2:
         length, kind = struct.unpack("<I4s", content[place : place + 8])
         if place + 8 + length > len(content):
             raise InputError(ENDED)
-        chunks.setdefault(kind, content[place + 8 : place + 8 + length])
+        chunks.setdefault(kind, memoryview(content)[place + 8 : place + 8 + length])
         place += 8 + length
     if b"JSON" not in chunks:
         raise InputError("not a GLB file (it has no chunk of JSON)")
-    return parse_json(chunks[b"JSON"].rstrip(b"\0 ")), chunks.get(b"BIN\0")
+    return parse_json(bytes(chunks[b"JSON"]).rstrip(b"\0 ")), chunks.get(b"BIN\0")
 
 
-def _within(name: str, number: Any, most: int) -> int:
+def _bytes(name: str, number: Any, most: int = FILE_BYTES.most) -> int:
     """Return a count of bytes, at most `most`."""
     if isinstance(number, bool) or not isinstance(number, int) or number < 0:
         raise InputError(f"{name}: {quote(number)} is no count of bytes")
@@ -274,11 +372,13 @@ def _within(name: str, number: Any, most: int) -> int:
     return number
 
 
-def _strided(content: bytes, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
+def _strided(
+    content: bytes | memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any
+) -> np.ndarray:
     size = width * kind.itemsize
-    if not size <= _within("byteStride", stride, LONGEST_STRIDE):
+    if not size <= _bytes("byteStride", stride, LONGEST_STRIDE):
         raise InputError(f"byteStride: {stride}, below the {size} bytes of an element")
-    if _within("byteOffset", offset, len(content)) + max(count - 1, 0) * stride + size * (count > 0) > len(content):
+    if _bytes("byteOffset", offset, len(content)) + max(count - 1, 0) * stride + size * (count > 0) > len(content):
         raise InputError("an accessor reaches beyond its buffer: is the file's end missing?")
     raw = np.frombuffer(content, dtype=np.uint8)
     rows = np.lib.stride_tricks.as_strided(raw[offset:], (count, size), (stride, 1), writeable=False)
@@ -299,19 +399,25 @@ def _triangles(ids: Ints, mode: int) -> Ints:
 
 
 def _local(node: dict) -> Floats:
-    """Return a node's own transform (4, 4)."""
+    """Return a node's transform (4, 4)."""
     if "matrix" in node:
-        return finite("matrix", node["matrix"], (16,), most=LARGEST).reshape(4, 4).T
-    x, y, z, w = finite("rotation", node.get("rotation", (0.0, 0.0, 0.0, 1.0)), (4,), most=1.0 + 1e-3)
+        return _affine("matrix", finite("matrix", node["matrix"], (16,), most=LARGEST))
     matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, :3] *= finite("scale", node.get("scale", (1.0, 1.0, 1.0)), (3,), most=LARGEST)
-    matrix[:3, 3] = finite("translation", node.get("translation", (0.0, 0.0, 0.0)), (3,), most=LARGEST)
+    if "rotation" in node:
+        matrix[:3, :3] = rotations_from_quaternions("rotation", [node["rotation"]])[0]
+    if "scale" in node:
+        matrix[:3, :3] *= finite("scale", node["scale"], (3,), most=LARGEST)
+    if "translation" in node:
+        matrix[:3, 3] = finite("translation", node["translation"], (3,), most=LARGEST)
     return matrix
+
+
+def _affine(name: str, columns: Floats) -> Floats:
+    """Return matrices (..., 4, 4) of their columns, shape (..., 16), whose last row has to be 0 0 0 1."""
+    matrices = np.swapaxes(columns.reshape(*columns.shape[:-1], 4, 4), -1, -2)
+    if (np.abs(matrices[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > 1e-6).any():
+        raise InputError(f"{name}: its last row is not 0, 0, 0, 1")
+    return matrices
 
 
 def decode_draco(content: bytes, position: int) -> tuple[Floats, Ints]:

@@ -14,7 +14,7 @@ def decode_meshopt(content: bytes, count: int, stride: int, mode: str, applied: 
     """Return the `count` elements of `stride` bytes that a compressed buffer view holds.
 
     `mode` is ATTRIBUTES, TRIANGLES or INDICES, `applied` the filter: NONE, OCTAHEDRAL, QUATERNION or EXPONENTIAL.
-    InputError for a damaged buffer or an unknown mode.
+    InputError for a damaged buffer, one that holds more elements or fewer, or an unknown mode.
     """
     source = np.frombuffer(content, dtype=np.uint8)
     if mode == "ATTRIBUTES":
@@ -29,7 +29,7 @@ def decode_meshopt(content: bytes, count: int, stride: int, mode: str, applied: 
     ids = np.zeros(count, dtype=np.uint32)
     decode = _corners if mode == "TRIANGLES" else _sequence
     least = 17 + count // 3 if mode == "TRIANGLES" else 1
-    if len(source) < least or not decode(source, ids):
+    if len(source) < least or mode == "TRIANGLES" and count % 3 or not decode(source, ids):
         raise InputError(_SHORT)
     if stride == 2 and len(ids) and ids.max() > 65535:
         raise InputError(_SHORT)
@@ -145,7 +145,7 @@ def _attributes(source, out, count, stride):
                         last[word + k] = (value >> (8 * k)) & 0xFF
                 for byte in range(word, word + 4):
                     out[at + byte] = last[byte]
-    return True
+    return place == len(source) - max(tail, 32 if version == 0 else 24)
 
 
 @njit(cache=True)
@@ -175,7 +175,7 @@ def _sequence(source, ids):
         which = 1 + (value & 1)
         state[which] += _unzigzag(value >> 1)
         ids[i] = state[which] & 0xFFFFFFFF
-    return True
+    return state[0] == len(source) - 4
 
 
 @njit(cache=True)
@@ -254,4 +254,4 @@ def _corners(source, ids):
             edges[(edge + 2) & 15] = (a, c)
             edge += 3
         ids[3 * i], ids[3 * i + 1], ids[3 * i + 2] = a, b, c
-    return True
+    return state[0] == aux

@@ -43,8 +43,10 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
         if not zipfile.is_zipfile(check_file(path)):
             raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
         with zipfile.ZipFile(path) as archive:
+            ARRAYS.check("it holds", len(archive.infolist()))
             members = {part.filename.removesuffix(".npy"): part for part in archive.infolist()}
-            ARRAYS.check("it holds", len(members))
+            if len(members) < len(archive.infolist()):
+                raise InputError("it holds two arrays of one name")
             UNPACKED_BYTES.check("it holds", sum(part.file_size for part in members.values()))
             missing = [name for name in names if name not in members]
             arrays = {}

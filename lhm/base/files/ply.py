@@ -48,7 +48,7 @@ class _Element:
 def read_ply(path: Path) -> tuple[Floats, Ints]:
     """Read vertices (n, 3) in the file's order, and triangles (m, 3); polygons become fans.
 
-    InputError where the header is none, promises more than the file has, or names no x, y and z.
+    InputError where the header is none, promises more than the file has or less, or names no x, y and z.
     """
     content = read_bytes(path)
     match = re.match(rb"ply\s(.*?)\nend_header[ \t]*\r?\n?", content[:LONGEST_HEADER], re.DOTALL)
@@ -74,6 +74,8 @@ def read_ply(path: Path) -> tuple[Floats, Ints]:
             values, lengths, place = _lists(body, place, element, wanted)
             if wanted >= 0:
                 triangles.append((_fans if element.name == "face" else _strips)(_as_indices(values), lengths))
+    if bytes(body[place:]).strip(b"\0 \t\r\n"):
+        raise InputError("it goes on after the elements that its header promises")
     joined = np.vstack(triangles)
     TRIANGLES.check("it has", len(joined))
     return vertices, joined

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .atomic import write_whole
+from .atomic import check_replaceable, write_whole
 from .npz import read_arrays, write_arrays
-from .text import read_json
+from .text import read_bytes, read_json
 
 
 class RowStore:
@@ -37,13 +37,11 @@ class RowStore:
             write_whole(folder / f"{what}.json", json.dumps(dict(manifest), indent=1).encode())
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return all whole rows; a line that a kill has torn is left out."""
-        try:
-            lines = self.file.read_bytes().splitlines()
-        except OSError:
+        """Return all whole rows; a line that a kill has torn is left out. InputError for no plain file."""
+        if not self.file.exists():
             return []
         rows = []
-        for line in lines:
+        for line in read_bytes(self.file).splitlines():
             try:
                 row = json.loads(line)
             except (ValueError, RecursionError):
@@ -55,6 +53,7 @@ class RowStore:
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row, without NaN; InputError if it cannot be written."""
         line = json.dumps(row, allow_nan=False).encode() + b"\n"
+        check_replaceable(self.file)
         try:
             with self.file.open("a+b") as file:
                 file.seek(max(0, file.tell() - 1))
@@ -112,7 +111,8 @@ def lock_folder(folder: Path, what: str) -> Iterator[None]:
     """Make the folder and hold it against a second `what`; InputError if one runs there or it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = open(folder / ".lock", "w")
+        check_replaceable(folder / ".lock")
+        lock = open(folder / ".lock", "a")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
     with lock:

@@ -110,6 +110,8 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
     for number, line in enumerate(content.splitlines(), start=1):
         kind, *fields = line.split() or [b""]
         try:
+            if b"_" in line and kind in (b"v", b"f"):  # 1_0 is a number to Python alone
+                raise ValueError
             if kind == b"v":
                 x, y, z = fields[:3]
                 coordinates.extend((float(x), float(y), float(z)))
@@ -165,6 +167,8 @@ def _corners_of_text(content: bytes) -> np.ndarray:
         kind, *fields = line.split() or [b""]
         try:
             if kind == b"vertex":
+                if b"_" in line:  # 1_0 is a number to Python alone
+                    raise ValueError
                 x, y, z = fields
                 corners.extend((float(x), float(y), float(z)))
                 facet += 1

@@ -6,9 +6,10 @@ import io
 import os
 import warnings
 from collections.abc import Mapping
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshio
 import numpy as np
@@ -72,6 +73,9 @@ def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     one_of("unit", unit, MILLIMETRES)
     path = check_file(path)
     kind = _kind(path)
+    if kind == ".xdmf":
+        with naming_file(path):
+            _check_alone(path)
     # meshio prints warnings, and ends the process where it finds no reader for a content.
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
@@ -87,6 +91,15 @@ def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
             if isinstance(error, SoftdecaError):
                 raise
             raise InputError(f"not a sound tet mesh ({type(error).__name__}: {str(error)[:80]})") from None
+
+
+def _check_alone(path: Path) -> None:
+    """Raise InputError for an XDMF file whose numbers are in other files: meshio opens these wherever they lie."""
+    with suppress(ElementTree.ParseError):  # meshio refuses it too
+        for _, item in ElementTree.iterparse(path):
+            if item.get("Format", "XML") != "XML":
+                raise InputError(f"its numbers are of Format {quote(item.get('Format'))!r}; expected 'XML', inside it")
+            item.clear()
 
 
 def _tagged(mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -27,10 +29,32 @@ def is_plain_file(path: Path) -> bool:
 def check_file(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> Path:
     """Return the path of a plain file; InputError names one that is missing, no plain file, or beyond the bound."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
-    bound.check(str(path), path.stat().st_size)
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: not a plain file" if path.exists() else f"{path}: no such file")
+        size = path.stat().st_size
+    except OSError as error:  # a name that is too long, or below a folder that is closed
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    bound.check(str(path), size)
     return path
+
+
+def find_beside(path: Path, name: str) -> Path:
+    """Return the plain file of a name that stands in the file `path`: in that one's own folder, or below it.
+
+    Whoever wrote `path` must not choose among all files of the user. InputError for a name that is absolute, has a
+    drive, a scheme or a part that begins with a dot, for a link that leads out of the folder, and for no plain file. A
+    `path` that is a link is followed first.
+    """
+    parts = PurePosixPath(name).parts
+    inside = not re.search(r"[:\\]", name) and not any(part.startswith((".", "/")) for part in parts)
+    folder = path.resolve().parent
+    found = folder / name if inside else folder
+    if inside and not is_plain_file(found):
+        raise InputError(f"{quote(name, 80)}: no such file beside it")
+    if not inside or not found.resolve().is_relative_to(folder):
+        raise InputError(f"{quote(name, 80)}: a file that is named in another has to lie in its folder")
+    return found.resolve()
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
@@ -51,11 +75,15 @@ def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(said if str(path) in said else f"{path}: {said}") from None
 
 
-def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> bytes:
-    """Return a file's content; InputError if it is missing, no plain file, unreadable, or larger than the bound."""
+def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES, *, first: int | None = None) -> bytes:
+    """Return a file's content, or its `first` bytes.
+
+    InputError if it is missing, no plain file, unreadable, or larger than the bound.
+    """
     try:
         with check_file(path, bound).open("rb") as file:
-            content = file.read(bound.most + 1)  # it may have grown
+            size = os.fstat(file.fileno()).st_size  # more is not asked for: room for it would be made first
+            content = file.read(min(size, bound.most) + 1 if first is None else min(size, first))  # it may have grown
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     bound.check(str(path), len(content))
@@ -71,27 +99,39 @@ def read_json(path: str | os.PathLike[str], of: str = "a JSON file", *, allow_na
         raise InputError(said if said.startswith(str(path)) else f"{path}: not {of} ({said})") from None
 
 
-def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
-    """Return what a JSON text (UTF-8) says; InputError for bad JSON, deep nesting, huge integers, or NaN.
+def parse_json(content: bytes | str, *, allow_nan: bool = False, entries: Bound | None = None) -> Any:
+    """Return what a JSON text (UTF-8) says; InputError for bad JSON, a key twice, deep nesting, huge integers, or NaN.
 
-    NaN and Infinity, which JSON has not, are let pass for readers that name their place: `allow_nan`.
+    NaN and Infinity, which JSON has not, are let pass for readers that name their place: `allow_nan`. `entries` bounds
+    the objects and lists within lists of the outermost object, as a take's frames, before anything is made of them.
     """
 
     def integer(digits: str) -> int:
-        JSON_DIGITS.check("JSON", len(digits.lstrip("-")))
+        if len(digits) > JSON_DIGITS.most:
+            JSON_DIGITS.check("JSON", len(digits.lstrip("-")))
         return int(digits)
 
     def real(word: str) -> float:
         value = float(word)
-        if not allow_nan and not np.isfinite(value):
+        if not allow_nan and not math.isfinite(value):
             raise InputError(f"{quote(word)} is no finite number")
         return value
+
+    def of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        made = dict(pairs)
+        if len(made) < len(pairs):
+            twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+            raise InputError(f"the key {quote(twice)!r} stands there twice")
+        return made
 
     try:
         said = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")
         JSON_BYTES.check("JSON", len(said))
-        JSON_DEPTH.check("JSON", _depth(said))
-        return json.loads(said, parse_int=integer, parse_constant=real, parse_float=real)
+        levels = _levels(said)
+        JSON_DEPTH.check("JSON", int(levels.max(initial=0)))
+        if entries is not None:
+            entries.check("it has", max(int(np.count_nonzero(levels == 3)), entries.least))
+        return json.loads(said, parse_int=integer, parse_constant=real, parse_float=real, object_pairs_hook=of_pairs)
     except UnicodeDecodeError as error:
         raise InputError(f"not UTF-8 text, at byte {error.start}") from None
     except InputError:
@@ -100,17 +140,25 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
         raise InputError(f"not JSON: {escape(' '.join(str(error).split()))[:80]}") from None
 
 
+def parse_number(text: str) -> float:
+    """Return the number that a text is; ValueError for none, also for what is one to Python alone, such as 1_0."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return float(text)
+
+
 STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 
 
-def _depth(said: str) -> int:
-    """Return how deep brackets are nested, without those inside strings."""
-    opened = said.count("[") + said.count("{")
-    if opened <= JSON_DEPTH.most:
-        return opened
-    code = np.frombuffer(STRING.sub("", said).encode("utf-8", "replace"), np.uint8)
-    step = np.isin(code, (ord("["), ord("{"))).astype(np.int32) - np.isin(code, (ord("]"), ord("}")))
-    return int(np.cumsum(step).max(initial=0))
+NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
+
+
+def _levels(said: str) -> np.ndarray:
+    """Return how deep each bracket that opens is nested, from 1, without those inside strings."""
+    outside = STRING.sub("", said) if "\\" in said else "".join(said.split('"')[::2])
+    code = np.frombuffer(outside.encode("utf-8", "replace").translate(None, NO_BRACKETS), np.uint8)
+    opens = (code == ord("[")) | (code == ord("{"))
+    return np.cumsum(np.where(opens, 1, -1), dtype=np.int32)[opens]
 
 
 def read_toml(path: Path) -> dict[str, Any]:
