@@ -81,7 +81,8 @@ class AnimateResult:
 
     failed: frames beyond the accuracy or without an answer, and why. error: the largest that was told [mm], None where
     none was. uncertain: how many frames told an error that is not certain. bind_seconds: before the first frame;
-    frame_ms: median of a frame. neutral: why settling under p stopped; without CONVERGED it failed.
+    frame_ms: median of a frame. notes: what a file leaves out or approximates. neutral: why settling under p stopped;
+    without CONVERGED it failed.
     """
 
     frames: int
@@ -92,6 +93,7 @@ class AnimateResult:
     bind_seconds: float
     frame_ms: float
     files: tuple[Path, ...]
+    notes: tuple[str, ...]
     neutral: str = Reason.CONVERGED.name
 
 
@@ -173,8 +175,8 @@ def animate(
         framed = head.skin_wrap.vertices
         pivot = find_pivot(head)
         played = PlayedTake(head.skin, deltas, pivot, framed, take, lambda numbers: map(store.moved, numbers))
-        files = _write(played, config, f"within {config.accuracy:g} mm", progress)
-    return _result(log, (*files, config.out / "log.jsonl"), bound, reason)
+        files, notes = _write(played, config, f"within {config.accuracy:g} mm", progress)
+    return _result(log, (*files, config.out / "log.jsonl"), notes, bound, reason)
 
 
 def animate_rig(wanted: Output, served: BoundHead, take: Take, progress: OnProgress) -> AnimateResult:
@@ -206,9 +208,9 @@ def animate_rig(wanted: Output, served: BoundHead, take: Take, progress: OnProgr
     with lock_folder(wanted.out, "animate"):
         if (wanted.out / "take.json").exists():
             raise InputError(f"{wanted.out}: holds a take within an accuracy; use another folder or remove it")
-        files = _write(played, wanted, served.method, progress)
+        files, notes = _write(played, wanted, served.method, progress)
         RowStore(wanted.out, file="log.jsonl").keep(log.values())
-    return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), served.seconds)
+    return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), notes, served.seconds)
 
 
 def _check(wanted: Output, take: Take) -> None:
@@ -217,16 +219,22 @@ def _check(wanted: Output, take: Take) -> None:
         raise InputError("turned: the take has no head rotation")
 
 
-def _write(played: PlayedTake, wanted: Output, caption: str, progress: OnProgress) -> list[Path]:
-    """Write the moving skin, and the preview if there is to be one."""
-    files = [played.export(wanted, progress)]
+def _write(
+    played: PlayedTake, wanted: Output, caption: str, progress: OnProgress
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Write the moving skin, and the preview if there is to be one; return their paths and notes."""
+    written = [played.export(wanted, progress)]
     if wanted.preview != "none":
-        files.append(played.show(wanted, caption, progress))
-    return files
+        written.append(played.show(wanted, caption, progress))
+    return [path for path, _ in written], tuple(note for _, note in written if note)
 
 
 def _result(
-    log: Sequence[dict[str, Any]], files: tuple[Path, ...], bound: float, neutral: str = Reason.CONVERGED.name
+    log: Sequence[dict[str, Any]],
+    files: tuple[Path, ...],
+    notes: tuple[str, ...],
+    bound: float,
+    neutral: str = Reason.CONVERGED.name,
 ) -> AnimateResult:
     """Sum up a log."""
     errors = [row["error"] for row in log if row["error"] is not None]
@@ -239,6 +247,7 @@ def _result(
         bind_seconds=bound,
         frame_ms=1e3 * float(np.median([row["seconds"] for row in log])),
         files=files,
+        notes=notes,
         neutral=neutral,
     )
 

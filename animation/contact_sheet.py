@@ -54,7 +54,7 @@ def tile_pictures(pictures: Sequence[bytes], columns: int) -> bytes:
 def draw_face_strip(panels: Sequence[Panel], skin: Surface, weights: Floats, size: int) -> bytes:
     """Panels side by side, framed as the face of a neutral skin, whose eyes the weights (52,) turn. PNG."""
     y = skin.vertices[:, 1]
-    framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
+    framed: Floats = skin.vertices[y >= y.max() - FACE_HEIGHT * np.ptp(y)]
     return draw_strip([replace(panel, weights=weights) for panel in panels], size=size, framed=framed)
 
 
@@ -67,8 +67,8 @@ def _frame(table: Table, row: Row) -> bytes:
     distance = np.linalg.norm(corrected, axis=1)
     top = max(0.5, float(np.percentile(distance, 99.0)))
     panels = [
-        Panel(f"S  {row['recording'].decode()[:FITS]}", skin.with_vertices(blended)),
-        Panel(f"T  {row['kind'].decode()}", skin.with_vertices(blended + corrected)),
+        Panel(f"S  {row['recording'].decode(errors='replace')[:FITS]}", skin.with_vertices(blended)),
+        Panel(f"T  {row['kind'].decode(errors='replace')}", skin.with_vertices(blended + corrected)),
         Panel(_largest(row), skin.with_vertices(blended + corrected), distance, top),
     ]
     return draw_face_strip(panels, skin, row["weights"], SIZE)

@@ -16,7 +16,7 @@ from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..reference.face.dynamics import turn_about
-from .preview import Preview, choose_frames, render_frames, write_preview
+from .preview import GIF_SECONDS, Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
 FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
@@ -57,21 +57,26 @@ class PlayedTake:
     take: Take
     moved: Callable[[Sequence[int]], Iterator[NDArray]]
 
-    def export(self, wanted: Output, progress: OnProgress) -> Path:
-        """Write OUT/take.vtkhdf or take.glb."""
+    def export(self, wanted: Output, progress: OnProgress) -> tuple[Path, str]:
+        """Write OUT/take.vtkhdf or take.glb; return its path, and how far glTF's morph targets are off, or ""."""
         path, count = wanted.out / FILES[wanted.format], len(self.take.times)
         progress(f"export: {path.name}", 0.0)
         moved = _told(self._shown(wanted, range(count)), count, f"export: {path.name}", progress)
+        note = ""
         if wanted.format == "vtkhdf":
             frames = (self.neutral.vertices + one for one in moved)
             write_vtkhdf(path, self.neutral.triangles, self.take.times, frames)
         else:
-            write_gltf(path, self.neutral, self.take.times, np.array(list(moved)))
+            morphs = write_gltf(path, self.neutral, self.take.times, np.array(list(moved)))
+            note = describe_targets(path, len(morphs.targets), morphs.error)
         progress(f"export: {path.name}", 1.0)
-        return path
+        return path, note
 
-    def show(self, wanted: Output, caption: str, progress: OnProgress) -> Path:
-        """Write OUT/preview.gif or .mp4: blendshapes, and beside them the frames under their caption."""
+    def show(self, wanted: Output, caption: str, progress: OnProgress) -> tuple[Path, str]:
+        """Write OUT/preview.gif or .mp4: blendshapes, and beside them the frames under their caption.
+
+        Return its path, and what a GIF leaves out, or "".
+        """
         path = wanted.out / f"preview.{wanted.preview}"
         shown = choose_frames(len(self.take.times), self.take.rate, wanted.preview)
         pairs = (
@@ -83,7 +88,9 @@ class PlayedTake:
         pictures = render_frames(self.neutral, told, captions, framed=self.framed, weights=weights)
         write_preview(path, wanted.preview, pictures, self.take.times[shown], self.take.rate)
         progress(f"preview: {path.name}", 1.0)
-        return path
+        left_out = len(self.take.times) - shown.stop
+        note = f"{path.name} ends after {GIF_SECONDS:g} s; --preview mp4 shows the {left_out} frames left"
+        return path, note if left_out else ""
 
     def _shown(self, wanted: Output, numbers: Sequence[int]) -> Iterator[NDArray]:
         """Frames as they are shown, less the neutral skin [mm], each (n, 3)."""
@@ -101,6 +108,11 @@ class PlayedTake:
 
     def _blended(self, number: int) -> Floats:
         return blend_linearly(self.neutral, self.deltas, self.take.weights[number])
+
+
+def describe_targets(path: Path, count: int, error: float) -> str:
+    """Say how far a glTF's morph targets are off, at the worst vertex of the worst frame [mm]."""
+    return f"{path.name}: {count} morph targets, greatest error {error:.2g} mm"
 
 
 def blend_linearly(neutral: Surface, deltas: Floats, weights: Floats) -> Floats:

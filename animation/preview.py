@@ -22,6 +22,7 @@ Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
 
 GIF_RATE, GIF_SECONDS = 25.0, 20.0
+"""[Hz, s] A GIF has at most so many frames a second, of the beginning of a take; an MP4 has all."""
 BACKGROUND = "#f4f1ec"
 FACING = (0.3, 0.04, 1.0)
 HEADROOM = 1.14

@@ -57,9 +57,9 @@ class Animate:
     `--accuracy none` costs what blendshapes do and tells no error: the network alone on the default head's people, with
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
 
-    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl: method, error, certain and seconds of
-    each frame. An interrupted run resumes. With --targets it also writes OUT/rig.glb: the rig's own morph targets and
-    the take's weights of them. Exit status 1 if a frame is not within the accuracy; those are listed.
+    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error, certain
+    and seconds of each frame. An interrupted run resumes. With --targets it also writes OUT/rig.glb: the rig's own
+    morph targets and the take's weights of them. Exit status 1 if a frame is not within the accuracy; those are listed.
     """
 
     take: str = argument("TAKE", type=str)
@@ -164,9 +164,12 @@ class Animate:
         """Write the rig's morph targets besides."""
         from dataclasses import replace
 
-        path = self.out / "rig.glb"
-        rig.bake(self.targets).write_gltf(path, take)
-        return replace(result, files=(*result.files, path))
+        from ..animation.play import describe_targets
+
+        path, baked = self.out / "rig.glb", rig.bake(self.targets)
+        baked.write_gltf(path, take)
+        note = describe_targets(path, self.targets, baked.largest_error)
+        return replace(result, files=(*result.files, path), notes=(*result.notes, note))
 
     def _say(self, result: AnimateResult) -> None:
         if self.json:
@@ -183,8 +186,8 @@ class Animate:
             f"{result.frames} frames ({methods}), {len(result.failed)} failed; {told}{doubt}; "
             f"bound in {result.bind_seconds:.2g} s, median {result.frame_ms:.2g} ms a frame"
         )
-        for path in result.files:
-            click.echo(path)
+        for line in (*result.notes, *result.files):
+            click.echo(line)
 
 
 animate = make_command("animate", Animate)

@@ -131,7 +131,7 @@ def _gmsh() -> Iterator[ModuleType]:
     except ImportError:
         raise MissingDependencyError("volume meshes need gmsh: pip install softdeca[mesh]") from None
     except OSError as error:  # the wheel's library asks for some of the system's
-        raise MissingDependencyError(f"gmsh is installed, but does not load ({error}); see the README") from None
+        raise MissingDependencyError(f"gmsh is installed, but does not load ({error}); install that library") from None
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)

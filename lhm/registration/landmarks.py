@@ -97,7 +97,7 @@ def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
 def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     """Check pairs; InputError for fewer than four, vertices out of range or repeated, points not finite."""
     try:
-        ids, points = np.asarray(pairs[0]), as_points("find_landmarks", pairs[1])
+        ids, points = np.asarray(pairs[0]), as_points("landmarks", pairs[1])
     except MeshError as error:
         raise InputError(str(error)) from None
     if ids.shape != (len(points),) or not np.issubdtype(ids.dtype, np.integer):

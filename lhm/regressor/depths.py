@@ -33,12 +33,6 @@ FARTHEST = 3.0
 LARGEST, LEAST_DEVIATION = 1e6, 1e-9
 """[mm] of a regressor's numbers: far beyond a head's."""
 
-SKULL_PLACES = (
-    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people, each left out"),
-    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
-)
-"""Model, mean error [mm] of the fitted skull wrap's places over the whole head, data (SoftDECA, section 4.1)."""
-
 
 @dataclass(frozen=True, eq=False)
 class DepthPairs:

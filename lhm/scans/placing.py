@@ -38,7 +38,7 @@ FAR, LEAST, MOST = 30.0, 0.4, 2.5
 class Placement:
     """x -> `motion`(x) takes a file's points to a head's: millimetres, +z the front, +y up. `notes` say what was found.
 
-    `score` [mm]: how far the template's face is off, rigidly laid upon the scan's.
+    `score_start` [mm]: how far the template's face is off, rigidly laid upon the scan's.
     """
 
     motion: Similarity
@@ -269,7 +269,7 @@ class Sieve:
 
 
 def _fits(points: Floats, goals: Floats, weight: Floats, before: Floats) -> tuple[Floats, Floats, Floats]:
-    """Weighted similarities from points (k, 3) to goals (s, k, 3), as in `start.similarity`, for all s at once."""
+    """Weighted similarities from points (k, 3) to goals (s, k, 3), as `fit_similarity`, for all s at once."""
     share = weight / weight.sum(axis=1, keepdims=True)
     a = points[None] - (share @ points)[:, None]
     middle = np.einsum("sk,skd->sd", share, goals)

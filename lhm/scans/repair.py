@@ -90,8 +90,8 @@ def _sound(given: Repaired) -> Repaired:
 
 def _manifold(given: Repaired) -> Repaired:
     """Cut at edges of more than two triangles, and where fans of triangles only touch at a vertex."""
-    scan, triangles = given.scan, given.scan.triangles
-    m, n = len(triangles), len(scan.vertices)
+    triangles = given.scan.triangles
+    m = len(triangles)
     left, right, ends = _neighbours(triangles)
     # Two corners at a vertex belong together if their triangles share an ordinary edge there.
     rows, columns = [], []
@@ -112,7 +112,7 @@ def _manifold(given: Repaired) -> Repaired:
     place = np.empty(fans, dtype=np.int64)
     place[order] = np.arange(fans)
     note = f"the surface was cut at {what} ({fans - used} vertices doubled)"
-    return _over(given, vertex[order], place[fan].reshape(-1, 3), note if n else "")
+    return _over(given, vertex[order], place[fan].reshape(-1, 3), note)
 
 
 def _oriented(given: Repaired) -> Repaired:

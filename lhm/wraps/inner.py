@@ -43,7 +43,7 @@ def _cones(normals, faces, owner, first, rounds):
                 normals[v, c] += pull * faces[which, c]
                 size += normals[v, c] ** 2
             for c in range(3):
-                normals[v, c] /= np.sqrt(size)
+                normals[v, c] /= max(np.sqrt(size), 1e-30)
     return normals, least
 
 

@@ -229,6 +229,17 @@ def test_a_frame_that_is_not_within_the_accuracy_is_told(sphere_head, deltas, tm
     assert done.error == 0.2
 
 
+def test_what_a_gif_leaves_out_and_how_far_a_gltf_is_off_is_told(sphere_head, deltas, tmp_path, monkeypatch):
+    for module in ("play", "preview"):
+        monkeypatch.setattr(f"softdeca.animation.{module}.GIF_SECONDS", 0.05)
+    short = run(AnimateConfig(tmp_path / "3", format="gltf", preview="gif"), sphere_head, deltas, take(3))
+    extras = gltf(tmp_path / "3" / "take.glb")["meshes"][0]["extras"]
+    told = f"take.glb: {extras['morph_targets']} morph targets, greatest error {extras['greatest_error_mm']:.2g} mm"
+    assert short.notes == (told,)
+    longer = run(AnimateConfig(tmp_path / "5", preview="gif"), sphere_head, deltas, take(5))
+    assert longer.notes == ("preview.gif ends after 0.05 s; --preview mp4 shows the 2 frames left",)
+
+
 def test_the_command_writes_a_preview_a_log_and_a_model(command, tmp_path):
     (tmp_path / "p.toml").write_text("gravity = 2.0\nfrequency = 3\n")
     ended = command(
@@ -452,7 +463,8 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     assert ended.status == 0 and "6 frames (6 network + simulator), 0 failed; no error told; bound in" in ended.out
     rig = gltf(tmp_path / "baked" / "rig.glb")
     assert len(rig["meshes"][0]["primitives"][0]["targets"]) == 12
-    assert 0.0 < rig["meshes"][0]["extras"]["greatest_error_mm"] < 5.0
+    greatest = rig["meshes"][0]["extras"]["greatest_error_mm"]
+    assert 0.0 < greatest < 5.0 and f"rig.glb: 12 morph targets, greatest error {greatest:.2g} mm" in ended.out
     assert rig["accessors"][rig["animations"][0]["samplers"][0]["output"]]["count"] == 6 * 12
 
 

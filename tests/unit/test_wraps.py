@@ -22,6 +22,12 @@ def stacked(unit, skin, muscle, skull):
     return np.vstack([skin * unit, muscle * unit, skull * unit])
 
 
+def test_a_wrap_that_is_one_point_has_normals_without_length(ball):
+    columns, unit = ball
+    normals, least = inner.cone_normals(columns, np.zeros_like(unit))
+    assert not normals.any() and not least.any()
+
+
 def test_smallest_sine_is_that_of_the_smallest_dihedral_angle():
     points, tets = np.random.default_rng(0).standard_normal((400, 3)), np.arange(400).reshape(100, 4)
     volume = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]])

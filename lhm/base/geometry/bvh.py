@@ -182,21 +182,21 @@ class TriangleTree:
     triangles: Ints
     layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
     corners: Floats = field(init=False, repr=False)
-    _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
+    nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
-        object.__setattr__(self, "_nodes", _lay_out(self.corners, self.layout))
+        object.__setattr__(self, "nodes", _lay_out(self.corners, self.layout))
 
     def moved(self, vertices: Floats) -> TriangleTree:
         """Return the tree of the same triangles over other vertices (n, 3) [mm]: quicker, good for small motions."""
-        return TriangleTree(vertices, self.triangles, self._nodes[:-1])
+        return TriangleTree(vertices, self.triangles, self.nodes[:-1])
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
         """Return triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each point."""
         any_direction = np.zeros((1, 3))
         normals, faces = (np.broadcast_to(any_direction, (len(a), 3)) for a in (points, self.triangles))
-        return _closest(np.ascontiguousarray(points), normals, -1.0, 0.0, np.inf, self.corners, faces, *self._nodes)
+        return _closest(np.ascontiguousarray(points), normals, -1.0, 0.0, np.inf, self.corners, faces, *self.nodes)
 
     def closest_facing(
         self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
@@ -211,7 +211,7 @@ class TriangleTree:
         """
         arrays = (np.ascontiguousarray(a) for a in (points, normals))
         most = reach * reach + turned * turned * (2.0 - 2.0 * cosine)
-        return _closest(*arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes)
+        return _closest(*arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self.nodes)
 
     def self_crossings(self, *, most: int = ALL) -> Ints:
         """Return pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
@@ -226,7 +226,7 @@ class TriangleTree:
         return self._pairs(other.corners, ids, False, most)
 
     def _pairs(self, query, query_ids, same, most) -> Ints:
-        pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
+        pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self.nodes)
         return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
@@ -284,20 +284,20 @@ class TetTree:
     tets: Ints
     layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
     corners: Floats = field(init=False, repr=False)
-    _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
+    nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.tets]))
-        object.__setattr__(self, "_nodes", _lay_out(self.corners, self.layout))
+        object.__setattr__(self, "nodes", _lay_out(self.corners, self.layout))
 
     def moved(self, vertices: Floats) -> TetTree:
         """Return the tree of the same tets over other vertices (n, 3) [mm]: quicker, good for small motions."""
-        return TetTree(vertices, self.tets, self._nodes[:-1])
+        return TetTree(vertices, self.tets, self.nodes[:-1])
 
     def containing(self, points: Floats, besides: Ints) -> tuple[Ints, Floats]:
         """Return pairs (point, tet), shape (k, 2), of points with each tet that holds them; weights (k, 4) in it.
 
         Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
         """
-        pairs, weights = _containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self._nodes)
+        pairs, weights = _containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self.nodes)
         return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(weights, dtype=np.float64).reshape(-1, 4)

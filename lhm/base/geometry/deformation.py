@@ -1,4 +1,4 @@
-"""Deformation transfer by one prefactorised system (Sumner & Popović 2004; Botsch et al. 2006; SoftDECA Eq. 19).
+"""Deformation transfer by one prefactorised system (Sumner & Popović 2004; Botsch et al. 2006; SoftDECA Eq. 17).
 
 Per face, J acts from the left on the gradient of the blended skin S. The answer x solves
 

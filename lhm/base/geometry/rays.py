@@ -72,7 +72,7 @@ def first_hits(tree: TriangleTree, origins: Floats, directions: Floats, reach: f
     Triangle -1 and an infinite way for a ray that meets none within `reach`.
     """
     rays = (np.ascontiguousarray(values, dtype=np.float64) for values in (origins, directions))
-    return _first(*rays, float(reach), tree.corners, *tree._nodes)
+    return _first(*rays, float(reach), tree.corners, *tree.nodes)
 
 
 RAYS, REACH, OFF = 16, 200.0, 0.05
