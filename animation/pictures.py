@@ -29,7 +29,7 @@ MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
 VIEW = (0.45, 0.08, 1.0)
 """From the front, a little from the subject's left; x is the subject's left, y up, z forward."""
-PANELS, VALUES = "panels", "viridis"
+PANELS, VALUES = "panels", "YlOrRd"
 """Name of the text chunk, and colour map of distances."""
 SIDE = (1.0, 0.05, 0.15)
 MARGIN = 1.06

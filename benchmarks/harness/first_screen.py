@@ -134,9 +134,26 @@ def _tell_losses(rows: Rows) -> str:
         rival = min(rivals, key=lambda name: rivals[name])
         if rivals[rival] <= (mine := of[NETWORK]["mean"]):
             lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
+    for effect, (rival, share, own) in _find_lost_effects(rows.get("split", ())).items():
+        lost.append(f"{effect} ({rival} leaves {100 * share:.0f} % of the motion, network {100 * own:.0f} %)")
     if lost:
         return f"The network loses to a simple rival on these kinds of frames: {', '.join(lost)}."
     return f"The network beats the simple rivals on all {compared} kinds of frames." if compared else ""
+
+
+def _find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]]:
+    """Find effects of the study `split` on which a simple rival leaves less than the network: rival, both shares."""
+    lost = {}
+    frames = [row for row in rows if "share" in row.values]
+    for effect in dict.fromkeys(row.case for row in frames):
+        of = [row.values for row in frames if row.case == effect]
+        own, settled, carried = (
+            float(np.mean([values[key] for values in of])) for key in ("share", "share_settled", "share_carried")
+        )
+        rival, share = (SETTLED, settled) if settled <= carried else (CARRIED, carried)
+        if share <= own:
+            lost[effect] = rival, share, own
+    return lost
 
 
 def _tell_overall(rows: Rows) -> str:
@@ -176,20 +193,27 @@ def _tell_law(rows: Rows) -> str:
     if not skin:
         return ""
     return (
-        f"A neo-Hookean law instead of PD's energy moves the skin by {min(skin):.3f} to {max(skin):.3f} mm on average, "
+        f"A neo-Hookean law instead of PD's energy moves the skin by at most {max(skin):.3f} mm on average, "
         f"and a vertex by at most {max(line['max'] for line in lines):.2f} mm."
     )
 
 
 def _tell_costs(found: Mapping[str, Point]) -> str:
-    costs = {name: found[name].each for name in (PD, FENICSX, NETWORK) if name in found}
-    if len(costs) < 2:
-        return ""
-    frames = [f"{name} {_format_seconds(cost)}" for name, cost in costs.items()]
-    bound = (
-        f"; the network first needs {_format_seconds(found[NETWORK].first)} for a new face" if NETWORK in costs else ""
-    )
-    return f"A frame takes {', '.join(frames[:-1])} and {frames[-1]}{bound}."
+    """Say which solver to pick for a frame, and which method for many frames of a face."""
+    solvers = sorted((name for name in (PD, FENICSX) if name in found), key=lambda name: found[name].each)
+    sentences = []
+    if len(solvers) > 1:
+        best, other = ((name, _format_seconds(found[name].each)) for name in solvers)
+        sentences.append(
+            f"For a frame to {ACCURACY:g} mm pick {best[0]}, which takes {best[1]}; {other[0]} takes {other[1]}."
+        )
+    if solvers and NETWORK in found:
+        first, each, error = found[NETWORK].first, found[NETWORK].each, found[NETWORK].error
+        sentences.append(
+            f"For many frames of a face pick the network: {_format_seconds(each)} each after "
+            f"{_format_seconds(first)}, at {error:.3f} mm."
+        )
+    return " ".join(sentences)
 
 
 def _format_seconds(value: float) -> str:

@@ -43,7 +43,7 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
         "heading": study.heading or study.question,
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
-        "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
+        "gates": [(describe_gate(gate), gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
         "figures": draw_twice(lambda: study.pictures(done)) if done else {},
         "pictures": {caption: encode_panels(png) for row in done for caption, png in read_files(row, folder, ".png")},
         "pages": {caption: page.decode() for row in done for caption, page in read_files(row, folder, ".html")},
@@ -55,6 +55,11 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
     }
 
 
+def describe_gate(gate: Mapping[str, Any]) -> str:
+    """Give a gate's words, with the number of values that it rests on where that is known."""
+    return gate["what"] + (f" ({gate['count']} values)" if "count" in gate else "")
+
+
 def draw_twice(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
     """Draw figures for a wide screen and for a phone, by caption."""
     wide = draw()
@@ -63,8 +68,12 @@ def draw_twice(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, st
 
 
 def tabulate_rows(study: Study, done: Sequence[Row]) -> Table:
-    """Tabulate the lines of all rows; columns that none fills are left out."""
-    costs = {"all of it [s]": "seconds", "processor time [s]": "cpu", "peak memory [MB]": "memory_mb"}
+    """Tabulate the lines of all rows; columns that none fills are left out.
+
+    Rows of a study that is not timed share solves: the seconds of one are no method's, and are left out too.
+    """
+    costs = {"all of it [s]": "seconds", "processor time [s]": "cpu"} if study.timed else {}
+    costs |= {"peak memory [MB]": "memory_mb"}
     costs = {title: key for title, key in costs.items() if any(getattr(row, key) is not None for row in done)}
     lines = [(row, values) for row in done for values in study.lines(row.values)]
     columns = [c for c in study.columns if any(values.get(c.key) is not None for _, values in lines)]
@@ -132,12 +141,14 @@ def tabulate_machine(machine: Mapping) -> list[Sequence]:
 
 
 def format_cell(value: Any) -> str:
-    """Format a cell as plain text: three digits, en dash for nothing."""
+    """Format a cell as plain text: three digits, whole numbers from a thousand on, en dash for nothing."""
     if isinstance(value, bool):
         return "yes" if value else "NO"
     if value is None:
         return "–"
     if isinstance(value, float):
+        if 1e3 <= abs(value) < 1e6:
+            return f"{value:,.0f}"
         return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
     return str(value)
 

@@ -14,20 +14,33 @@ from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
 from ..studies import describe_command
 from . import first_screen
-from .page import collect_content, encode_panels, read_files, render_template, tabulate_machine, to_latex, to_markdown
+from .page import (
+    collect_content,
+    describe_gate,
+    encode_panels,
+    read_files,
+    render_template,
+    tabulate_machine,
+    to_latex,
+    to_markdown,
+)
 from .results import read_results, refuse_other_versions
 from .study import Results, Row, Study, Table
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
-    "Is the fast simulator right?": ("agreement", "verification", "effects", "dynamics"),
-    "Where is it wrong?": ("hard", "material", "convergence", "locking", "shapes"),
-    "How far is the network from it?": ("surrogate", "split"),
-    "What does each method cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
+    "Is the fast simulator right?": ("agreement", "verification", "effects", "dynamics", "contact"),
+    "Where is it wrong?": ("hard", "material", "convergence", "locking", "face-benchmark", "shapes"),
+    "How far is the network from it?": ("surrogate", "split", "dial", "table-1"),
+    "What does each method cost?": (
+        "work-precision", "arena", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed", "timing",
+        "corotated",
+    ),
     "What can a scene leave out?": ("minimal",),
     "Which heads work?": ("heads", "registration", "depth", "closures"),
-}
-"""A reader's questions, and the studies that answer each, in the report's order."""
+}  # fmt: skip
+"""A reader's questions, and the studies that answer each, in the report's order: each of ours answers one."""
 OTHER = "What else was measured?"
+"""Studies of a user's own files."""
 PICTURED = ("agreement", "effects", "heads")
 """Studies whose first picture may stand on the first screen."""
 PROVENANCE = (
@@ -105,7 +118,7 @@ def write_report(
             "title": title,
             "first": _collect_first_screen(ordered),
             "missed": [
-                (sections[name]["heading"], gate["what"], gate["value"], gate["bound"])
+                (sections[name]["heading"], describe_gate(gate), gate["value"], gate["bound"])
                 for name, part in ordered.items()
                 for gate in part.results.gates
                 if not gate["passed"]

@@ -35,6 +35,7 @@ _GATE: dict[str, tuple[type, ...]] = {
     "value": (int, float, type(None)),
     "bound": (str,),
     "answer": (bool,),
+    "count": (int,),
 }
 """Of a gate's fields; the first two are in every gate."""
 

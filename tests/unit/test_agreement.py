@@ -117,7 +117,7 @@ def test_what_failed_is_left_out_of_the_gates(rows):
 def test_a_second_minimum_stands_in_the_words(rows):
     assert "two minima" not in Agreement().words(rows)
     words = Agreement().words(edited(rows, FENICSX, "another_minimum_mm", 0.226))
-    assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in words
+    assert "PD's energy has two minima on jawOpen: FEniCSx from rest ends up to 0.23 mm away" in words
 
 
 def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides):
@@ -126,13 +126,9 @@ def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides
     held.values["compared"][0]["max"], held.values["inside"] = 1.74, insides
     free = replace(held, case="jaw opened by its bone, 12 degrees", values=copy.deepcopy(held.values))
     words = Agreement().words([*rows, free])
-    assert "there by 0.100 mm on average and 0.30 mm at most, and over all vertices by" in words
-    assert "0.100 mm on average and 1.74 mm at most." in words
-    assert (
-        "Where no target holds the skin (jaw opened by its bone, 12 degrees), the law moves it by 0.100 mm" in words
-        and "from 0.3 to 0.4 kPa" in words
-    )
-    assert "from 900 to 700 mN" in words
+    for where in ("where targets hold it", "where none does"):
+        assert f"by at most 0.100 mm on average {where}, and any vertex by at most 1.74 mm" in words
+    assert len(words.split()) < 120
     inside, jaw = Agreement().tables([free])
     assert inside.rows[0][:3] == (free.case, 0.03, 1.74) and jaw.rows[0][-4:] == (900.0, 700.0, 80.0, 70.0)
 

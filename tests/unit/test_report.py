@@ -8,8 +8,9 @@ import pytest
 
 from softdeca.benchmarks.harness import Table
 from softdeca.benchmarks.harness.page import to_latex, to_markdown
-from softdeca.benchmarks.harness.report import read_part, write_report
-from softdeca.benchmarks.studies import load_study
+from softdeca.benchmarks.harness.report import QUESTIONS, read_part, write_report
+from softdeca.benchmarks.harness.study import at_least
+from softdeca.benchmarks.studies import STUDIES, load_study
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm import InputError
 
@@ -22,6 +23,7 @@ def test_a_report_of_studies_says_what_they_found(verified, command, tmp_path):
     text = (tmp_path / "index.html").read_text()
     assert "mine &amp; &lt;yours&gt;" in text and "4 of 4 values by skfem are within their bounds." in text
     assert "Is the fast simulator right?" in text and "Every statement holds within its bound." in text
+    text = text.replace('<link rel="icon" href="data:,">', "")
     assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
     heading = Verification.heading
     assert f'<h2 id="verification">{heading}</h2>' in text
@@ -73,6 +75,21 @@ def test_results_that_are_none_are_named(verified, command, tmp_path):
     (tmp_path / "results.json").write_text(json.dumps(found))
     ended = command("bench", "report", tmp_path, "--out", tmp_path / "out")
     assert ended.status == 1 and "another version" in ended.errors[0] and not (tmp_path / "out").exists()
+
+
+def test_every_study_of_ours_answers_a_readers_question():
+    asked = [name for names in QUESTIONS.values() for name in names]
+    assert sorted(asked) == sorted(STUDIES)
+
+
+def test_a_missed_bound_is_a_line_with_its_numbers(verified, tmp_path):
+    found = json.loads((verified / "results.json").read_text())
+    found["gates"] = [at_least("share of answers", 0.917, 0.95, answer=False) | {"count": 24}]
+    (tmp_path / "results.json").write_text(json.dumps(found))
+    text = write_report([read_part(tmp_path, load_study)], tmp_path / "out", "missed")[0].read_text()
+    assert "<li>share of answers (24 values): <b class=no>0.917</b>, at least 0.95 <" in text
+    # Rows share solves where nothing is timed: what one row waited is no method's cost.
+    assert "all of it [s]" not in text and "processor time [s]</th>" in text.partition("Where and with what")[2]
 
 
 def test_a_table_as_markdown_and_latex():

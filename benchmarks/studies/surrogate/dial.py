@@ -123,8 +123,9 @@ class Dial(Study):
         within = float(np.mean([row["true"] <= row["accuracy"] for row in told]))
         trusted = float(np.mean([row["true"] <= DOUBT * row["told"] for row in counted])) if counted else 1.0
         sure = _share_near([row for row in told if row["certain"]])
+        certain = [row for row in told if row["certain"]]
         hope = "share of frames whose told error is within 0.8 to 1.25 of the true one"
-        gates = [
+        shares = [
             at_least(
                 "share of frames whose true error is within the accuracy asked for",
                 within,
@@ -135,6 +136,8 @@ class Dial(Study):
             at_least(hope, _share_near(told), 0.95, answer=False),
             at_least(f"{hope}, of those that say they are certain", sure, 0.95, answer=False),
         ]
+        counts = (len(told), len(counted), *(sum(row["true"] >= LEAST for row in of) for of in (told, certain)))
+        gates = [gate | {"count": count} for gate, count in zip(shares, counts, strict=True)]
         for accuracy, rate in ((0.01, 10.0), (0.05, 30.0)):
             ms = [row["ms"] for row in counted if row["accuracy"] == accuracy]
             if ms:
@@ -148,16 +151,22 @@ class Dial(Study):
         ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
         low, middle, high = np.percentile(ratios, [5.0, 50.0, 95.0])
         certain = [row for row in told if row["certain"]]
-        prices = []
-        for accuracy in ACCURACIES:
-            ms = np.median([row["ms"] for row in told if row["accuracy"] == accuracy])
-            prices.append(f"{accuracy:g} mm in {ms:.0f} ms")
+        prices = {a: float(np.median([row["ms"] for row in told if row["accuracy"] == a])) for a in ACCURACIES}
+        listed = [
+            f"{', '.join(f'{each:g}' for each in alike)} mm in {prices[alike[0]]:.0f} ms"
+            for alike in _group_alike(ACCURACIES, list(prices.values()))
+        ]
+        pd = [line for row in rows for line in row.values["lean"] if line["method"] == PD]
+        ms, error = (float(np.median([line[key] for line in pd])) for key in ("ms", "true"))
+        dearer = [f"{a:g}" for a in ACCURACIES if prices[a] > ms and error <= a]
+        faces = f"{len(told)} answers, of {len(told) // len(ACCURACIES)} frames of {len(rows)} people"
         return (
-            f"Told over true error is {middle:.2f} in the median, {low:.2f} to {high:.2f} from 5 to 95 % of frames. "
+            f"Told over true error is {middle:.2f} in the median, {low:.2f} to {high:.2f} from 5 to 95 % of {faces}"
+            f"{'' if len(told) >= ENOUGH else f': too few to judge a share of 95 %, which takes {ENOUGH}'}. "
             f"It is within 0.8 to 1.25 on {100 * _share_near(told):.0f} % of all, and on "
             f"{100 * _share_near(certain):.0f} % of the {100 * len(certain) / len(told):.0f} % that say they are "
-            f"certain. In the median a frame costs: {', '.join(prices)}."
-        )
+            f"certain. In the median a frame costs: {'; '.join(listed)}."
+        ) + (f" {PD} is cheaper than the dial at {', '.join(dearer)} mm: {ms:.0f} ms." if dearer else "")
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate all people together, by accuracy; then by group."""
@@ -292,27 +301,34 @@ def plot_dial(people: Sequence[Values]):
     figure, axis = subplots(figsize=(6.4, 4.2))
     lean = [row for of in people for row in of["lean"]]
     places = []
-    for method in dict.fromkeys(row["method"] for row in lean):
+    for method, mark in zip(dict.fromkeys(row["method"] for row in lean), "^svDP", strict=False):
         of = [row for row in lean if row["method"] == method]
         places.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
-        axis.scatter(*places[-1], color="#b3541e" if method == PD else "#4c78a8")
-        side, x = ("right", -6) if method == PD else ("left", 5)
-        axis.annotate(method, places[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
+        axis.scatter(*places[-1], marker=mark, color="#b3541e" if method == PD else "#4c78a8", label=method)
     told = [row for of in people for row in of["told"]]
     points = []
-    for k, accuracy in enumerate(ACCURACIES):
+    for accuracy in ACCURACIES:
         of = [row for row in told if row["accuracy"] == accuracy]
         points.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
-        side, x = ("right", -6) if k % 2 else ("left", 5)  # neighbours lie close together
-        axis.annotate(f"{accuracy:g} mm", points[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
     every = sorted([*places, *points])
     best = [place for k, place in enumerate(every) if all(place[1] < other[1] for other in every[:k])]
     axis.plot(*np.transpose(best), "--", color="#999999", lw=1.0, zorder=0, label="what no other method beats")
-    axis.plot(*np.transpose(points), "o-", color="#006d5b", label="the dial, at the accuracy asked for")
+    axis.plot(*np.transpose(points), "o-", color="#006d5b", label="the dial, asked for 0.1 to 0.001 mm")
     axis.set(xscale="log", yscale="log", xlabel="a frame, processor time [ms]", ylabel="true mean error [mm]")
     axis.margins(0.15)
-    axis.legend()
+    figure.legend(loc="outside lower center", ncol=2)
     return figure
+
+
+def _group_alike(accuracies: Sequence[float], ms: Sequence[float]) -> list[list[float]]:
+    """Group neighbouring accuracies whose milliseconds differ by a tenth at most."""
+    groups: list[list[float]] = []
+    for accuracy, cost in zip(accuracies, ms, strict=True):
+        if groups and abs(cost / ms[accuracies.index(groups[-1][0])] - 1.0) <= 0.1:
+            groups[-1].append(accuracy)
+        else:
+            groups.append([accuracy])
+    return groups
 
 
 @lru_cache(maxsize=2)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....animation.contact_sheet import draw_face_strip, tile_pictures
+from ....animation.contact_sheet import draw_face_strip
 from ....animation.pictures import Panel
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats, Floats32
@@ -33,8 +33,8 @@ class Worst:
     error: float
 
 
-def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
-    """Show the worst frame of each of the SHOWN worst faces, the worst first.
+def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> list[bytes]:
+    """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each.
 
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
@@ -74,7 +74,7 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
             panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
         rows.append(draw_face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
         progress("pictures", (number + 1) / SHOWN)
-    return tile_pictures(rows, 1)
+    return rows
 
 
 def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:

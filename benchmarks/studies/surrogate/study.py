@@ -42,7 +42,6 @@ SEEN = 24
 CURVE = "over the number of people"
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
-WORST = "The worst frame of each of the worst faces"
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,9 @@ class SurrogateOnCorpus(Study):
                 | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
                 "breakeven": None if paid is None else asdict(paid),
                 "bind_costs": None if tested.costs is None else asdict(tested.costs),
-                WORST: draw_worst_frames(tested, silent),
             }
+            strips = enumerate(draw_worst_frames(tested, silent), start=1)
+            values |= {f"worst frame of the {number}. worst face": strip for number, strip in strips}
         note = (load_network(Path(task.method)) if task.case == CURVE else tested.network).weights.note
         people = len({identity for identity, _ in tested.faces.groups.tolist()})
         return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}

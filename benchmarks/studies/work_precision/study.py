@@ -240,13 +240,21 @@ class WorkPrecision(OfPerson):
         Of a method that has learned, a hollow mark has the bind in it, as lines have preparation; a filled mark is one
         more frame.
         """
-        panels = (
-            (FACE, "seconds"),
-            (FACE, "steps"),
-            (ARAP, "seconds"),
-            *((name_law_energy(law), "seconds") for law in added_laws()),
-        )
-        figure, axes = subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True)
+        found = {row.values["energy"] for row in rows}
+        panels = [
+            panel
+            for panel in (
+                (FACE, "seconds"),
+                (FACE, "steps"),
+                (ARAP, "seconds"),
+                *((name_law_energy(law), "seconds") for law in added_laws()),
+            )
+            if panel[0] in found
+        ]
+        if not panels:
+            return {}
+        figure, grid = subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True, squeeze=False)
+        axes = grid.ravel()
         for axis, (energy, key) in zip(axes, panels, strict=True):
             named: set[str] = set()
             for row in rows:
@@ -273,8 +281,8 @@ class WorkPrecision(OfPerson):
             axis.axhline(BELOW, color="#bbbbbb", lw=0.8, ls=":")
             axis.set(xscale="log", yscale="log", title=energy, xlabel=what, ylim=(LEAST_ERROR, None))
         axes[0].set_ylabel("largest error of a vertex [mm]")
-        for axis in (axes[0], *axes[2:]):
-            if axis.get_legend_handles_labels()[0]:
+        for axis, (_, key) in zip(axes, panels, strict=True):
+            if key == "seconds":
                 axis.legend()
         return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
