@@ -11,13 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..lhm.base.errors import InputError, SceneError
-from .materials import EnergyLaw
+from ..lhm.base.errors import InputError, SceneError, quote
+from .materials import LAWS, EnergyLaw
+from .materials.consistency import check_law
 
 if TYPE_CHECKING:
     from .problems.problem import Problem
 
 SOLVERS = ("projective", "fenicsx", "skfem")
+HOUSE_LAWS = ("PD", "Strain + Volume", *(law.__name__ for law in LAWS))
+"""Names that studies have for laws of their own."""
 
 
 @dataclass(frozen=True)
@@ -87,17 +90,31 @@ def added_files() -> tuple[Path, ...]:
 def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems: tuple[Problem, ...] = ()):
     """Let studies have a law of Lamé's moduli mu and lmbda [kPa] at rest.
 
-    Verification has its `problems`, hard cases have it on every element, and work-precision a face of it.
-    Raises InputError for a name that is taken, and what is no EnergyLaw of these moduli at rest.
+    Verification has its `problems` beside those that every law has, hard cases have it on every element, and
+    work-precision a face of it. Raises InputError for a name that is taken, for what is no EnergyLaw of these moduli at
+    rest, and for one whose energy, derivatives and densities do not agree (`materials.consistency`).
     """
     if name in _laws:
         raise InputError(f"law {name!r} was added already")
-    law = of_moduli(1.0, 9.0)
-    if not isinstance(law, EnergyLaw):
-        raise InputError(f"law {name!r}: expected an EnergyLaw, got {type(law).__name__}")
-    if not all(abs(a - b) < 1e-9 for a, b in zip(law.lame, (1.0, 9.0), strict=True)):
-        raise InputError(f"law {name!r}: of moduli 1 and 9 kPa it has {law.lame} at rest")
+    if not (isinstance(name, str) and name.strip() and name.isprintable()):
+        raise InputError(f"law {quote(name)}: expected a name of printable characters")
+    if _plain(name) in map(_plain, HOUSE_LAWS):
+        raise InputError(f"law {name!r}: a law of this name is there already")
+    for moduli in ((1.0, 9.0), (0.4, 3.1)):  # two: a power of a modulus is 1 at 1 kPa
+        try:
+            law = of_moduli(*moduli)
+        except Exception as error:
+            raise InputError(f"law {name!r}: of moduli {moduli} kPa: {type(error).__name__}: {error}") from error
+        if not isinstance(law, EnergyLaw):
+            raise InputError(f"law {name!r}: expected an EnergyLaw, got {type(law).__name__}")
+        if not all(abs(a - b) < 1e-9 for a, b in zip(law.lame, moduli, strict=True)):
+            raise InputError(f"law {name!r}: of moduli {moduli} kPa it has {law.lame} at rest")
+        check_law(name, law)
     _laws[name] = AddedLaw(of_moduli, tuple(problems))
+
+
+def _plain(name: str) -> str:
+    return "".join(filter(str.isalnum, name.lower()))
 
 
 def added_laws() -> Mapping[str, AddedLaw]:

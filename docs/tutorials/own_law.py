@@ -11,8 +11,12 @@
 #
 # ## Verification
 #
-# `add_file` runs the file (in a shell: `softdeca bench --add gent.py NAME`), and its problems are posed with the
-# others.
+# `add_file` runs the file (in a shell: `softdeca bench --add gent.py NAME`). `add_law` first holds the forms against one
+# another: derivatives by hand against differences of the energy, the density in UFL against the energy, the moduli at
+# rest against `lame`. It refuses a law whose forms disagree, and names the derivative, F, and both values.
+#
+# Verification poses the file's problems with the others, and some that every law gets: the patch test, rotations,
+# stretches along one axis and two, shear. Their values follow from the energy alone.
 
 # %%
 import numpy as np
@@ -44,7 +48,8 @@ for problem in problems.added_problems():
 # ## Hard cases
 #
 # Collapsed, inverted, crushed and twisted blocks, on linear and quadratic tets. The energy is infinite for an
-# inverted tet, so the right outcome there is to refuse the start, and a law that did not would be told.
+# inverted tet, so the right outcome there is to refuse the start, and a law that did not would be told. One block bends
+# by its weight: there scikit-fem, with the derivatives by hand, must end where FEniCSx does.
 
 # %%
 for case in problems.added_hard_cases():

@@ -6,7 +6,12 @@ incompressibility, H7 crushed and released, H8 locking, H9 stiffnesses that diff
 H14 loads without a stable equilibrium.
 """
 
+import functools
+from collections.abc import Callable
+
 from ..added import added_laws
+from ..materials import EnergyLaw, lame
+from ..terms import Hyperelastic
 from . import (
     bars,
     cook,
@@ -22,6 +27,7 @@ from . import (
 )
 from .problem import HardCase, HardOutcome, Outcome, Problem, run, run_hard
 
+ROUNDING = {"fenicsx": 1e-10, "skfem": 1e-10}
 PUBLISHED = (cook, published, incompressible)
 ALL: tuple[Problem, ...] = (
     *rigid.PROBLEMS,
@@ -43,8 +49,17 @@ LAWS_ON_ELEMENTS: tuple[HardCase, ...] = laws_on_elements.CASES
 
 
 def added_problems() -> tuple[Problem, ...]:
-    """The problems of laws that files have added."""
-    return tuple(problem for law in added_laws().values() for problem in law.problems)
+    """The problems of laws that files have added: their own, and those that only need a law."""
+    return tuple(
+        problem for name, law in added_laws().items() for problem in (*law.problems, *_problems_of(name, law.of_moduli))
+    )
+
+
+@functools.cache
+def _problems_of(name: str, of_moduli: Callable[[float, float], EnergyLaw]) -> tuple[Problem, ...]:
+    energies = (Hyperelastic(of_moduli(rigid.MU, 4.0 * rigid.MU)),)
+    moved = rigid.problems_of(name, energies, ROUNDING, angles=(60, 180), least_energy=1e-13)
+    return (*moved, *homogeneous.problems_of(name, of_moduli(*lame(homogeneous.YOUNG, homogeneous.POISSON))))
 
 
 def added_hard_cases() -> tuple[HardCase, ...]:

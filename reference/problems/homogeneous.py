@@ -10,15 +10,17 @@ nearly incompressible one, with the error that its compressibility must cause as
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.optimize import brentq, minimize_scalar
 
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..materials import (
     Corotated,
+    EnergyLaw,
     Guccione,
     IsochoricNeoHookean,
     MooneyRivlin,
@@ -27,11 +29,13 @@ from ..materials import (
     StVenantKirchhoff,
     Volumetric,
 )
+from ..materials.consistency import invariants
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
 from .meshes import block, triangles_at, unstructured, vertices_at
 from .problem import Attempt, HardCase, Problem, energy
+from .rigid import held_boundary, near
 
 CELLS = 3
 LIMIT = 1.2
@@ -276,6 +280,65 @@ def _problems() -> list[Problem]:
 
 
 PROBLEMS = tuple(_problems())
+
+BY_PSI = "differences of the law's own psi"
+EIGHT_DIGITS = {"fenicsx": 1e-8, "skfem": 1e-8}
+SHEAR = 0.4
+
+
+def _psi(law: EnergyLaw, stretches: Sequence[float]) -> float:
+    I1, I2, J = invariants(np.array([stretches], dtype=np.float64))[0]
+    return float(law.by_invariants(I1, I2, J)[0][0])
+
+
+def _slope(value: Callable[[float], float], at: float, step: float = 1e-4) -> float:
+    ahead, behind, further, before = (value(at + k * step) for k in (1.0, -1.0, 2.0, -2.0))
+    return (8.0 * (ahead - behind) - (further - before)) / (12.0 * step)
+
+
+def solve_row(label: str, law: EnergyLaw, stretch: float, loaded: int, confined: int = 0) -> Row:
+    """Find the free stretch and the nominal stress of a law from its psi alone."""
+
+    def psi(held: float, free: float) -> float:
+        return _psi(law, [held] * loaded + [1.0] * confined + [free] * (3 - loaded - confined))
+
+    near = minimize_scalar(lambda free: psi(stretch, free), bounds=(0.5, 2.0), method="bounded").x
+    free = brentq(lambda t: _slope(lambda u: psi(stretch, u), t), near - 1e-3, near + 1e-3, xtol=1e-14)
+    return Row(
+        label, (Hyperelastic(law),), loaded, stretch, free, _slope(lambda s: psi(s, free), stretch) / loaded, confined
+    )
+
+
+def problems_of(name: str, law: EnergyLaw) -> list[Problem]:
+    """Pose stretches along one axis and two, and shear, for a law whose psi alone gives the values."""
+    rows = [
+        solve_row(f"{name}, uniaxial", law, 1.3, 1),
+        solve_row(f"{name}, equibiaxial", law, 1.2, 2),
+        solve_row(f"{name}, pure shear", law, 1.3, 1, confined=1),
+    ]
+    crushed = solve_row(f"{name}, uniaxial", law, 0.8, 1)
+    problems = [
+        *(make(row, EIGHT_DIGITS, source=BY_PSI) for row in rows for make in (free_stretch, loaded_stretch)),
+        free_stretch(crushed, EIGHT_DIGITS, BY_PSI),
+        held_energy(crushed, EIGHT_DIGITS, _psi(law, [crushed.stretch] + 2 * [crushed.free_stretch]), BY_PSI),
+    ]
+
+    def sheared(amount: float) -> Floats:
+        return np.eye(3) + amount * np.outer([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+
+    def psi(amount: float) -> float:
+        return _psi(law, np.linalg.svd(sheared(amount), compute_uv=False))
+
+    A = sheared(SHEAR)
+    for what, quantity, value in (
+        ("energy", energy, psi(SHEAR)),
+        ("shear stress", lambda _, solution: solution.first_piola[:, 0, 1].mean(), _slope(psi, SHEAR)),
+    ):
+        scene = partial(held_boundary, (Hyperelastic(law),), A)
+        label = f"{name}, simple shear {SHEAR:g}: {what}"
+        problems.append(Problem(label, BY_PSI, scene, quantity, value, EIGHT_DIGITS, near(A)))
+    return problems
+
 
 TOLERANCE = 1e-7
 """Rounding of F in the worst sliver leaves no more of the gradient."""

@@ -238,8 +238,8 @@ def prepare(
         one_of("linear solver", linear_solver, get_args(LinearSolver))  # also where nothing is left to factor
     if like is not None and not (isinstance(like, ProjectivePrepared) and linear_solver == "cholmod"):
         raise SceneError(
-            "projective: like: expected a scene that this solver has prepared, and linear_solver 'cholmod', which alone "
-            f"takes over a factorisation; got {quote(like)} and {linear_solver!r}"
+            "projective: like: expected a scene that this solver has prepared, and linear_solver 'cholmod', which "
+            f"alone takes over a factorisation; got {quote(like)} and {linear_solver!r}"
         )
     clock = Clock()
     energy = Energy.from_scene(scene, threads)

@@ -49,10 +49,10 @@ class Prepared:
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        `warm`, a solution before, gives the default start, with nodes on edges if it was to `remember` them. Held components are
-        carried to their places first, before the first iteration of the history, and rigid bodies to their first ones:
-        that of their shape, or the nearest to a given start. Inverted tets of stiff volume are led out by shape
-        alone first; its iterations count, and may raise the energy.
+        `warm`, a solution before, gives the default start, with nodes on edges if it was to `remember` them.
+        Held components are carried to their places first, before the first iteration of the history, and rigid bodies
+        to their first ones: that of their shape, or the nearest to a given start. Inverted tets of stiff volume are led
+        out by shape alone first; its iterations count, and may raise the energy.
         Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
         push a part that nothing holds.
         """

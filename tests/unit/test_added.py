@@ -1,5 +1,6 @@
 """Laws, solvers and studies of files of one's own, by those of the tutorials."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from softdeca.reference import (
     terms,
 )
 from softdeca.reference import add_solver as add
+from softdeca.reference.materials.material import EnergyLaw, LameLaw
 from softdeca.reference.skfem.solids import ByInvariants
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
@@ -135,6 +137,156 @@ def test_a_study_of_a_file(tmp_path, command):
     assert "How much is twice as much?" in command("bench", "--add", file, "list").out
 
 
+@dataclass(frozen=True)
+class Own(LameLaw, EnergyLaw):
+    """psi = mu/2 (I1 - 3) - mu ln J + lmbda/2 (J - 1)², in all forms, and what a test makes wrong of them."""
+
+    density = staticmethod(lambda F, p: own_density(F, p, lambda J: p.lmbda / 2 * (J - 1) ** 2))
+    mixed_density = staticmethod(
+        lambda F, pressure, p: own_density(F, p, lambda J: pressure * (J - 1) - pressure**2 / (2 * p.lmbda))
+    )
+    isochoric = staticmethod(lambda F, p: p.mu / 2 * (ufl().det(F) ** (-2 / 3) * ufl().inner(F, F) - 3))
+
+    def check_mixed(self):
+        pass
+
+    def by_invariants(self, I1, I2, J):
+        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
+        gradient[:, 0], gradient[:, 2] = self.mu / 2, self.lmbda * (J - 1) - self.mu / J
+        hessian[:, 2, 2] = self.lmbda + self.mu / J**2
+        psi = self.mu / 2 * (I1 - 3) - self.mu * np.log(np.maximum(J, 1e-300)) + self.lmbda / 2 * (J - 1) ** 2
+        return np.where(J > 0, psi, np.inf), gradient, hessian
+
+
+def ufl():
+    return pytest.importorskip("ufl")
+
+
+def own_density(F, p, volume):
+    J = ufl().det(F)
+    return p.mu / 2 * (ufl().inner(F, F) - 3) - p.mu * ufl().ln(J) + volume(J)
+
+
+def own(**wrong):
+    """Own with members that are others, as a function of its moduli."""
+    return dataclass(frozen=True)(type("Own", (Own,), wrong))
+
+
+def by_invariants(psi=lambda psi, I1, J: psi, gradient=lambda g: g, hessian=lambda h: h):
+    def changed(self, I1, I2, J):
+        values, by, twice = Own.by_invariants(self, I1, I2, J)
+        return psi(values, I1, J), gradient(by), hessian(twice)
+
+    return {"by_invariants": changed}
+
+
+def loose(mu, lmbda):
+    law = Own(mu, lmbda)
+    object.__setattr__(law, "seen", 0)
+    return law
+
+
+LISTED = own(__annotations__={"fibres": list}, fibres=field(default_factory=list))
+DROPPED = np.arange(9).reshape(3, 3) != 8
+WRONG = {
+    "gradient sixfold": (
+        own(**by_invariants(gradient=lambda g: 6 * g)),
+        r"dpsi/dJ at F = diag\(.*\): expected 7.6.* 45.8",
+    ),
+    "gradient by one": (own(**by_invariants(gradient=lambda g: g + [0, 1e-3, 0])), "dpsi/dI2 at F = .* got 0.001"),
+    "Hessian": (own(**by_invariants(hessian=lambda h: h * DROPPED)), "d²psi/dJ dJ at F .* of the gradient, got 0"),
+    "Hessian lopsided": (own(**by_invariants(hessian=lambda h: h + 0.1 * np.eye(3)[[1, 0, 2]] * [0, 1, 0])), "d²psi/d"),
+    "shape": (own(**by_invariants(gradient=lambda g: g[0])), r"expected shapes \(1,\), \(1, 3\), \(1, 3, 3\)"),
+    "raises": (own(**by_invariants(gradient=lambda g: g["mu"])), "by_invariants: IndexError"),
+    "NaN at rest": (
+        own(**by_invariants(psi=lambda psi, I1, J: psi * (I1 - 3) / (I1 - 3))),
+        r"psi is NaN at F = diag\(1,",
+    ),
+    "not 0 at rest": (own(**by_invariants(psi=lambda psi, I1, J: psi + 1)), "psi is 1 kPa at rest, expected 0"),
+    "NaN inverted": (
+        own(**by_invariants(psi=lambda psi, I1, J: np.where(J > 0, psi, np.nan))),
+        "psi is NaN at F = .*-.* expected infinity",
+    ),
+    "finite inverted": (
+        own(**by_invariants(psi=lambda psi, I1, J: np.where(J > 0, psi, 5.0))),
+        "psi is 5 kPa at F = .*, expected infinity: finite_inverted is False",
+    ),
+    "infinite inverted": (own(finite_inverted=True), "psi is inf kPa at F = .*-.* where it must hold"),
+    "holds nowhere": (
+        own(**by_invariants(psi=lambda psi, I1, J: np.where(J < 1.01, psi, np.inf))),
+        "where it must hold",
+    ),
+    "holds less far": (
+        own(**by_invariants(psi=lambda psi, I1, J: np.where(I1 < 3.3, psi, np.inf))),
+        "density at F = .* expected inf kPa, by psi",
+    ),
+    "energy twice": (
+        own(**by_invariants(lambda psi, I1, J: 2 * psi, lambda g: 2 * g, lambda h: 2 * h)),
+        "mu and lmbda at rest: expected 1 and 9 kPa, by `lame`, got 2 and 18",
+    ),
+    "stressed at rest": (
+        own(**by_invariants(lambda psi, I1, J: psi + 0.1 * (J - 1), lambda g: g + [0, 0, 0.1])),
+        "its stress is 0.1 kPa at rest, expected 0",
+    ),
+    "density": (own(density=staticmethod(lambda F, p: 1.001 * Own.density(F, p))), "density at F = .* by psi, got"),
+    "density turned": (own(density=staticmethod(lambda F, p: Own.density(F, p) + F[0, 0] - 1)), "density at F = "),
+    "density raises": (own(density=staticmethod(lambda F, p: p.kappa)), "density at F = .*: AttributeError: "),
+    "isochoric": (own(isochoric=staticmethod(lambda F, p: 2 * Own.isochoric(F, p))), "isochoric at F = "),
+    "mixed": (
+        own(mixed_density=staticmethod(lambda F, q, p: Own.mixed_density(F, q, p) - q**2 / 9)),
+        "mixed_density, greatest at a pressure of .* kPa, at F = ",
+    ),
+    "square of mu": (lambda mu, lmbda: Own(mu**2, lmbda), r"of moduli \(0.4, 3.1\) kPa it has"),
+    "no law": (lambda mu, lmbda: Own(-mu, lmbda), "of moduli .* SceneError: Own: mu must be positive"),
+    "loose": (loose, "seen is no field of a frozen dataclass"),
+    "list": (LISTED, "its parameters may change"),
+}
+
+
+def test_a_law_whose_forms_agree_is_added():
+    add_law("own", Own)
+    assert added.added_laws()["own"].of_moduli is Own
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_law_whose_forms_disagree_is_refused_with_the_figures(wrong):
+    of_moduli, message = WRONG[wrong]
+    ufl()
+    with pytest.raises(InputError, match=message) as refused:
+        add_law("own", of_moduli)
+    assert "\n" not in str(refused.value) and not added.added_laws()
+
+
+def test_verification_and_hard_cases_have_an_added_law_by_hand():
+    pytest.importorskip("skfem")
+    add_law("own", Own)
+    posed = problems.added_problems()
+    kinds = ("patch, ", "rotation by 180°, ", "uniaxial", "equibiaxial", "pure shear", "simple shear")
+    assert all(any(kind in problem.name for problem in posed) for kind in kinds)
+    assert {problem.solvers for problem in posed} == {("fenicsx", "skfem")}
+    assert all(problems.run(problem, "skfem").passed for problem in posed)
+
+
+def test_studies_tell_a_wrong_law_that_add_law_did_not(monkeypatch, tmp_path):
+    pytest.importorskip("dolfinx")
+    monkeypatch.setattr(added, "check_law", lambda name, law: None)
+    add_law("own", own(**by_invariants(gradient=lambda g: 6 * g)))
+    posed = {problem.name: problem for problem in problems.added_problems()}
+    sheared = problems.run(posed["own, simple shear 0.4: shear stress"], "skfem")
+    assert not sheared.passed and sheared.value == pytest.approx(6 * sheared.reference)
+    assert not problems.run(
+        next(posed[name] for name in posed if "own, uniaxial" in name and "kPa" in name), "skfem"
+    ).passed
+    (bent,) = (case for case in problems.added_hard_cases() if case.name == "block bent by its weight, own")
+    assert not problems.run_hard(bent, "skfem").passed
+
+
+@pytest.mark.parametrize("name", ["neo-Hookean", "NeoHookean", "PD", "Strain + Volume", "", "a\nb", 3])
+def test_a_law_takes_no_name_that_is_there_and_none_that_cannot_be_shown(name):
+    with pytest.raises(InputError, match="a law of this name is there already|expected a name of printable"):
+        add_law(name, Own)
+
+
 def test_what_files_may_not_add(tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("1 / 0\n")
@@ -160,7 +312,7 @@ def test_what_files_may_not_add(tmp_path):
         add_law("Gent", gent)
     with pytest.raises(InputError, match="expected an EnergyLaw, got Corotated"):
         add_law("mine", materials.Corotated)
-    with pytest.raises(InputError, match="of moduli 1 and 9 kPa it has"):
+    with pytest.raises(InputError, match=r"of moduli \(1.0, 9.0\) kPa it has"):
         add_law("mine", lambda mu, lmbda: gent(2 * mu, lmbda))
     for name in ("skfem", "mine"):
         with pytest.raises(InputError, match="is there already"):
