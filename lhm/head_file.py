@@ -100,7 +100,7 @@ def surface_to_arrays(name: str, surface: Surface | None) -> dict[str, np.ndarra
 
 def read_surface_arrays(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
     """Return the surface of that name, or None; KeyError for half of one, InputError for a bad one."""
-    if f"{name}_vertices" not in arrays:
+    if not {f"{name}_vertices", f"{name}_triangles"} & arrays.keys():
         return None
     return surface_from_arrays(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
 
@@ -316,7 +316,7 @@ def check_extent(surfaces: Mapping[str, Surface]) -> float:
 
 
 def _read_volume(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
-    if "volume_vertices" not in arrays:
+    if not any(name.startswith("volume_") for name in arrays):
         return None
     inner = checks.finite("volume_vertices", arrays["volume_vertices"], (None, 3))
     middle = 0.5 * (wrap.vertices.min(axis=0) + wrap.vertices.max(axis=0))
@@ -332,7 +332,7 @@ def _read_volume(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float)
 
 
 def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
-    if "rig_deltas" not in arrays:
+    if not any(name.startswith("rig_") for name in arrays):
         return None
     count = checks.integers("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
     if int(count) != skin_n:
@@ -358,9 +358,10 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Return the notes of a file, control characters escaped; InputError for what is no list of texts."""
-    if "notes" not in arrays:
-        return ()
+    """Return the notes of a file, control characters escaped; InputError for what is no list of texts.
+
+    They are written last. A file whose list of arrays lost its end has none, and may lack its rig: KeyError.
+    """
     notes = checks.texts("notes", parse_json(checks.text("notes", arrays["notes"])))
     NOTES.check("notes", len(notes))
     for note in notes:

@@ -1,6 +1,7 @@
 """Head and template files with one thing wrong each: loading and `head check` refuse them in a line that names it."""
 
 import json
+import re
 import time
 from dataclasses import replace
 
@@ -199,6 +200,26 @@ def test_a_simulation_of_a_damaged_head_ends_before_it_begins(tmp_path, whole, c
         ended = command("animate", take, "--head", path, "--out", out)
         assert ended.status == 1 and f"error: {path}: damaged, " in ended.errors[-1], ended.errors
         assert not out.exists()
+
+
+def test_a_head_whose_bits_flip_is_refused_or_the_same(tmp_path, sphere_head):
+    """Each array has a checksum in the archive, its texts too; its list of arrays has none, and may lose some."""
+    path, rng = tmp_path / "head.npz", np.random.default_rng(0)
+    save_head(path, replace(sphere_head, notes=("a note",), registered=sphere_head.skin, skull=sphere_head.skull_wrap))
+    whole = path.read_bytes()
+    flips = [(int(place), int(bit)) for place, bit in rng.integers((0, 0), (len(whole), 8), (200, 2))]
+    for entry in re.finditer(rb"PK\x01\x02", whole):  # lengths of what follows an entry's name
+        flips += [(entry.start() + place, bit) for place in range(30, 34) for bit in range(8)]
+    for place, bit in flips:
+        content = bytearray(whole)
+        content[place] ^= 1 << bit
+        path.write_bytes(content)
+        try:
+            again = load_head(path)
+        except InputError:
+            continue
+        assert again.notes == ("a note",) and again.skull is not None and again.registered is not None, (place, bit)
+        assert np.array_equal(again.vertices, sphere_head.vertices), (place, bit)
 
 
 def test_notes_cannot_steer_the_terminal(tmp_path, whole, command):
