@@ -271,7 +271,7 @@ function start([content, arrays]) {
     for (const [name, { rung, told }] of rungs) {
       const its = frames.get(name);
       rung.className = name === frame.method ? "now" : its ? "done" : "";
-      if (!its) told.textContent = "";
+      if (!its) told.textContent = methods.indexOf(name) < methods.indexOf(frame.method) ? "not needed" : "";
       else if (frame.last && its !== frame) told.textContent = inMillimetres(meanDistance(its.positions, frame.positions));
       else told.textContent = its.mean === null ? "?" : inMillimetres(its.mean);
       if (its) addElement("small", told, { textContent: `after ${its.elapsed < 1 ? its.elapsed.toFixed(2) : its.elapsed.toFixed(1)} s` });

@@ -9,13 +9,14 @@ from os import PathLike
 import numpy as np
 from scipy.linalg.blas import ssyrk
 
+from ..lhm.base.checks import check_arguments, real
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.moving_surface import Morphs, write_rig
 from ..lhm.base.mesh import Floats32, Ints, Surface
 from ..lhm.expressions import Take, conversation
 from ..lhm.expressions.made_up import combinations
 from .dynamics import DynamicRig, Swings, dynamic_rig
-from .rig import FaceModes, Remainder, add_combination, check_out, check_weights
+from .rig import WEIGHTS, FaceModes, Remainder, add_combination, check_out, check_weights
 
 APART = 8
 """Frames of a conversation: those in a row hardly differ."""
@@ -78,9 +79,15 @@ class BakedRig:
     largest_error: float
     swing: Swings | None = None
 
+    def __post_init__(self):
+        for array in (self.neutral, self.targets, self.mixing):
+            array.flags.writeable = False  # a frame might be asked to be written over them
+
     def target_weights(self, weights) -> Floats32:
         """Weights of the targets, shape (..., rank), for ARKit weights (..., 52)."""
-        weights = np.asarray(weights, dtype=np.float32)
+        weights = np.asarray(real("weights", weights), dtype=np.float32)
+        if weights.shape[-1:] != (WEIGHTS,):
+            raise InputError(f"weights: expected the {WEIGHTS} of ARKit, got shape {weights.shape}")
         return np.concatenate([weights, self.remainder_of(weights)], axis=-1) @ self.mixing
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
@@ -95,6 +102,7 @@ class BakedRig:
         add_combination(amplitudes @ self.mixing, self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface
 
+    @check_arguments
     def write_gltf(self, path: str | PathLike[str], take: Take) -> None:
         """Write the rig as glTF: its neutral skin, its targets, and their weights over a take.
 

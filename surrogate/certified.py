@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from ..lhm.base.checks import check_arguments, number
+from ..lhm.base.checks import check_arguments, finite, number
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
@@ -41,10 +41,21 @@ Method = Literal["derivatives", "network", "corrected", "converged"]
 """In the order of their price. "derivatives" are the simulator's, "network" is these and the network's remainder."""
 ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
-FINEST = 1e-6
-"""[mm] Accuracy below which rounding is asked for."""
-MOST_SMOOTHING = 16
-"""Local iterations of a round at most: they double while Newton's step is not near its end, and are one otherwise."""
+FINEST, COARSEST = 1e-6, 100.0
+"""[mm] Accuracy below which rounding is asked for, and beyond which nothing is."""
+SETTLING = 8
+"""Iterations of L-BFGS before an error is first told, where Newton's step has no end at once: there tets fold."""
+MOST_SMOOTHING = 32
+"""Iterations of L-BFGS between two errors at most; each costs a tenth of telling an error."""
+FURTHER, FARTHEST = 0.1, 0.02
+"""By which share of its error a round aims to leave a frame where no accuracy is asked for, and at least."""
+DIRECT, TINY = 0.2, 1e-12
+"""An accuracy below this share of the first order's rough error, which nothing then meets, is sought by L-BFGS at once;
+[mm] keeps the share finite."""
+MARGIN = 0.5
+"""Of an accuracy that a round aims at: the error falls about as the residual does."""
+APART = 1.0
+"""[mm] Mean distance of a frame's vertices from their first order at most; other faces' are farther."""
 CONVERGED = 1e-6
 """Gradient norm, relative to that of the targets' springs each 1 mm long, from which a frame counts as converged."""
 MOST_SOLVES = 2000
@@ -146,6 +157,7 @@ class CertifiedFace:
         """Whether a network adds what is not linear."""
         return len(self.rig.modes.modes) > 0
 
+    @check_arguments
     def frame(
         self,
         weights,
@@ -160,63 +172,98 @@ class CertifiedFace:
         before in a take, of this face, whose correction this one begins with; frames without it depend on their weights
         alone. Weights outside [0, 1] are clipped with a warning. InputError for weights and numbers out of range.
         """
-        accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
-        for frame in self.improve(weights, after=after):
+        accuracy = number("accuracy", accuracy, least=FINEST, most=COARSEST, unit="mm")
+        seconds = None if seconds is None else number("seconds", seconds, least=0.0, unit="s")
+        for frame in self._correct(weights, after, accuracy):
             if frame.bound <= accuracy or (seconds is not None and frame.seconds >= seconds):
                 break
         return frame
 
+    @check_arguments
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
 
         Arguments and errors are those of `frame`.
         """
+        return self._correct(weights, after, None)
+
+    def _correct(self, weights, after: Reached | None, accuracy: float | None) -> Iterator[CertifiedFrame]:
+        """Yield the best frame so far after each round: Newton's step, L-BFGS to the accuracy, and the error anew."""
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
         correction = self.frames.begin(known, self._start(known, after))
-        rounds, is_first = 1, True
-        while True:
-            correction.smooth(rounds)
+        correction.smooth(1)
+        if accuracy is not None and (share := accuracy / self._estimate_roughly(correction)) < DIRECT:
+            correction.smooth(MOST_SMOOTHING, until=MARGIN * share * correction.residual)
+        ahead = correction.newton_step()
+        if not ahead.is_near and correction.solves < SETTLING:
+            correction.smooth(SETTLING)
             ahead = correction.newton_step()
-            yield self._tell(correction, ahead, begin, is_first)
+        guess = self._tell(correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin())
+        before, best = guess.skin, replace(guess, method="network" if self.has_network else "derivatives")
+        while True:
+            frame = self._tell(correction, ahead, begin, correction.skin(), before)
+            if frame.bound <= best.bound or frame.method == "converged":
+                best = frame
+            yield replace(best, positions=frame.positions, seconds=frame.seconds, solves=frame.solves)
             if correction.residual <= CONVERGED or correction.solves >= MOST_SOLVES:
                 return
-            goes = correction.take(ahead.step)
-            rounds = 1 if goes and ahead.is_near else min(2 * rounds, MOST_SMOOTHING)
-            is_first = False
+            share = FURTHER if accuracy is None else max(MARGIN * accuracy / frame.bound, FARTHEST)
+            goal, before = share * correction.residual, frame.skin
+            correction.take(ahead.step)
+            correction.smooth(MOST_SMOOTHING, until=goal)
+            ahead = correction.newton_step()
 
     def _start(self, weights: Floats, after: Reached | None) -> Floats | None:
         """Return the first order, and on it the correction of the frame before."""
         if after is None:
             return None
         start = self.frames.predict(weights)
-        if after.positions.shape != start.shape:
-            raise InputError(f"after: a frame of another face, of {len(after.positions)} vertices, not {len(start)}")
-        return start + (after.positions - self.frames.predict(after.weights))
+        if np.shape(after.positions) != start.shape:
+            shape = np.shape(after.positions)
+            raise InputError(f"after: a frame of another face, with vertices of shape {shape}, not {start.shape}")
+        left = finite("after", after.positions) - self.frames.predict(check_weights(after.weights).astype(np.float64))
+        if (away := float(np.linalg.norm(left, axis=1).mean())) > APART:
+            raise InputError(
+                f"after: a frame of another face: {away:.2g} mm from this one's first order, expected at most {APART:g}"
+            )
+        return start + left
 
-    def _tell(self, correction: Correction, ahead: NewtonStep, begin: float, is_first: bool) -> CertifiedFrame:
-        """Tell the error of where a correction is, or first of the rig's own frame if that is nearer to the answer."""
-        head = self.frames.linear.face.head
-        expression = self.frames.expression(correction.weights)
-        skin: Floats | Floats32 = correction.skin()
-        answer = skin + head.skin_from_wrap @ correction.move_wrap(ahead.step)
-        counted = find_counted(answer, expression + self.carried)
+    def _find_answer(self, correction: Correction, step: Floats) -> tuple[Floats, np.ndarray]:
+        """Return the skin (n, 3) [mm] where a step would lead, and which vertices an error counts."""
+        head, expression = self.frames.linear.face.head, self.frames.expression(correction.weights)
+        answer = correction.skin() + head.skin_from_wrap @ correction.move_wrap(step)
+        return answer, find_counted(answer, expression + self.carried)
+
+    def _estimate_roughly(self, correction: Correction) -> float:
+        """Estimate the error [mm] within a factor of some, by one solve."""
+        answer, counted = self._find_answer(correction, correction.rough_step())
+        return float(np.linalg.norm(answer - correction.skin(), axis=1)[counted].mean()) + TINY
+
+    def _tell(
+        self,
+        correction: Correction,
+        ahead: NewtonStep,
+        begin: float,
+        skin: Floats | Floats32,
+        other: Floats | Floats32,
+    ) -> CertifiedFrame:
+        """Tell the error of a skin by where Newton's step leads, or where that has no end by another skin if nearer."""
+        answer, counted = self._find_answer(correction, ahead.step)
         errors = np.linalg.norm(answer - skin, axis=1)
-        method: Method = "converged" if correction.residual <= CONVERGED else "corrected"
-        if is_first:
-            guess = self.rig.frame(correction.weights.astype(np.float32))
-            others = np.linalg.norm(answer - guess, axis=1)
-            if others[counted].mean() < errors[counted].mean():
-                skin, errors = guess, others
-                method = "network" if self.has_network else "derivatives"
+        has_converged = correction.residual <= CONVERGED
+        if not (ahead.is_near or has_converged):
+            # Where tets fold Newton's step leads up to thirty times too far.
+            apart = np.linalg.norm(other - skin, axis=1)
+            errors = min(errors, apart, key=lambda distances: distances[counted].mean())
         return CertifiedFrame(
             weights=correction.weights,
             positions=correction.positions,
             skin=skin.astype(np.float32),
             error=float(errors[counted].mean()),
             errors=errors.astype(np.float32),
-            certain=ahead.is_near or method == "converged",
-            method=method,
+            certain=ahead.is_near or has_converged,
+            method="converged" if has_converged else "corrected",
             seconds=time.perf_counter() - begin,
             solves=correction.solves,
         )

@@ -128,9 +128,9 @@ class Looseness:
         """Learn by ridge regression over random people whose heads are fitted, a second or so each."""
         rng = np.random.default_rng(SEED)
         codes, shares, pivots = [], [], []
-        for number in range(count):
+        for drawn in range(count):
             person = people.person(rng)
-            on_progress(f"where faces are loose: head {number + 1} of {count}", (number + 1) / count)
+            on_progress(f"where faces are loose: head {drawn + 1} of {count}", (drawn + 1) / count)
             try:
                 head = people.head(person)
             except FitError:

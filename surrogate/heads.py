@@ -27,7 +27,7 @@ SCALED = 1.02
 
 
 class Heads:
-    """Heads of people, fitted as they are asked for; the last one is kept.
+    """Heads of people, fitted as they are asked for; the last one is kept, and how bones carry its last face.
 
     `people` fit them. Where it is None, faces without a scaled bone are carried by nothing, and another raises
     InputError, which says `why`.
@@ -36,7 +36,7 @@ class Heads:
     def __init__(self, people: People | None, why: str = "nobody fits their heads"):
         self._people, self._why = people, why
         self._last: tuple[bytes, LayeredHead] | None = None
-        self._carried: dict[tuple[bytes, bytes], Floats32] = {}
+        self._carried: tuple[tuple[bytes, bytes], Floats32] | None = None
 
     @classmethod
     def of_corpus(cls, folder: str | PathLike[str], on_progress: OnProgress = silent) -> Heads:
@@ -80,9 +80,9 @@ class Heads:
         if all(scale == Parameters.info(name).default for name, scale in scales.items()):
             return np.zeros(face.skin.shape, dtype=np.float32)
         key = face.skin.tobytes(), face.parameters.coefficients.tobytes()
-        if key not in self._carried:
-            self._carried[key] = carry_skin(self.head(face), Parameters(**scales)).astype(np.float32)
-        return self._carried[key]
+        if self._carried is None or self._carried[0] != key:
+            self._carried = key, carry_skin(self.head(face), Parameters(**scales)).astype(np.float32)
+        return self._carried[1]
 
 
 @dataclass(frozen=True)

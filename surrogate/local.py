@@ -10,6 +10,7 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
+from ..reference.face.parameters import ParameterInfo
 from .corpus.mixture import STATIC
 
 
@@ -21,7 +22,10 @@ def around_vertices(values: Floats, surface: Surface) -> Floats:
 
 
 def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
-    """A parameter at the vertices, shape (n,), of one number or one per face; InputError for what is out of range."""
+    """A parameter at the vertices, shape (n,), of one number or one per face; InputError for what is out of range.
+
+    Stiffnesses are averaged by their logarithm, as all of p is that is spaced by it: their ratios are what counts.
+    """
     n, values = len(skin.vertices), np.asarray(value, dtype=np.float64)
     info = Parameters.info(name)
     if values.ndim and values.shape != (len(skin.triangles),):
@@ -32,7 +36,7 @@ def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
         raise InputError(f"parameter {name} = {worst:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
     if not values.ndim:
         return np.full(n, float(values))
-    return around_vertices(values, skin)
+    return info.denormalise(around_vertices(info.normalise(values), skin))
 
 
 def on_wraps(parameters: Parameters, head: LayeredHead) -> Parameters:
@@ -41,10 +45,15 @@ def on_wraps(parameters: Parameters, head: LayeredHead) -> Parameters:
     for info in Parameters.infos():
         value = getattr(parameters, info.name)
         if np.ndim(value):
-            carried = head.wrap_from_skin @ at_vertices(info.name, value, head.skin)
-            value = carried[head.skin_wrap.triangles].mean(axis=1)
+            value = _carry(info, info.normalise(at_vertices(info.name, value, head.skin)), head)
         values[info.name] = value
     return Parameters(**values)
+
+
+def _carry(info: ParameterInfo, normalised: Floats, head: LayeredHead) -> Floats:
+    """A parameter on the wraps' triangles (k,), of one mapped to [-1, 1] at the skin's vertices (n,)."""
+    on_triangles = (head.wrap_from_skin @ normalised)[head.skin_wrap.triangles].mean(axis=1)
+    return info.denormalise(on_triangles)
 
 
 def of_static(head: LayeredHead, at_vertices: Floats) -> Parameters:
@@ -55,5 +64,5 @@ def of_static(head: LayeredHead, at_vertices: Floats) -> Parameters:
         if np.ptp(column) < 1e-9 or not info.local:
             values[name] = float(info.denormalise(column[0]))
         else:
-            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
+            values[name] = _carry(info, column, head)
     return Parameters(**values)

@@ -27,8 +27,8 @@ from .codes import check_belonging
 from .corpus.face import Face
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
-from .local import around_vertices, of_static, on_wraps
 from .local import at_vertices as spread_over
+from .local import of_static, on_wraps
 from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
@@ -299,25 +299,14 @@ class BoundSurrogate:
 
 
 def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
-    """STATIC mapped to [-1, 1] at the vertices, shape (n, P); what is given per face is averaged around a vertex."""
-    n, faces = len(mean.vertices), len(mean.triangles)
+    """STATIC mapped to [-1, 1] at the vertices, shape (n, P), by `local.at_vertices`."""
+    faces = len(mean.triangles)
     if isinstance(parameters, Parameters):
-        columns = [np.asarray(getattr(parameters, name), dtype=np.float64) for name in STATIC]
-        for name, column in zip(STATIC, columns, strict=True):
-            if column.ndim and column.shape != (faces,):
-                raise InputError(f"parameter {name}: expected one value, or one per face of the skin, ({faces},)")
+        columns = [getattr(parameters, name) for name in STATIC]
     else:
         columns = list(finite("parameters", parameters, (faces, len(STATIC))).T)
-    normalised = np.empty((n, len(STATIC)))
-    for k, (name, column) in enumerate(zip(STATIC, columns, strict=True)):
-        info = Parameters.info(name)
-        outside = ~((column >= info.low) & (column <= info.high))
-        if outside.any():
-            value = np.ravel(column)[np.ravel(outside)][0]
-            raise InputError(f"parameter {name} = {value:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
-        values = info.normalise(column)
-        normalised[:, k] = around_vertices(values, mean) if values.ndim else values
-    return normalised
+    pairs = zip(STATIC, columns, strict=True)
+    return np.stack([Parameters.info(name).normalise(spread_over(name, value, mean)) for name, value in pairs], axis=1)
 
 
 def _check_finite(modes: FaceModes) -> FaceModes:

@@ -95,14 +95,20 @@ class Correction:
         """The gradient norm relative to `size`."""
         return self.point.norm / self.size
 
-    def smooth(self, iterations: int) -> None:
-        """Run L-BFGS with the PD matrix."""
+    def smooth(self, iterations: int, *, until: float = 0.0) -> None:
+        """Run so many iterations of L-BFGS with the PD matrix, at least one, or until the residual is small enough."""
         for _ in range(iterations):
             self.point = lbfgs_step(self._problem, self.point, self._memory)
+            if self.residual <= until:
+                break
 
     def newton_step(self) -> NewtonStep:
         """Solve for Newton's step from here; whether it is near its end is asked of the skin wrap."""
         return newton_step(self._newton, self.point, slice(len(self.frames.linear.face.head.bone)))
+
+    def rough_step(self) -> Floats:
+        """Solve for the step by the Hessian at rest alone."""
+        return self._solve_tangent(-self.point.gradient, self.point)
 
     def take(self, step: Floats) -> bool:
         """Go along a step as far as the energy falls enough; False, and nothing moves, where it does not soon."""

@@ -82,7 +82,8 @@ EMPTY_OF = {
 }
 BY_DEFAULT = {
     "space", "folder", "values", "tets", "rest", "positions", "velocities", "kappa", "start", "max_iterations", "scene",
-    "keep", "acceleration", "region", "velocity", "hinge", "centre",
+    "keep", "acceleration", "region", "velocity", "hinge", "centre", "parameters", "blended", "out", "base", "seconds",
+    "after",
 }  # fmt: skip
 
 
@@ -100,6 +101,8 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "the one that is shipped"
     if (function, argument, what) == ("settle", "solver", "None"):
         return "the law's own"
+    if (argument, what) == ("seconds", "1e300"):
+        return "no limit, in effect"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
     return ""
@@ -264,6 +267,26 @@ def functions() -> Iterator[Function]:
     yield Function("save_head", head_file.save_head, {"path": file.with_suffix(".npz"), "head": HEAD})
     yield Function("read_parameters", parameters.read_parameters, {"path": "no/such.toml"})
     yield Function("Surrogate.load", surrogate.Surrogate.load, {"path": "no/such.npz"})
+    shapes = np.broadcast_to(0.02 * HEAD.skin.vertices, DELTAS.shape)
+    bind = {"skin": SPACE.mean, "code": code, "parameters": Parameters(), "beyond": "refuse", "exact": False}
+    yield Function("Surrogate.bind", surrogate.Surrogate.load().bind, bind)
+    rig = surrogate.derivatives_rig(HEAD, shapes)
+    yield Function("derivatives_rig", surrogate.derivatives_rig, {"head": HEAD, "expressions": shapes})
+    weights, out = np.zeros(52), np.zeros(HEAD.skin.vertices.shape, dtype=np.float32)
+    frame = {"weights": weights, "blended": HEAD.skin.vertices, "out": out}
+    yield Function("BoundSurrogate.frame", rig.frame, frame)
+    yield Function("BoundSurrogate.blend", rig.blend, {"weights": weights})
+    yield Function("BoundSurrogate.bake", rig.bake, {"rank": 4})
+    yield Function("BoundSurrogate.dynamic", rig.dynamic, {"time_step": 0.02})
+    yield Function("BakedRig.frame", rig.bake(4).frame, {"weights": weights, "out": out})
+    yield Function("BakedRig.target_weights", rig.bake(4).target_weights, {"weights": weights})
+    yield Function("DynamicRig.frame", rig.dynamic().frame, frame | {"base": np.eye(3)})
+    begin = {"weights": weights, "velocity": 0 * HEAD.skin.vertices, "base": np.eye(3)}
+    yield Function("DynamicRig.begin", rig.dynamic().begin, begin)
+    certified = surrogate.CertifiedFace.from_head(HEAD, shapes)
+    yield Function("CertifiedFace.from_head", surrogate.CertifiedFace.from_head, {"head": HEAD, "expressions": shapes})
+    ask = {"weights": weights, "accuracy": 0.05, "seconds": 1.0, "after": certified.frame(weights)}
+    yield Function("CertifiedFace.frame", certified.frame, ask)
 
 
 def calls() -> Iterator[Case]:

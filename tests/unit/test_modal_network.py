@@ -26,6 +26,7 @@ from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.heads import Heads
+from softdeca.surrogate.local import of_static, on_wraps
 from softdeca.surrogate.methods import Blendshapes, Derivatives, NetworkMethod
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import (
@@ -45,6 +46,7 @@ from softdeca.surrogate.networks.vertices_only import VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rig import add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
+from softdeca.surrogate.runtime import _at_vertices
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -410,6 +412,14 @@ def test_parameters_per_face(surrogate):
     assert np.abs(frame(Parameters(soft_volume=np.full(count, 1.2))) - frame(heavy)).max() < 1e-4
     per_face[: count // 2] = Parameters().vector(STATIC)
     assert np.abs(frame(per_face) - frame(heavy)).max() > 1e-3
+
+
+def test_a_parameter_per_face_is_averaged_alike_for_network_and_simulator():
+    head, faces = SPACE.fit(SPACE.mean), np.arange(len(SPACE.mean.triangles))
+    p = Parameters(soft_stiffness=np.where(faces % 2, 1.0, 20.0), soft_volume=np.where(faces % 2, 0.9, 1.3))
+    simulated, learned = on_wraps(p, head), of_static(head, _at_vertices(p, SPACE.mean))
+    for name in ("soft_stiffness", "soft_volume"):
+        np.testing.assert_allclose(getattr(simulated, name), getattr(learned, name), rtol=1e-12)
 
 
 def test_beyond_what_was_seen_is_refused_or_clamped(surrogate):

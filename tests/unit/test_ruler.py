@@ -157,6 +157,13 @@ def test_a_face_with_scaled_bones_and_no_head_is_refused_by_name(faces):
     assert not Heads(None).carry(plain).any()
 
 
+def test_what_bones_carry_is_kept_of_the_last_face_alone(faces):
+    heads = Heads(PEOPLE)
+    scaled = [face for k in range(len(faces)) if heads.carry(face := faces.face(k)).any()]
+    first, other = heads.carry(scaled[0]), heads.carry(scaled[-1])
+    assert heads.carry(scaled[-1]) is other and heads.carry(scaled[0]) is not first
+
+
 def _committed() -> list[Score]:
     return [Score(**row) for row in json.loads((RESULTS / "study.json").read_text())["scores"]]
 

@@ -135,14 +135,21 @@ def test_bad_parameters_are_named(head, changes, message):
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda rig: rig.dynamic(0.0), "time_step: must be finite and above 0"),
+        (lambda rig: rig.dynamic(0.0), "time_step: expected a number above 0 s"),
         (lambda rig: rig.dynamic(1.0), "frequency = 4 is outside"),
-        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.zeros((3, 3))), "velocity: expected finite"),
+        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.zeros((3, 3))), "velocity: expected shape"),
+        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=1j * np.zeros((N, 3))), "velocity: .* complex128"),
+        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.full((N, 3), 1e9)), "velocity: 1e.09 is too large"),
+        (lambda rig: rig.dynamic().begin(np.zeros(52), base="x"), "base: expected rotations"),
+        (lambda rig: rig.dynamic().frame(np.zeros(52), rig.skin.vertices / 1000), "blended: 0.001 times as large"),
+        (lambda rig: rig.dynamic().frame(np.zeros(52), base="x"), "base: expected a rotation"),
+        (lambda rig: rig.bake(4).dynamic("x"), "time_step: expected a number"),
+        (lambda rig: rig.bake(4).target_weights(np.zeros(51)), "weights: expected the 52"),
+        (lambda rig: rig.bake(4).frame(np.zeros(52), out=rig.bake(4).neutral), "out: expected a contiguous, writeable"),
         (lambda rig: rig.dynamic().frame(np.zeros(52), base=2 * np.eye(3)), "base: no rotation"),
         (lambda rig: rig.dynamic().frame(np.zeros(51)), "the 52 of ARKit"),
         (lambda rig: rig.bake(4).dynamic().frame(np.zeros(52), np.zeros((N, 3))), "blended: a baked rig has"),
     ],
-    ids=["step", "rate", "velocity", "base", "weights", "baked"],
 )
 def test_bad_frames_are_named(rig, act, message):
     with pytest.raises(InputError, match=message):
