@@ -50,6 +50,8 @@ LARGE = 1e7
 """[mm] Of a number that is read."""
 OUTSIDE = "secret.bin"
 """A file beside the folder of the one that is read, which no reader may open."""
+STRAYED: list[str] = []
+"""Files outside that were opened since a content was tried."""
 BEGUN = "begun"
 """A file that says that a process has read the kept inputs."""
 LONGEST = 500
@@ -76,6 +78,12 @@ def inputs_of(name: str) -> dict[str, bytes]:
     return dict([*beside, *kept(KEPT / as_folder(name))])
 
 
+def note_opened(event: str, arguments: tuple) -> None:
+    """Note that a file outside the folder is opened."""
+    if event == "open" and os.path.basename(str(arguments[0])) in (OUTSIDE, "zero"):
+        STRAYED.append(os.path.basename(str(arguments[0])))
+
+
 class Target:
     """A format in a folder with the files that it is read with: contents are tried one after another."""
 
@@ -84,14 +92,6 @@ class Target:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.counts = {"refused": 0, "accepted": 0, "found": 0}
         self.whole = self.path.read_bytes() if self.path.exists() else None
-        self.strayed = False
-        (folder.parent / OUTSIDE).write_bytes(bytes(100_000))
-        sys.addaudithook(self.note_opened)
-
-    def note_opened(self, event: str, arguments: tuple) -> None:
-        """Note that a file outside the folder is opened."""
-        if event == "open" and os.path.basename(str(arguments[0])) in (OUTSIDE, "zero"):
-            self.strayed = True
 
     def outcome(self, content: bytes) -> str:
         """Read a content: "refused" or "accepted"; anything else is a finding, in words."""
@@ -100,7 +100,7 @@ class Target:
         from ..robustness.watch import watch
 
         arrays: list[np.ndarray] = []
-        self.strayed = False
+        STRAYED.clear()
         self.path.write_bytes(content)
         ended, said = watch(lambda: arrays.extend(self.format.read(self.path)), seconds=SECONDS, patience=PATIENCE)
         if ended == "accepted":
@@ -113,8 +113,8 @@ class Target:
                 ended = f"refused, but by no short line that names the file: {said[:300]!r}"
         else:
             ended = f"{ended}: {said}"
-        if self.strayed:
-            ended = f"opened a file outside its folder, {ended}"
+        if STRAYED:
+            ended = f"opened {STRAYED[0]}, {ended}"
         self.counts[ended if ended in self.counts else "found"] += 1
         return ended
 
@@ -139,6 +139,8 @@ def prepare(folder: Path, names: list[str]) -> list[Target]:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     targets = [Target(each, folder) for each in all_formats() if not names or each.name in names]
+    (folder.parent / OUTSIDE).write_bytes(bytes(100_000))
+    sys.addaudithook(note_opened)
     for target in targets:
         for name, content in inputs_of(target.format.name).items():
             if not name.startswith("found"):

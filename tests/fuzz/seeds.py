@@ -82,7 +82,8 @@ def live_link() -> bytes:
 def recorder() -> bytes:
     rows = [["frames", *map(str, range(4))], ["timestamp", *(f"{k / 60:.5f}" for k in range(4))]]
     rows += [[name, "0.1", "0.2", "0", "1"] for name in ARKIT]
-    rows += [["head x", *"0000"], ["head y", "0", "0.1", "0.2", "0"], ["head z", *"0000"], ["head w", "1", "0.994987", "0.979796", "1"]]
+    rows += [["head x", *"0000"], ["head y", "0", "0.28", "0.6", "0"], ["head z", *"0000"]]
+    rows += [["head w", "1", "0.96", "0.8", "1"]]
     return "\n".join(map(",".join, rows)).encode()
 
 
