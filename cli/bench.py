@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..benchmarks.studies import COMMANDS, list_commands, list_studies, load_study
-from ..lhm.base.errors import InputError
+from ..lhm.base.errors import InputError, quote
 from ..lhm.base.limits import WORKERS
 from .options import FILE, argument, as_command, option
 from .study_command import command_of_cases, command_of_study, print_results
@@ -87,7 +87,7 @@ class CompareResults:
 
         name = read_results(self.before)["study"]
         if name not in list_studies():
-            raise InputError(f"{self.before}: of a study {name!r}, which there is not")
+            raise InputError(f"{self.before}: of a study {quote(name)!r}, which there is not")
         comparison = compare_results(self.before, self.after, load_study(name))
         changes = [change for change in comparison.changes if change.is_beyond_noise]
         for change in changes:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .base.checks import array_of_kind, check_arguments
-from .base.errors import InputError
+from .base.errors import InputError, quote
 from .base.mesh import Floats
 
 ARKIT = tuple(
@@ -68,7 +68,7 @@ def index(name: str) -> int:
     by_lower = {known.lower(): known for known in ARKIT}
     near = difflib.get_close_matches(name.lower(), by_lower, n=3)
     hint = f"; did you mean {' or '.join(by_lower[match] for match in near)}?" if near else ""
-    raise InputError(f"unknown ARKit expression {name!r}{hint}")
+    raise InputError(f"unknown ARKit expression {quote(name)!r}{hint}")
 
 
 def weights_of(named: Mapping[str, float]) -> Floats:

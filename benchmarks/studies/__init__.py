@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ...lhm.base.errors import InputError
+from ...lhm.base.errors import InputError, quote
 
 if TYPE_CHECKING:
     from ..harness.study import Study
@@ -117,7 +117,7 @@ def load_study(name: str) -> type[Study]:
     if name in _added:
         return _added[name]
     if name not in STUDIES:
-        raise InputError(f"study {name!r}: not here; `softdeca bench --add FILE` brings one of your own")
+        raise InputError(f"study {quote(name)!r}: not here; `softdeca bench --add FILE` brings one of your own")
     module, _, kind = STUDIES[name].partition(":")
     found: type[Study] = getattr(import_module(f".{module}", __package__), kind)
     return found

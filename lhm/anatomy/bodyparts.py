@@ -19,7 +19,7 @@ import numpy as np
 from ..base.checks import array_of_kind, finite, indices_below, shape
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays
-from ..base.files.surface_file import read_obj
+from ..base.files.surface_file import read_scan
 from ..base.files.text import is_plain_file
 from ..base.limits import PARTS, VERTICES
 from ..base.mesh import Floats, Ints, Surface
@@ -226,14 +226,9 @@ def _merged(files: list[Path]) -> tuple[Floats, Ints]:
     vertices: list[Floats] = []
     triangles: list[Ints] = []
     for file in files:
-        try:
-            points, faces = read_obj(file)
-        except InputError as error:
-            raise InputError(f"{file}: {error}") from None
-        if not len(faces):
-            raise InputError(f"{file}: no triangles in it")
-        if any(np.array_equal(points, other) for other in vertices):
+        scan = read_scan(file)
+        if any(np.array_equal(scan.vertices, other) for other in vertices):
             continue
-        triangles.append(faces + sum(map(len, vertices)))
-        vertices.append(points)
+        triangles.append(scan.triangles + sum(map(len, vertices)))
+        vertices.append(scan.vertices)
     return np.vstack(vertices), np.vstack(triangles)

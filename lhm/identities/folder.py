@@ -12,11 +12,11 @@ from ..base.checks import integers
 from ..base.errors import InputError
 from ..base.files.npz import read_npy
 from ..base.files.surface_file import SUFFIXES, read_surface
-from ..base.files.text import read_json
+from ..base.files.text import naming_file, read_json
 from ..base.geometry.warp import rigid_motion
 from ..base.limits import SHAPES, SPACE_VALUES
 from ..base.mesh import Floats, Ints, Surface
-from .space import CAP, OUTSIDE, LinearSpace
+from .space import CAP, OUTSIDE, LinearSpace, check_extent
 
 CODE_SIZE = 50
 
@@ -28,7 +28,8 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     `expressions/NAME.obj` and so on with ARKit's names, each a shape of the same topology, beside the
     `expressions/neutral.obj` that they depart from, those that are not there are in `missing`; `parts.npy` or
     `parts.json`, a number 0 to 3 per vertex (OUTSIDE, MOUTH, EYES, CAP), all OUTSIDE without.
-    Raises InputError that names the folder if it holds no mesh, and the file whose topology differs or that is bad.
+    Raises InputError that names the folder if it holds no mesh or its mean is no head in mm, and the file whose
+    topology differs or that is bad.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -45,9 +46,10 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
         skins.append(skin @ rotation.T + shift)
     mean, identity = _components(np.stack(skins))
     expressions, missing = _expressions(folder / "expressions", first, files[0], unit)
-    return LinearSpace(
-        folder.name, first.with_vertices(mean), identity, expressions, _parts(folder, len(mean)), missing
-    )
+    mean_skin = first.with_vertices(mean)
+    with naming_file(folder):
+        check_extent(mean_skin)
+    return LinearSpace(folder.name, mean_skin, identity, expressions, _parts(folder, len(mean)), missing)
 
 
 def _meshes(folder: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from ..arkit import ARKIT, arkit_name
 from ..base.checks import array_of_kind, finite, indices_below, real, shape
 from ..base.errors import InputError, quote
 from ..base.files.npz import read_arrays
-from ..base.files.surface_file import read_obj
+from ..base.files.surface_file import read_scan
 from ..base.limits import PARTS, SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
@@ -186,13 +186,8 @@ def _with_neutral(path: Path) -> Path:
 
 
 def _read(file: Path) -> tuple[Floats, Ints]:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file")
-    try:
-        vertices, triangles = read_obj(file)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
-    return vertices, triangles
+    scan = read_scan(file)
+    return scan.vertices, scan.triangles
 
 
 def _delta(file: Path, neutral: Floats, triangles: Ints) -> Floats:

@@ -165,7 +165,7 @@ def ict() -> dict[str, np.ndarray]:
     part = np.zeros(len(triangles), np.uint8)
     for k, place in enumerate(([0, -40, 90], [35, 30, 88], [-35, 30, 88]), start=1):
         part[np.linalg.norm(centre - place, axis=1) < 25] = k
-    deltas = np.random.default_rng(0).normal(size=(4, *x.shape)) * 0.1
+    deltas = np.round(np.random.default_rng(0).normal(size=(4, *x.shape)), 1) * 0.1
     return {
         "vertices": (x * [0.1, 0.2, 0.1]).astype(np.float32),
         "triangles": triangles.astype(np.int32),
@@ -187,8 +187,8 @@ def flame() -> dict[str, np.ndarray]:
     return {
         "v_template": x,
         "f": triangles[~cut].astype(np.uint32),
-        "shapedirs": 0.001 * rng.normal(size=(len(x), 3, 110)),
-        "posedirs": np.zeros((len(x), 3, 36)),
+        "shapedirs": 0.001 * np.round(rng.normal(size=(len(x), 3, 6)), 1),
+        "posedirs": np.zeros((len(x), 3, 36), np.int8),
         "weights": weights,
         "J_regressor": np.full((5, len(x)), 1 / len(x)),
     }

@@ -232,6 +232,7 @@ def test_bad_folders_are_named(folder, tmp_path):
     refused("no such folder", identities.MeshFolder, tmp_path / "none")
     (tmp_path / "empty").mkdir()
     refused("empty: no mesh", identities.MeshFolder, tmp_path / "empty")
+    refused("people: its mean head is .* mm across; expected", identities.MeshFolder, folder, unit="m")
     file = folder / "3.npz"
     read = np.load(file)
     x, triangles = read["vertices"], read["triangles"]

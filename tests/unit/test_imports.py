@@ -154,6 +154,8 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))
     refused(rf"{file.name}: triangles: 1 refer to vertices outside", bodyparts.read_folder, body)
+    file.write_text(text.replace("v ", "v 1e39 ", 1))
+    refused(rf"{file.name}: a vertex lies at 1e\+39", bodyparts.read_folder, body)
     (tmp_path / "empty").mkdir()
     refused("no OBJ file of a head's part in it", bodyparts.read_folder, tmp_path / "empty")
     refused("no such folder", bodyparts.read_folder, tmp_path / "nowhere")

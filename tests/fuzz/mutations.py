@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import pickle
 import re
 import struct
 import zipfile
-from collections.abc import Callable
 
 import h5py
 import numpy as np
 from safetensors.numpy import load, save
-from whole_files import glb, glb_words
 
+from softdeca.benchmarks.face.score import CHECKSUMS
 from softdeca.surrogate.corpus.shard import TABLES, Label, Shard
 from softdeca.surrogate.networks.weights import UNSEALED, seal
 
+from ..robustness.whole_files import glb, glb_words
+
 NUMBERS = (b"nan", b"-inf", b"-1", b"0", b"1e400", b"1e30", b"-1e6", b"9" * 40, b"9" * 400, b"2147483648", b"-9", b"")
 VALUES = (-1, 0, 1, 2, 3, 255, 65536, 2**31, 2**40, 2**62, 10**17, -(2**31), 0.5, 1e9, 1e30, 1e308, True, None, "", "x")
-VALUES += ([], {}, [1, 2, 3], [0] * 16, {"a": 1}, "\x1b[31m", "../../../../dev/zero", "data:,AAAA")
+VALUES += ([], {}, [1, 2, 3], [0] * 16, {"a": 1})
+TEXTS = ("\x1b[31m", "../secret.bin", "%2e%2e/secret.bin", "/dev/zero", "data:,AAAA", "x" * 5000)
 FLOATS = (np.nan, np.inf, -np.inf, 1e30, -1e300, 1e-300, 1e6, -1.0, 0.0, 1e3)
 INTEGERS = (-1, -(2**31), 2**31 - 1, 2**62, 10**6, 0)
 KINDS = ("c16", "?", "U3", "S2", "f4", "f8", "i1", "u8", "i8", "f2", ">f8", ">i4", "O")
@@ -86,10 +89,13 @@ def changed(tree: object, rng: np.random.Generator) -> object:
         walk(tree)
         if not places:
             break
-        node, key = places[rng.integers(len(places))]
+        texts = [(node, key) for node, key in places if isinstance(node[key], str)]
+        pool = texts if texts and rng.random() < 0.2 else places
+        node, key = pool[rng.integers(len(pool))]
         how = rng.random()
         if how < 0.7:
-            node[key] = json.loads(json.dumps(VALUES[rng.integers(len(VALUES))]))
+            values = TEXTS if isinstance(node[key], str) and rng.random() < 0.5 else VALUES
+            node[key] = json.loads(json.dumps(values[rng.integers(len(values))]))
         elif how < 0.8:
             del node[key]
         elif how < 0.9:
@@ -107,7 +113,71 @@ def of_json(content: bytes, rng: np.random.Generator) -> bytes:
         return b"[" * int(rng.choice([10, 100, 100_000])) + content
     if rng.random() < 0.4:
         return renumbered(content, rng)
-    return json.dumps(changed(json.loads(content), rng)).encode()
+    text = json.dumps(changed(json.loads(content), rng))
+    keys = [*re.finditer(r'"[^"]*": ', text)]
+    if keys and rng.random() < 0.1:  # a key twice
+        key = keys[rng.integers(len(keys))]
+        text = text[: key.start()] + key.group() + "0.5, " + text[key.start() :]
+    return text.encode()
+
+
+def of_csv(content: bytes, rng: np.random.Generator) -> bytes:
+    """A table with cells, rows or columns replaced, removed, doubled or swapped."""
+    if rng.random() < 0.4:
+        return renumbered(content, rng)
+    rows = [line.split(b",") for line in content.splitlines()]
+    for _ in range(rng.integers(1, 4)):
+        k, how = int(rng.integers(len(rows))), rng.integers(0, 6)
+        cell, other = (int(rng.integers(len(rows[k]))) for _ in range(2))
+        if how == 0:
+            rows[k][cell] = NUMBERS[rng.integers(len(NUMBERS))] if rng.random() < 0.7 else rng.bytes(3)
+        elif how == 1:
+            rows[k][cell], rows[k][other] = rows[k][other], rows[k][cell]
+        elif how == 2:
+            rows[k][cell] = rows[k][other]
+        elif how == 3:
+            rows.insert(k, list(rows[rng.integers(len(rows))]))
+        elif how == 4 and len(rows) > 1:
+            del rows[k]
+        else:
+            for row in rows:
+                del row[cell : cell + 1]
+    return b"\n".join(map(b",".join, rows))
+
+
+def of_ply(content: bytes, rng: np.random.Generator) -> bytes:
+    """Numbers and words of the header changed; of a text those of its body too."""
+    end = content.index(b"end_header")
+    if b"ascii" in content[:end] and rng.random() < 0.5:
+        return renumbered(content, rng)
+    words = content[:end].split(b" ")
+    if rng.random() < 0.4:
+        i, j = rng.integers(0, len(words), 2)
+        words[i] = words[j]
+        return b" ".join(words) + content[end:]
+    return renumbered(content[:end], rng) + content[end:]
+
+
+def of_zip(content: bytes, rng: np.random.Generator) -> bytes:
+    """One member changed as its ending says, removed, or another's content; mostly with a right list of checksums."""
+    with zipfile.ZipFile(io.BytesIO(content)) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    name = list(members)[rng.integers(len(members))]
+    if rng.random() < 0.05:
+        del members[name]
+    elif rng.random() < 0.05:
+        members[name] = members[list(members)[rng.integers(len(members))]]
+    else:
+        kinds = {"json": of_json, "npz": of_npz}
+        members[name] = kinds.get(name.rpartition(".")[2], renumbered)(members[name], rng)
+    if name != CHECKSUMS and rng.random() < 0.9:
+        sums = (f"{hashlib.sha256(data).hexdigest()}  {each}\n" for each, data in members.items() if each != CHECKSUMS)
+        members[CHECKSUMS] = "".join(sums).encode()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as new:
+        for each, data in members.items():
+            new.writestr(each, data)
+    return buffer.getvalue()
 
 
 def of_glb(content: bytes, rng: np.random.Generator) -> bytes:
@@ -207,33 +277,27 @@ def of_npy(content: bytes, rng: np.random.Generator) -> bytes:
     return buffer.getvalue()
 
 
-def of_shard(others: list[bytes]) -> Callable[[bytes, np.random.Generator], bytes]:
-    """Another person's shard, or arrays that are others, with the checksum that they had, or a right one."""
-
-    def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-        if rng.random() < 0.15:
-            return others[rng.integers(len(others))]
-        buffer = io.BytesIO(content)
-        with h5py.File(buffer, "r+") as file:
-            names: list[str] = []
-            file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
-            old = {name: file[name][()] for name in rng.choice(names, 3, replace=False)}
-            new = one_array_changed(old, rng)
-            for name in old:
-                del file[name]
-                if name in new and new[name].dtype.kind not in "OU":
-                    chunked = {"chunks": True} if new[name].size and new[name].ndim and rng.random() < 0.2 else {}
-                    file.create_dataset(name, data=new[name], **chunked)
-                elif rng.random() < 0.5:
-                    file.create_dataset(name, shape=(2**40, 3), dtype="f4", chunks=(1, 3))
-            if rng.random() < 0.7:
-                file.attrs["checksum"] = _checksum(file)
-            if rng.random() < 0.1:
-                name = rng.choice(["owner", "format", "version", "checksum"])
-                file.attrs[name] = rng.choice([0, 10**6])
-        return buffer.getvalue()
-
-    return mutated
+def of_shard(content: bytes, rng: np.random.Generator) -> bytes:
+    """A shard whose arrays, some of them, are others, with the checksum that they had, or a right one."""
+    buffer = io.BytesIO(content)
+    with h5py.File(buffer, "r+") as file:
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        old = {name: file[name][()] for name in rng.choice(names, 3, replace=False)}
+        new = one_array_changed(old, rng)
+        for name in old:
+            del file[name]
+            if name in new and new[name].dtype.kind not in "OU":
+                chunked = {"chunks": True} if new[name].size and new[name].ndim and rng.random() < 0.2 else {}
+                file.create_dataset(name, data=new[name], **chunked)
+            elif rng.random() < 0.5:
+                file.create_dataset(name, shape=(2**40, 3), dtype="f4", chunks=(1, 3))
+        if rng.random() < 0.7:
+            file.attrs["checksum"] = _checksum(file)
+        if rng.random() < 0.1:
+            name = rng.choice(["owner", "format", "version", "checksum"])
+            file.attrs[name] = rng.choice([0, 10**6])
+    return buffer.getvalue()
 
 
 def _checksum(file: h5py.File) -> str:
@@ -250,24 +314,19 @@ def _checksum(file: h5py.File) -> str:
 
 
 def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
+    """Weights whose arrays or words are others, mostly with a right checksum."""
     size = int.from_bytes(content[:8], "little")
     head = json.loads(content[8 : 8 + size])
-    about = head["__metadata__"]["softdeca"]
+    about = json.loads(head["__metadata__"]["softdeca"])
+    if rng.random() < 0.8:
+        about["checksum"] = UNSEALED
     if rng.random() < 0.5:
-        arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
-        said = json.loads(about)
-        how = rng.random()
-        if how < 0.1:
-            del said["checksum"]
-        elif how < 0.7:
-            said["checksum"] = UNSEALED
-        arrays = {
-            name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")) for name, array in arrays.items()
-        }
-        return seal(save(arrays, metadata={"softdeca": json.dumps(said)}))
-    if rng.random() < 0.5:
-        head["__metadata__"]["softdeca"] = of_json(about.encode(), rng).decode()
+        changed_arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
+        arrays = {k: np.ascontiguousarray(v, dtype=v.dtype.newbyteorder("=")) for k, v in changed_arrays.items()}
+        return seal(save(arrays, metadata={"softdeca": json.dumps(about)}))
+    if rng.random() < 0.7:
+        head["__metadata__"]["softdeca"] = of_json(json.dumps(about).encode(), rng).decode()
         text = json.dumps(head).encode()
     else:
         text = of_json(json.dumps(head).encode(), rng)
-    return len(text).to_bytes(8, "little") + text + content[8 + size :]
+    return seal(len(text).to_bytes(8, "little") + text + content[8 + size :])
