@@ -22,6 +22,7 @@ from ....surrogate import CertifiedFace, Surrogate
 from ....surrogate.certified import DOUBT
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.corpus.people import People, people_from_text
+from ....surrogate.methods import DERIVATIVES, DIAL, NETWORK, NETWORK_AND_DERIVATIVES, PD_FIRST_ORDER, SETTLED
 from ....surrogate.ruler import MOVES
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_least
 
@@ -40,9 +41,6 @@ NEAR = (0.8, 1.25)
 """Told over true error is to be in here."""
 LEAST = 1e-3
 """[mm] Smaller true errors are counted apart: there rounding of positions and of the truth shows."""
-BLENDSHAPES, NETWORK, DERIVATIVES, BOTH, PD = (
-    "settled face + blendshapes", "network alone", "derivatives", "network + derivatives", "PD, from first order",
-)  # fmt: skip
 COLOURS = ("#006d5b", "#b3541e", "#4c3f91")
 
 
@@ -82,7 +80,7 @@ class Dial(Study):
         if self.faces < 1 or self.frames < 1:
             raise InputError("faces, frames: expected 1 or more")
         groups = (HELD_OUT, *((EXTERNAL,) if self.external else ()), BEYOND)
-        return [Task(f"{group}, person {number}", "dial") for group in groups for number in range(self.faces)]
+        return [Task(f"{group}, person {number}", DIAL) for group in groups for number in range(self.faces)]
 
     def measure(self, task: Task) -> Values:
         """Bind a person's face, and make its frames by every method and accuracy."""
@@ -237,12 +235,14 @@ class _Frame:
         linear = face.derivatives
         settled = face.frames.linear.face.displacement
         made = {
-            BLENDSHAPES: lambda: face.rig.blend(weights) + settled,
+            SETTLED: lambda: face.rig.blend(weights) + settled,
             DERIVATIVES: lambda: linear.frame(weights),
-            PD: lambda: face.frames.linear.face.skin_after(self.expression, self._solve(FRAME_ACCURACY).positions),
+            PD_FIRST_ORDER: lambda: face.frames.linear.face.skin_after(
+                self.expression, self._solve(FRAME_ACCURACY).positions
+            ),
         }
         if network is not None:
-            made |= {NETWORK: lambda: network.frame(weights), BOTH: lambda: face.rig.frame(weights)}
+            made |= {NETWORK: lambda: network.frame(weights), NETWORK_AND_DERIVATIVES: lambda: face.rig.frame(weights)}
         rows = []
         for method, make in made.items():
             begin = time.process_time()
@@ -295,8 +295,8 @@ def plot_dial(people: Sequence[Values]):
     for method in dict.fromkeys(row["method"] for row in lean):
         of = [row for row in lean if row["method"] == method]
         places.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
-        axis.scatter(*places[-1], color="#b3541e" if method == PD else "#4c78a8")
-        side, x = ("right", -6) if method == PD else ("left", 5)
+        axis.scatter(*places[-1], color="#b3541e" if method == PD_FIRST_ORDER else "#4c78a8")
+        side, x = ("right", -6) if method == PD_FIRST_ORDER else ("left", 5)
         axis.annotate(method, places[-1], (x, 5), textcoords="offset points", fontsize=7, ha=side)
     told = [row for of in people for row in of["told"]]
     points = []
