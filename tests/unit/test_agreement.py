@@ -87,7 +87,7 @@ def test_all_gates_are_passed_by_good_rows(rows):
 @pytest.mark.parametrize(
     ("method", "key", "value", "missed", "answer"),
     [
-        (PD, "relative", 1.1e-6, "PD to FEniCSx-Newton", True),
+        (PD, "relative", 1.1e-6, "PD to FEniCSx", True),
         (SKFEM, "relative", 1.1e-8, "PD's energy", True),
         (SKFEM_NEO_HOOKEAN, "relative", 1.1e-8, "neo-Hookean", True),
         (PD, "least_ratio", -0.01, "smallest volume ratio", True),

@@ -40,7 +40,7 @@ TIMED = [
     solver("FEniCSx", [0.1, 0.2], [1.0, 0.001], "ARAP's energy, same tets"),
     solver("libigl ARAP", [0.1], [0.001], "ARAP's energy, same tets"),
     solver("PD, plain", [7.0], [0.5]),
-    learned("surrogate", 0.04, 2e-5, 0.03),
+    learned("network", 0.04, 2e-5, 0.03),
     learned("bones carried", 0.001, 1e-5, 0.4),
 ]
 
