@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +31,13 @@ from ..surrogate import BoundRig, CertifiedFace, Surrogate, derivatives_rig
 from ..surrogate.certified import ACCURACY
 from ..surrogate.codes import nearest_code
 from ..surrogate.local import on_wraps
+from ..surrogate.methods import DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES
 from ..surrogate.runtime import Beyond
 from .frames import CertifiedFrames, SimulatedFrames, TakeFrames
 from .play import Output, PlayedTake
 from .preview import check_preview
 from .store import TakeStore, digest
 
-Method = Literal["network", "network + simulator", "linearised simulator"]
 KNOWN = 0.5
 """[mm] Mean distance to the nearest person of the network's space up to which a head is one of these people."""
 
@@ -47,7 +47,7 @@ class BoundHead:
     """A bound rig, by which method and in how many seconds, and the head's shapes (52, n, 3) [mm]."""
 
     rig: BoundRig
-    method: Method
+    method: str
     seconds: float
     deltas: Floats
 
@@ -105,7 +105,7 @@ def bind_person(
     skin, begin = space.skin(code), time.perf_counter()
     head = fit_head(load_template(space, level=level), skin) if exact else None
     rig = surrogate.bind(skin, code, parameters, exact=exact, head=head, beyond=beyond)
-    method: Method = "network + simulator" if exact else "network"
+    method = NETWORK_AND_DERIVATIVES if exact else NETWORK
     return BoundHead(rig, method, time.perf_counter() - begin, space.expression_deltas(code))
 
 
@@ -119,7 +119,7 @@ def bind_head(
     """
     begin, mean = time.perf_counter(), surrogate.weights.mean
     same = surrogate.space == "anny" and np.array_equal(head.skin.triangles, mean.triangles)
-    method: Method = "linearised simulator"
+    method = DERIVATIVES
     if same:
         space = identities.Anny()
         code = nearest_code(space, head.skin, ridge=1e-6)
@@ -128,7 +128,7 @@ def bind_head(
         rig = surrogate.bind(
             head.skin, code, parameters, expressions=deltas, exact=exact, head=head if exact else None, beyond=beyond
         )
-        method = "network + simulator" if exact else "network"
+        method = NETWORK_AND_DERIVATIVES if exact else NETWORK
     else:
         rig = derivatives_rig(head, deltas, parameters)
     return BoundHead(rig, method, time.perf_counter() - begin, deltas)

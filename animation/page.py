@@ -25,6 +25,7 @@ from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from ..surrogate import BoundRig
+from ..surrogate.methods import BLENDSHAPES, DERIVATIVES
 from ..surrogate.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
@@ -223,7 +224,6 @@ POSES = {
     "puffed cheeks": {"cheekPuff": 1.0},
     "brows up": {"browInnerUp": 1.0, "browOuterUpLeft": 1.0, "browOuterUpRight": 1.0},
 }
-LINEARISED = "simulator, linearised"
 LAYERS = (("muscle", (0.66, 0.22, 0.2)), ("skull", (0.92, 0.89, 0.8)))
 
 
@@ -238,18 +238,19 @@ def render_face_page(
 ) -> str:
     """The page of a head under p, with what the 52 weights add to its skin [mm], shape (52, skin vertices, 3).
 
-    Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
+    Beside these blendshapes it has the simulator's derivatives (some seconds), and `rigs`. `poses` replace the
+    usual ones.
     Raises InputError for a face that does not settle, and what the simulator raises.
     """
     linear, n = differentiate_head(head, parameters), len(head.bone)
     moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
+    simulated = Rig(DERIVATIVES, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return render_page(
         title,
         words,
         head.skin.triangles,
-        [Rig("blendshapes", head.skin.vertices, shapes), simulated, *rigs],
+        [Rig(BLENDSHAPES, head.skin.vertices, shapes), simulated, *rigs],
         poses=poses or [Pose(name, expressions.weights_of(named)) for name, named in POSES.items()],
         layers=[
             Layer(name, head.skin_wrap.triangles, linear.answer.positions[rows], moved[:, rows], colour)

@@ -16,6 +16,7 @@ from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..reference.face.dynamics import turn_about
+from ..surrogate.methods import BLENDSHAPES
 from .preview import GIF_SECONDS, Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
@@ -84,7 +85,7 @@ class PlayedTake:
             for k, moved in zip(shown, self._shown(wanted, shown), strict=True)
         )
         told = _told(pairs, len(shown), f"preview: {path.name}", progress)
-        captions, weights = ("blendshapes", caption), self.take.weights[shown]
+        captions, weights = (BLENDSHAPES, caption), self.take.weights[shown]
         pictures = render_frames(self.neutral, told, captions, framed=self.framed, weights=weights)
         write_preview(path, wanted.preview, pictures, self.take.times[shown], self.take.rate)
         progress(f"preview: {path.name}", 1.0)

@@ -55,7 +55,7 @@ class Animate:
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral
     face settles under the parameters first. --dynamic, --contact and --bones take the simulator for every frame.
 
-    `--accuracy none` costs what blendshapes do and tells no error: the network alone on the default head's people, with
+    `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
 
     Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error, certain

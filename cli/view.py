@@ -85,7 +85,7 @@ def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, o
         rigs, surrogate = [], Surrogate.load()
         if np.array_equal(head.skin.triangles, surrogate.weights.mean.triangles):
             served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
-            rigs.append(Rig.baked(f"surrogate: {served.method}", served.rig))
+            rigs.append(Rig.baked(served.method, served.rig))
         progress("page", 0.3)
         write_whole(out, render_face_page(title, words, head, parameters, shapes, rigs).encode())
         progress("page", 1.0)

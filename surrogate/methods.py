@@ -1,4 +1,4 @@
-"""Methods that replace the simulator, with one protocol; here those that learn nothing, and trained networks.
+"""Every way to a frame: METHODS has its label, colour and mark; here are those that replace the simulator.
 
 | method             | answer                                             | needs the simulator at bind |
 |--------------------|----------------------------------------------------|-----------------------------|
@@ -9,12 +9,13 @@
 | BakedShapes        | 52 shapes simulated once                           | yes                         |
 | NetworkMethod      | trained weights, alone or with exact derivatives   | no, or yes                  |
 
-Those that learn from faces have a file each in `networks`.
+Those that learn from faces have a file each in `networks`, and solvers of other packages one in the arena.
 """
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from collections.abc import Mapping
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,6 +29,49 @@ from .networks.weights import Weights
 from .rig import CorrectedRig, FaceModes, Rig
 from .runtime import BoundSurrogate, Surrogate
 
+PD, PD_PLAIN, PD_ANDERSON, PD_ARAP = "PD", "PD, plain", "PD, Anderson", "PD on ARAP"
+PD_FIRST_ORDER = "PD, from first order"
+FENICSX, FENICSX_P2, FENICSX_P2P1 = "FEniCSx", "FEniCSx, P2", "FEniCSx, P2-P1"
+FENICSX_NEO_HOOKEAN = "FEniCSx, neo-Hookean"
+SKFEM, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, neo-Hookean"
+LIBIGL_ARAP = "libigl ARAP"
+NETWORK, DERIVATIVES, NETWORK_AND_DERIVATIVES = "network", "derivatives", "network + derivatives"
+SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
+BAKED, DIAL = "baked shapes", "dial"
+
+
+class Look(NamedTuple):
+    """How figures draw a method: a colour and a marker of Matplotlib."""
+
+    colour: str
+    mark: str
+
+
+METHODS: Mapping[str, Look] = {
+    PD: Look("#1f77b4", "s"),
+    PD_PLAIN: Look("#aec7e8", "s"),
+    PD_ANDERSON: Look("#6b8fd6", "s"),
+    PD_ARAP: Look("#c5b0d5", "s"),
+    PD_FIRST_ORDER: Look("#4c3f91", "s"),
+    FENICSX: Look("#d62728", "s"),
+    FENICSX_P2: Look("#8c1a1a", "s"),
+    FENICSX_P2P1: Look("#a0522d", "s"),
+    FENICSX_NEO_HOOKEAN: Look("#8c564b", "s"),
+    SKFEM: Look("#c49c94", "s"),
+    SKFEM_NEO_HOOKEAN: Look("#7a5c52", "s"),
+    LIBIGL_ARAP: Look("#2ca02c", "s"),
+    NETWORK: Look("#17becf", "o"),
+    DERIVATIVES: Look("#006d5b", "o"),
+    NETWORK_AND_DERIVATIVES: Look("#7a7a00", "o"),
+    DIAL: Look("#222222", "D"),
+    BAKED: Look("#bcbd22", "^"),
+    SETTLED: Look("#9467bd", "^"),
+    CARRIED: Look("#e377c2", "^"),
+    BLENDSHAPES: Look("#ff7f0e", "^"),
+}
+"""The only labels of methods. Squares solve, circles use the network or derivatives, triangles are simple rivals."""
+OTHER = Look("#000000", "s")
+"""A method of one's own."""
 Takes = Literal["nothing", "carried", "settled", "derivatives"]
 """What `bind` takes ready-made, of a head or from the simulator, though its user waits for it; see `BindCosts`."""
 TOLERANCE, MOST = 5e-4, 200
@@ -64,7 +108,7 @@ class _Ready:
 class Blendshapes(_Ready):
     """T = S: the error of doing nothing."""
 
-    name = "blendshapes (T = S)"
+    name = BLENDSHAPES
 
     def bind(self, face: Face) -> CorrectedRig:
         """Add nothing."""
@@ -74,7 +118,7 @@ class Blendshapes(_Ready):
 class BonesCarried(_Ready):
     """T - S is by how much scaled bones carry the neutral skin, whatever the expression; it needs a head."""
 
-    name = "bones carried"
+    name = CARRIED
     takes: Takes = "carried"
 
     def __init__(self, heads: Heads):
@@ -94,7 +138,7 @@ class Derivatives(_Ready):
     def __init__(self, *, responses: bool = True):
         self._responses = responses
         self.takes: Takes = "derivatives" if responses else "settled"
-        self.name = "linearised simulator" if responses else "settled neutral face + blendshapes"
+        self.name = DERIVATIVES if responses else SETTLED
 
     def bind(self, face: Face) -> BoundSurrogate:
         """Take what the corpus keeps of the face."""
@@ -108,12 +152,12 @@ class NetworkMethod(_Ready):
     Raises InputError for `exact` with weights that have neither.
     """
 
-    def __init__(self, weights: Weights, *, exact: bool = False, name: str = "network"):
+    def __init__(self, weights: Weights, *, exact: bool = False, name: str = NETWORK):
         self._surrogate, self.simulates = Surrogate(weights), exact
         if exact:
             self._surrogate.check_exact()
         self.takes: Takes = "derivatives" if exact else "nothing"
-        self.name = f"{name} + simulator at bind" if exact else name
+        self.name = f"{name} + {DERIVATIVES}" if exact else name
 
     def bind(self, face: Face) -> Rig:
         """Bind by the run time's own arithmetic."""
@@ -168,7 +212,7 @@ class CoarsePD(_Ready):
 class BakedShapes(_Ready):
     """Each of the 52 shapes simulated at full weight, once; frames are sums of what they do."""
 
-    simulates, name = True, "baked shapes"
+    simulates, name = True, BAKED
 
     def __init__(self, heads: Heads):
         self._heads = heads

@@ -84,7 +84,7 @@ def jaw_open(scan: Path) -> bytes:
     simulated, law = (head.skin_after(shape, solution.positions[:n]) for solution in (fast, real))
     network = Surrogate.load().bind(space.skin(code), code, Parameters()).frame(weights)
     drawn = head.skin.with_vertices(simulated)
-    off = {"blendshapes": shape, "neo-Hookean law": law, "network": network}
+    off = {"blendshapes": shape, "FEniCSx, neo-Hookean": law, "network": network}
     distances = {name: np.linalg.norm(skin - simulated, axis=1) for name, skin in off.items()}
     top = float(np.percentile(distances["blendshapes"], 99.5))
     panels = [Panel("simulated (PD)", drawn, weights=weights)]
@@ -158,7 +158,7 @@ def viewer(scan: Path) -> bytes:
     if chromium is None:
         raise SystemExit("viewer: Chromium is not installed")
     head, space, code = face()
-    rig = Rig.baked("surrogate", Surrogate.load().bind(space.skin(code), code, Parameters()))
+    rig = Rig.baked("network", Surrogate.load().bind(space.skin(code), code, Parameters()))
     words = "Turn it with the mouse or a finger. The layers beneath move as the simulator says, to first order."
     text = render_face_page("the default head", words, head, Parameters(), space.expression_deltas(code), [rig])
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:

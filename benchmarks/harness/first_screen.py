@@ -11,36 +11,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...animation.plots import subplots, to_svg, widen_axis
+from ...surrogate.methods import (
+    BLENDSHAPES,
+    CARRIED,
+    DERIVATIVES,
+    DIAL,
+    FENICSX,
+    FENICSX_NEO_HOOKEAN,
+    METHODS,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    PD,
+    SETTLED,
+)
 from .study import Row
 
 ASKED = (
     "SoftDECA simulates a face once, and a network then predicts the simulated face in every frame. This report asks "
     "three questions. Is the fast simulator right? How far is the network from it? What does each method cost?"
 )
-PD, FENICSX, NEO = "PD", "FEniCSx P1", "FEniCSx P1, neo-Hookean"
-NETWORK, HYBRID, LINEARISED = "network", "network + simulator", "linearised simulator"
-SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
-NAMES: Mapping[str, str] = {
-    "PD, L-BFGS": PD,
-    "FEniCSx Newton, P1": FENICSX,
-    "FEniCSx Newton, P1, neo-Hookean": NEO,
-    "FEniCSx, neo-Hookean": NEO,
-    "surrogate": NETWORK,
-    "surrogate, simulator at bind": HYBRID,
-    "network + simulator at bind": HYBRID,
-    "settled neutral face + blendshapes": SETTLED,
-    "blendshapes (T = S)": BLENDSHAPES,
-}
-"""Labels of rows as the report names them; a label that is not here is its own name."""
-MARKS: Mapping[str, tuple[str, str]] = {
-    PD: ("s", "#1f77b4"), FENICSX: ("s", "#d62728"), NEO: ("s", "#8c564b"), NETWORK: ("o", "#17becf"),
-    HYBRID: ("o", "#7a7a00"), LINEARISED: ("o", "#006d5b"), SETTLED: ("^", "#9467bd"), CARRIED: ("^", "#e377c2"),
-    BLENDSHAPES: ("^", "#ff7f0e"),
-}  # fmt: skip
-"""Squares are solvers, circles use the network or the linearised simulator, triangles are simple rivals."""
-SOLVERS = (PD, FENICSX, NEO)
-DIAL = "certified, 0.1 to 0.001 mm"
-"""Frames of a face that knows its error."""
+SOLVERS = (PD, FENICSX, FENICSX_NEO_HOOKEAN)
+SHOWN = (*SOLVERS, NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
 ACCURACY = 0.01
 """[mm] to which solvers are timed."""
 FACE_ENERGY = "Eq. 15"
@@ -72,7 +63,7 @@ def collect_points(rows: Rows) -> dict[str, Point]:
     for row in rows.get("work-precision", ()):
         energy, label = row.values["energy"], row.values["label"]
         if FACE_ENERGY in energy or "seconds_to" not in row.values:
-            grouped.setdefault(NAMES.get(label, label), []).append(row.values)
+            grouped.setdefault(label, []).append(row.values)
     for name, of in grouped.items():
         if (point := _time_method(of)) is not None:
             found[name] = point
@@ -82,7 +73,7 @@ def collect_points(rows: Rows) -> dict[str, Point]:
         elif score.get("bind_ms") is not None and score.get("frame_ms") is not None:
             bind, frame = 1e-3 * score["bind_ms"], 1e-3 * score["frame_ms"]
             found[method] = Point(bind + frame, frame, score["mean"])
-    shown = {name: found[name] for name in found if name in MARKS}
+    shown = {name: found[name] for name in found if name in SHOWN}
     return dict(sorted(shown.items(), key=lambda item: (item[0] not in SOLVERS, item[1].error)))
 
 
@@ -108,7 +99,7 @@ def _collect_scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
     found: dict[str, dict[str, Mapping]] = {}
     for row in rows.get("surrogate", ()):
         for line in row.values["rows"]:
-            found.setdefault(line["kind"], {})[NAMES.get(line["method"], line["method"])] = line
+            found.setdefault(line["kind"], {})[line["method"]] = line
     return found
 
 
@@ -162,7 +153,7 @@ def _tell_overall(rows: Rows) -> str:
         return ""
     people = rows["surrogate"][0].values.get("people")
     whom = f"{people} people" if people else "people"
-    errors = {name: score["mean"] for name, score in scores.items() if name in MARKS}
+    errors = {name: score["mean"] for name, score in scores.items() if name in SHOWN}
     best = min(errors, key=lambda name: errors[name])
     return (
         f"On {whom} it has not seen, the network errs by {errors[NETWORK]:.3f} mm on average and the simple rival "
@@ -172,7 +163,7 @@ def _tell_overall(rows: Rows) -> str:
 
 def _find_comparisons(rows: Rows, method: str, other: str) -> list[Mapping]:
     """The comparisons of a method in `agreement` whose names begin so."""
-    lines = (line for row in rows.get("agreement", ()) if NAMES.get(row.method, row.method) == method
+    lines = (line for row in rows.get("agreement", ()) if row.method == method
              for line in row.values.get("compared", ()))  # fmt: skip
     return [line for line in lines if line["compared"].startswith(other)]
 
@@ -188,7 +179,7 @@ def _tell_agreement(rows: Rows) -> str:
 
 
 def _tell_law(rows: Rows) -> str:
-    lines = _find_comparisons(rows, NEO, "to PD")
+    lines = _find_comparisons(rows, FENICSX_NEO_HOOKEAN, "to PD")
     skin = [line["mean"] for line in lines if line["compared"].endswith("skin")]
     if not skin:
         return ""
@@ -230,18 +221,18 @@ def draw_figure(rows: Rows) -> str:
         return ""
     drawn, axis = subplots(figsize=(12, 4.4))
     for name, point in found.items():
-        shape, colour = MARKS[name]
+        colour, mark = METHODS[name]
         axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
-        axis.plot(point.each, point.error, shape, mec=colour, mfc="white", ms=8)
-        axis.plot(point.first, point.error, shape, color=colour, ms=8, label=name)
+        axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
+        axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)
     for row in rows.get("work-precision", ()):
-        name = NAMES.get(row.values["label"], "")
+        name = row.values["label"]
         if name in found and name in SOLVERS and FACE_ENERGY in row.values["energy"]:
             seconds = np.median(row.values["prepare_s"]) + np.array(row.values["seconds"])
-            axis.plot(seconds, row.values["error_mm"], color=MARKS[name][1], lw=0.8, ls=":")
+            axis.plot(seconds, row.values["error_mm"], color=METHODS[name].colour, lw=0.8, ls=":")
     errors = [point.error for point in found.values()]
     if dial := _collect_dial(rows):
-        axis.plot(*zip(*dial, strict=True), "D-", color="#222222", ms=5, label=DIAL)
+        axis.plot(*zip(*dial, strict=True), f"{METHODS[DIAL].mark}-", color=METHODS[DIAL].colour, ms=5, label=DIAL)
         errors += [error for _, error in dial]
     axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="mean error [mm]")
     widen_axis(axis, errors)

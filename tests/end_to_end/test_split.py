@@ -101,6 +101,6 @@ def test_where_a_rival_wins_the_words_say_so():
     own = {"moved": 1.0, "network": 0.1, "tolerance": 0.0, "law": 0.0, "total": 0.1, "share": 0.1, "fenicsx": 0.0}
     lost = frame("40 % more soft tissue", "a", **own, share_carried=1.0, share_settled=0.05, mesh_coarse=0.1)
     words = Split().words([lost])
-    assert "40 % more soft tissue: the network loses to settled neutral face + blendshapes." in words
+    assert "40 % more soft tissue: the network loses to settled + blendshapes." in words
     assert "bones carried." not in words.partition("loses to")[2]
     assert np.isfinite([gate["value"] for gate in Split().gates([lost])]).all()

@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.surrogate.gates import NETWORK
 from softdeca.benchmarks.studies.surrogate.methods import READY
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.surrogate import Surrogate
@@ -14,6 +13,7 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.generalisation import KINDS
+from softdeca.surrogate.methods import NETWORK
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -53,7 +53,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.
     network = told[NETWORK]
-    linearised, settled = methods["linearised simulator"], methods["settled neutral face + blendshapes"]
+    linearised, settled = methods["derivatives"], methods["settled + blendshapes"]
     assert linearised["bind_ms"] > settled["bind_ms"] > 0.0 and network["bind_costs"]["derivatives"] > 0.0
     assert [name for name in READY if methods[name]["head_ms"]] == [*READY][1:5]
     assert network["corpus"]["plan"] == PLAN.digest and network["corpus"]["seed"] == PLAN.seed
@@ -112,7 +112,7 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
     # There is no offset that the simulator could replace, so that method is not among those scored.
     ended = command("evaluate", corpus, "--surrogate", weights, "--out", tmp_path / "scores", "--json")
     methods = [row["method"] for row in json.loads(ended.out)["rows"]]
-    assert ended.status == 0 and "network" in methods and "network + simulator at bind" not in methods
+    assert ended.status == 0 and "network" in methods and "network + derivatives" not in methods
 
 
 def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_path):

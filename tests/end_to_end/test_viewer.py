@@ -140,7 +140,7 @@ def test_the_page_of_a_simulated_head(sphere_head):
     parameters = Parameters(soft_volume=1.2)
     text = render_face_page("ball", "words", sphere_head, parameters, deltas)
     content = json.loads(re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)[1])
-    assert [rig["name"] for rig in content["rigs"]] == ["blendshapes", "simulator, linearised"]
+    assert [rig["name"] for rig in content["rigs"]] == ["blendshapes", "derivatives"]
     assert [layer["name"] for layer in content["layers"]] == ["muscle", "skull"] and len(content["poses"]) == 6
 
 

@@ -10,11 +10,8 @@ from scipy.spatial.distance import cdist
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement import fan as fan_module
 from softdeca.benchmarks.studies.agreement.effect import (
-    BLENDED,
-    CARRIED,
     EFFECTS,
     LAW,
-    PD,
     Effect,
     apply_rules,
     compare_laws,
@@ -29,6 +26,7 @@ from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
+from softdeca.surrogate.methods import CARRIED, PD, SETTLED
 
 from ..conftest import with_regions
 
@@ -302,7 +300,7 @@ def test_an_effect_by_both_laws(head):
     result = run_effect(head, effect, shape)
     others = apply_rules(head, shape, result.at_rest)
     np.testing.assert_allclose(others[CARRIED], shape)
-    np.testing.assert_allclose(others[BLENDED], shape + result.at_rest.displacement)
+    np.testing.assert_allclose(others[SETTLED], shape + result.at_rest.displacement)
     found = compare_laws(head, effect, shape, result, "fenicsx", others)
     assert found["done"] and found["same_mm"] < 1e-3 and found["another_minimum_mm"] is None
     neutral = settle(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)

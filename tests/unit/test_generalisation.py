@@ -97,10 +97,10 @@ def test_each_combination_has_its_people_parameters_and_recordings(folder):
     found = {(score.method, score.kind): score for score in scores}
     for kind in KINDS:
         assert (
-            found["watching", kind].share == pytest.approx(found["blendshapes (T = S)", kind].share, rel=1e-5)
+            found["watching", kind].share == pytest.approx(found["blendshapes", kind].share, rel=1e-5)
             and found["watching", kind].frames == 4
         )
-        assert found["linearised simulator", kind].share < 0.5
+        assert found["derivatives", kind].share < 0.5
 
 
 def test_what_is_there_is_not_simulated_again_and_what_is_damaged_is(folder):

@@ -7,16 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.surrogate.gates import (
-    BOUNDS,
-    HYBRID,
-    LINEARISED,
-    NETWORK,
-    TRIVIAL,
-    describe_defeats,
-    find_defeats,
-    make_gates,
-)
+from softdeca.benchmarks.studies.surrogate.gates import BOUNDS, TRIVIAL, describe_defeats, find_defeats, make_gates
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scale_skull
@@ -28,7 +19,7 @@ from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate
 from softdeca.surrogate.heads import Heads, measure_binds
-from softdeca.surrogate.methods import BonesCarried, Derivatives
+from softdeca.surrogate.methods import DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES, BonesCarried, Derivatives
 from softdeca.surrogate.ruler import (
     MOVES,
     STRENGTHS,
@@ -138,11 +129,11 @@ def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces)
     assert {ALL, UNSCALED, "materials", *STRENGTHS} <= kinds
     for kind in kinds:
         assert scores["bones carried", kind].share == pytest.approx(1.0, rel=1e-5)  # skins in single precision
-    settled = scores["settled neutral face + blendshapes", "materials"]
+    settled = scores["settled + blendshapes", "materials"]
     # Without an effect nothing settles, so that rival is blendshapes.
     assert settled.share == pytest.approx(1.0, abs=0.02) and 0.0 < settled.mean < settled.p95 < settled.largest
     assert sum(scores["bones carried", name].frames for name in STRENGTHS) == scores["bones carried", ALL].frames
-    linear = scores["linearised simulator", ALL]
+    linear = scores["derivatives", ALL]
     assert linear.bind_ms >= 1e3 * costs.derivatives and linear.head_ms == 1e3 * costs.head > 0.0
     assert scores["bones carried", ALL].bind_ms == 1e3 * costs.carried
 
@@ -187,11 +178,11 @@ def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
     assert len(by_kind) == len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
 
 
-@pytest.mark.parametrize("rival", [*TRIVIAL, LINEARISED])
+@pytest.mark.parametrize("rival", [*TRIVIAL, DERIVATIVES])
 def test_derivatives_without_a_network_fail_the_gate_of_both(rival):
     scores = _committed()
-    planted = [score for score in scores if score.method != HYBRID]
-    planted += [replace(score, method=HYBRID) for score in scores if score.method == rival]
+    planted = [score for score in scores if score.method != NETWORK_AND_DERIVATIVES]
+    planted += [replace(score, method=NETWORK_AND_DERIVATIVES) for score in scores if score.method == rival]
     assert not make_gates(planted)[-1]["passed"]
 
 

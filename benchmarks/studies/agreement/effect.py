@@ -16,8 +16,9 @@ from ....reference import Parameters, Scene, SettledFace, Solution, facial_scene
 from ....reference.face.settle import carry_skin
 from ....surrogate import Surrogate
 from ....surrogate.local import around_vertices
+from ....surrogate.methods import CARRIED, FENICSX, FENICSX_NEO_HOOKEAN, PD, SETTLED, SKFEM, SKFEM_NEO_HOOKEAN
 from ....surrogate.ruler import measure
-from ..measures import distances
+from ..measures import NEO_HOOKEAN, PD_ENERGY, distances
 from ..person import check_known
 from .insides import compare_insides
 
@@ -26,9 +27,8 @@ BROAD_SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0, "jawOpen": 0.2}
 SNEER = SMILE | {"noseSneerLeft": 0.6, "noseSneerRight": 0.6}
 LEAN = 1.6
 """Soft tissue's stiffness [kPa] of fat and SMAS (Barbarino et al. 2011), where weight is what is looked at."""
-PD, SAME, LAW = "PD", "PD's energy by FEM", "neo-Hookean by FEM"
-SURROGATE, CARRIED, BLENDED = "surrogate", "bones carried", "settled neutral face + blendshapes"
-NEO_HOOKEAN = "neo-Hookean"
+SOLVED = {"fenicsx": (FENICSX, FENICSX_NEO_HOOKEAN), "skfem": (SKFEM, SKFEM_NEO_HOOKEAN)}
+"""Labels of PD's energy and of the neo-Hookean law, by solver."""
 TOLERANCE, TIGHT, FEM_TOLERANCE = 1e-6, 1e-10, 1e-8
 """Gradient norm relative to its start: of what is measured, of what it is compared with, and by finite elements."""
 ROUNDING = 1e-12
@@ -230,7 +230,7 @@ def _figures(head: LayeredHead, scene: Scene, solution: Solution) -> dict:
 def apply_rules(head: LayeredHead, expression: Floats, neutral: SettledFace) -> dict[str, Floats]:
     """Give the skins [mm] of two rules that solve no expression: a method that loses to one of them is no use."""
     carried = expression + carry_skin(head, neutral.parameters)
-    return {CARRIED: carried, BLENDED: expression + neutral.displacement}
+    return {CARRIED: carried, SETTLED: expression + neutral.displacement}
 
 
 def predict_skin(space: LinearSpace, code: Floats, head: LayeredHead, effect: Effect) -> Floats | None:
@@ -275,9 +275,11 @@ def compare_laws(
     further methods' skins [mm] by name. Distances "to_pd" and "to_law" are of skins, by method; "inside" compares all
     vertices, stresses and the mandible of PD's answer and the law's.
     """
+    same_label, law_label = SOLVED[solver]
     by_pd, carried, another = result.solution, others[CARRIED], None
     same_face, law_face = (
-        settle(head, effect.with_it(head), law=law, solver=solver, tolerance=FEM_TOLERANCE) for law in (PD, NEO_HOOKEAN)
+        settle(head, effect.with_it(head), law=law, solver=solver, tolerance=FEM_TOLERANCE)
+        for law in (PD_ENERGY, NEO_HOOKEAN)
     )
     prepared = prepare(same_face.scene(expression), solver=solver)
     same = prepared.solve(start=same_face.positions, tolerance=FEM_TOLERANCE)
@@ -287,11 +289,15 @@ def compare_laws(
     start = law_face.positions if by_pd.volume_ratio.min() <= 0.0 else by_pd.positions
     law = prepare(law_scene, solver=solver).solve(start=start, tolerance=FEM_TOLERANCE)
     skins = {
-        SAME: same_face.skin_after(expression, same.positions),
-        LAW: law_face.skin_after(expression, law.positions),
+        same_label: same_face.skin_after(expression, same.positions),
+        law_label: law_face.skin_after(expression, law.positions),
     }
     inside = compare_insides(
-        head, (PD, result.scene, by_pd), (LAW, law_scene, law), solver=solver, settled=(result.at_rest, law_face)
+        head,
+        (PD_ENERGY, result.scene, by_pd),
+        (NEO_HOOKEAN, law_scene, law),
+        solver=solver,
+        settled=(result.at_rest, law_face),
     )
     return {
         "solver": solver,
@@ -299,6 +305,8 @@ def compare_laws(
         "same_mm": float(distances(same.positions, by_pd.positions).max()),
         "another_minimum_mm": another,
         "to_pd": measure_skins(skins, result.with_it, carried),
-        "to_law": measure_skins({PD: result.with_it, SAME: skins[SAME], **others}, skins[LAW], carried),
+        "to_law": measure_skins(
+            {PD: result.with_it, same_label: skins[same_label], **others}, skins[law_label], carried
+        ),
         "inside": inside,
     }

@@ -9,6 +9,7 @@ from ....animation.plots import subplots, to_png
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head import LayeredHead
 from ....reference import terms
+from ....surrogate.methods import BLENDSHAPES, NETWORK
 from ..measures import distances
 from .effect import EffectResult
 
@@ -54,11 +55,11 @@ def draw_effect(head: LayeredHead, result: EffectResult, shape: Floats, network:
         off = [distances(skin, simulated) for skin in (shape, network)]
         top = find_top(off[0])
         beside = [
-            panel("blendshapes", shape),
+            panel(BLENDSHAPES, shape),
             panel("simulated (PD)", simulated),
-            panel("surrogate", network),
-            panel(f"blendshapes - PD, mean {off[0].mean():.2f} mm", simulated, off[0], top),
-            panel(f"surrogate - PD, mean {off[1].mean():.2f} mm", simulated, off[1], top),
+            panel(NETWORK, network),
+            panel(f"{BLENDSHAPES} - PD, mean {off[0].mean():.2f} mm", simulated, off[0], top),
+            panel(f"{NETWORK} - PD, mean {off[1].mean():.2f} mm", simulated, off[1], top),
         ]
         images["beside the surrogate"] = draw_strip(beside, view=VIEW, framed=face)
     if result.scene.of(terms.Contact):

@@ -12,17 +12,14 @@ from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.expressions import weights_of
 from ....reference import SOLVERS, Parameters
+from ....surrogate.methods import CARRIED, NETWORK, PD, SETTLED
 from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..measures import NEO_HOOKEAN, PD_ENERGY
 from ..person import OfPerson, check_known
 from .effect import (
-    BLENDED,
     BROAD_SMILE,
-    CARRIED,
     EFFECTS,
-    LAW,
-    PD,
-    SAME,
-    SURROGATE,
+    SOLVED,
     TOLERANCE,
     EffectResult,
     apply_rules,
@@ -43,7 +40,7 @@ Of PD beside FEniCSx this excludes the neo-Hookean law, whose largest distance i
 the surrogate and the rules without physics, which are 0.15 to 15 mm off.
 """
 NO_REFERENCE = "none"
-METHODS = (PD, SAME, LAW, SURROGATE, CARRIED, BLENDED)
+METHODS = (PD, *SOLVED["fenicsx"], *SOLVED["skfem"], NETWORK, CARRIED, SETTLED)
 STARTS = "a broad smile from random starts"
 
 
@@ -65,7 +62,7 @@ class Effects(OfPerson):
         Column("solve_s", "prepare and solve [s]", cost=True),
         Column("to_own_limit_mm", "to its own limit [mm]"),
         Column("to_other_start_mm", "to a tight run from another start [mm]"),
-        Column("same_mm", "PD to FEM, same energy, max [mm]"),
+        Column("same_mm", "PD to finite elements, same energy, max [mm]"),
         Column("law_mean_mm", "PD to neo-Hookean, skin, mean [mm]"),
         Column("law_max_mm", "max [mm]"),
         Column("law_inside_mm", "all vertices, max [mm]"),
@@ -111,7 +108,7 @@ class Effects(OfPerson):
         if task.method != PD:
             (effect,) = parse_effects(task.case)
             comparison = compare_laws(of.head, effect, shape, result, self.reference, others)
-            law, inside = comparison["to_pd"][LAW], comparison["inside"]["vertices"]["max"]
+            law, inside = comparison["to_pd"][SOLVED[self.reference][1]], comparison["inside"]["vertices"]["max"]
             return comparison | {
                 "law_mean_mm": law["skin_mean"],
                 "law_max_mm": law["skin_max"],
@@ -125,7 +122,7 @@ class Effects(OfPerson):
             "iterations": run["iterations"],
             "solve_s": run["seconds"],
             "to_pd": measure_skins(others, result.with_it, others[CARRIED]),
-            **draw_effect(of.head, result, shape, others.get(SURROGATE)),
+            **draw_effect(of.head, result, shape, others.get(NETWORK)),
         }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
@@ -171,7 +168,7 @@ class Effects(OfPerson):
                 f"{_format_range(each['mean'] for each in vertices)} mm on average and "
                 f"{_format_range(each['max'] for each in vertices)} mm at most."
             )
-        for method in (SURROGATE, CARRIED, BLENDED):
+        for method in (NETWORK, CARRIED, SETTLED):
             means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
             sentences += [f"From that law's skin, {method}: {_format_range(means)} mm on average."] if means else []
         sentences += [
@@ -195,7 +192,7 @@ class Effects(OfPerson):
             for name, run in record["runs"].items()
         ]
         tables = [_tabulate_methods(rows)] if records or laws else []
-        tables += tabulate_insides(rows, PD, LAW)
+        tables += tabulate_insides(rows, PD_ENERGY, NEO_HOOKEAN)
         if scenes:
             tables.append(Table.of("Scenes", columns, scenes, "A rise by a share of 1e-12 is rounding."))
         columns = {
@@ -220,7 +217,7 @@ def _solve(study: Effects, name: str) -> tuple[EffectResult, Floats, dict[str, F
     result = run_effect(of.head, effect, shape)
     skins = apply_rules(of.head, shape, result.at_rest)
     network = predict_skin(of.space, of.code, of.head, effect)
-    return result, shape, skins if network is None else {SURROGATE: network, **skins}
+    return result, shape, skins if network is None else {NETWORK: network, **skins}
 
 
 def _format_range(values: Iterable[float]) -> str:
@@ -231,7 +228,7 @@ def _format_range(values: Iterable[float]) -> str:
 def _tabulate_methods(rows: Sequence[Row]) -> Table:
     """An effect's methods, each beside PD's skin and beside the neo-Hookean law's."""
     titles = ["effect", "method"]
-    for truth in ("PD", "neo-Hookean"):
+    for truth in (PD_ENERGY, NEO_HOOKEAN):
         titles += [f"to {truth}: mean [mm]", "max [mm]", "share"]
     to_pd, to_law = ({}, {})
     for row in rows:

@@ -12,6 +12,7 @@ from ....lhm.base.mesh import Floats
 from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ....reference.face.facial import apply_law
 from ....surrogate import Surrogate
+from ....surrogate.methods import FENICSX, NETWORK, PD, PD_PLAIN, SKFEM, SKFEM_NEO_HOOKEAN
 from ..measures import ACCURACY, TIGHT, Trace, difference, distances, trace_solve, trace_to_itself
 from ..person import Person
 from .insides import compare_insides
@@ -25,9 +26,7 @@ APART = 1e-4
 PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
 """Plain projective dynamics stops here [mm], below what its iterations are counted to, or after so many."""
 LAW = "neo-Hookean"
-PD, PLAIN, FENICSX, SKFEM = "PD", "PD, plain", "FEniCSx Newton", "scikit-fem Newton"
-NEO, NEO_SKFEM = "FEniCSx, neo-Hookean", "scikit-fem, neo-Hookean"
-SURROGATE, BLENDSHAPES, BESIDE = "surrogate", "blendshapes (T = S)", "side by side"
+BESIDE = "side by side"
 TO_PD, TO_FENICSX, TO_NEO = "to PD", "to FEniCSx", "to neo-Hookean"
 ALL, SKIN = ", all vertices", ", skin"
 
@@ -97,7 +96,7 @@ class SceneFace:
             least = float(by_pd.volume_ratio.min())
             row = self._row(by_pd, "rest", TO_FENICSX, self.fenicsx[0])
             return row | {"to_001_mm": trace.iterations_to(ACCURACY), "least_ratio": least}
-        if method == PLAIN:
+        if method == PD_PLAIN:
             plain = prepare(self.scene, method="plain")
             solution, trace = trace_solve(plain, by_pd.positions, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
             reached = trace.iterations_to(ACCURACY)
@@ -113,7 +112,7 @@ class SceneFace:
             return self._row(solution, "PD, stopped early", TO_FENICSX, self.fenicsx[0])
         solution, scene, start = self.neo
         begun = "PD's answer" if start is by_pd.positions else "rest" if start is None else "its own settled face"
-        if method == NEO_SKFEM:
+        if method == SKFEM_NEO_HOOKEAN:
             checked = solve(scene, solver="skfem", tolerance=WARM, start=start)
             return self._row(checked, begun, TO_NEO, solution)
         row = self._row(solution, begun, TO_PD, by_pd)
@@ -205,7 +204,7 @@ class Face(SceneFace):
 
     def compare_skins(self, method: str) -> dict:
         """Measure how far the surrogate's skin, or that of blendshapes, is from the solvers'."""
-        skin, rest = self.learned if method == SURROGATE else self.shape, self.of.head.skin.vertices
+        skin, rest = self.learned if method == NETWORK else self.shape, self.of.head.skin.vertices
         others = {
             TO_PD: self.skin(self.pd[0]),
             TO_FENICSX: self.skin(self.fenicsx[0]),
@@ -222,7 +221,7 @@ class Face(SceneFace):
         pd, head = self.skin(self.pd[0]), self.of.head
         simulated = head.skin.with_vertices(pd)
         others = {"blendshapes - PD": self.shape, "neo-Hookean - PD": self.law_skin(self.neo[0])}
-        others |= {} if self._network is None else {"surrogate - PD": self.learned}
+        others |= {} if self._network is None else {f"{NETWORK} - PD": self.learned}
         errors = {text: distances(skin, pd) for text, skin in others.items()}
         top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
         panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]

@@ -17,31 +17,24 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....reference import Parameters, open_jaw_scene, push_cheek_scene
 from ....surrogate import Surrogate
+from ....surrogate.methods import (
+    BLENDSHAPES,
+    FENICSX,
+    FENICSX_NEO_HOOKEAN,
+    NETWORK,
+    PD,
+    PD_PLAIN,
+    SKFEM,
+    SKFEM_NEO_HOOKEAN,
+)
 from ...harness.study import Column, Row, Study, Table, Task, Values, above, at_most
 from ..measures import ACCURACY
 from ..person import Person, person
-from .faces import (
-    ALL,
-    BESIDE,
-    BLENDSHAPES,
-    FENICSX,
-    LAW,
-    NEO,
-    NEO_SKFEM,
-    PD,
-    PLAIN,
-    SKFEM,
-    SKIN,
-    SURROGATE,
-    TO_FENICSX,
-    TO_PD,
-    Face,
-    SceneFace,
-)
+from .faces import ALL, BESIDE, LAW, SKIN, TO_FENICSX, TO_PD, Face, SceneFace
 from .insides import tabulate_insides
 
-SOLVERS = (FENICSX, PD, PLAIN, SKFEM, NEO, NEO_SKFEM)
-FEWER = (FENICSX, PD, NEO)
+SOLVERS = (FENICSX, PD, PD_PLAIN, SKFEM, FENICSX_NEO_HOOKEAN, SKFEM_NEO_HOOKEAN)
+FEWER = (FENICSX, PD, FENICSX_NEO_HOOKEAN)
 """Solvers of the scenes that tell laws apart; scikit-fem and plain PD are checked on the others."""
 HEAD, FIT, TURNED = "the head", "fit and gates", "the head in 3D"
 VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
@@ -100,7 +93,7 @@ class Agreement(Study):
         for name, low, high, unit in ranges:
             if not low <= (value := getattr(self, name)) <= high:
                 raise InputError(f"{name}: expected {low:g} to {high:g} {unit}, got {value:g}")
-        skins = (*((SURROGATE,) if self.network() is not None else ()), BLENDSHAPES)
+        skins = (*((NETWORK,) if self.network() is not None else ()), BLENDSHAPES)
         methods = {case: (*SOLVERS, *skins, BESIDE) for case in (*self.expressions, self._heavy)}
         methods |= {self._grown: (*FEWER, *skins, BESIDE)} if self.volume != 1.0 else {}
         methods |= {case: (*FEWER, BESIDE) for case in self._free}
@@ -163,17 +156,19 @@ class Agreement(Study):
             shapes = of.space.expression_deltas(of.code)
             rigs, poses = [], []
             if network is not None:
-                rigs.append(Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes)))
+                rigs.append(Rig.baked(NETWORK, network.bind(of.head.skin, of.code, parameters, expressions=shapes)))
             for text in self.expressions:
                 face, weights = _face(self, text), expressions.parse_weights(text)
-                poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
+                poses.append(
+                    Pose(text, weights, {PD: face.skin(face.pd[0]), FENICSX_NEO_HOOKEAN: face.law_skin(face.neo[0])})
+                )
             title = f"the head ({of.space.name})"
             page = render_face_page(title, VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
-            return {"blendshapes, PD, FEniCSx and surrogate": page.encode()}
+            return {"blendshapes, PD, FEniCSx and network": page.encode()}
         face = _face(self, task.case)
         if task.method == BESIDE:
             return {PICTURED if isinstance(face, Face) else FREE: face.picture()}
-        if isinstance(face, Face) and task.method in (SURROGATE, BLENDSHAPES):
+        if isinstance(face, Face) and task.method in (NETWORK, BLENDSHAPES):
             return face.compare_skins(task.method)
         return face.solve_by(task.method)
 
@@ -192,9 +187,9 @@ class Agreement(Study):
         """
         gates = []
         for what, method in (
-            ("PD to FEniCSx-Newton, same energy", PD),
+            ("PD to FEniCSx, same energy", PD),
             ("scikit-fem to FEniCSx, PD's energy", SKFEM),
-            ("scikit-fem to FEniCSx, neo-Hookean", NEO_SKFEM),
+            ("scikit-fem to FEniCSx, neo-Hookean", SKFEM_NEO_HOOKEAN),
         ):
             shares = [row.values["compared"][0]["relative"] for row in rows if row.method == method]
             if shares:
@@ -206,9 +201,9 @@ class Agreement(Study):
             gates.append(above("smallest volume ratio of a tet over all scenes (none inverted)", least, 0.0))
         unfinished = sum(not row.values.get("done", True) for row in rows)
         gates.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
-        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PLAIN)}
+        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PD_PLAIN)}
         pairs = [
-            (counts[case, PD], slow) for (case, by), slow in counts.items() if by == PLAIN and (case, PD) in counts
+            (counts[case, PD], slow) for (case, by), slow in counts.items() if by == PD_PLAIN and (case, PD) in counts
         ]
         if pairs:
             # None where one does not come to 0.01 mm.
@@ -238,7 +233,7 @@ class Agreement(Study):
                 f"{max(twice.values()):.2f} mm away; answers are compared at PD's."
             )
         for free, where in ((False, "where targets hold it"), (True, "where none does")):
-            of = [row for row in rows if row.method == NEO and (row.case in self._free) is free]
+            of = [row for row in rows if row.method == FENICSX_NEO_HOOKEAN and (row.case in self._free) is free]
             lines = [line for row in of for line in row.values["compared"]]
             if lines:
                 mean = max(line["mean"] for line in lines if line["compared"] == TO_PD + SKIN)
@@ -247,7 +242,7 @@ class Agreement(Study):
                     f"A neo-Hookean law moves the skin by at most {mean:.3f} mm on average {where}, and any vertex by "
                     f"at most {most:.2f} mm."
                 )
-        for method in (SURROGATE, BLENDSHAPES):
+        for method in (NETWORK, BLENDSHAPES):
             lines = [line for row in rows if row.method == method for line in row.values["compared"]]
             means = [line["mean"] for line in lines if line["compared"] == TO_PD + SKIN]
             if means:
@@ -271,9 +266,9 @@ class Agreement(Study):
         marks = {
             (PD, TO_FENICSX + ALL, "mean"): "PD to FEniCSx, same energy",
             (SKFEM, TO_FENICSX + ALL, "mean"): "scikit-fem to FEniCSx, same energy",
-            (NEO, TO_PD + SKIN, "mean"): "neo-Hookean law to PD, skin",
-            (NEO, TO_PD + ALL, "max"): "the same, all vertices, largest",
-            (SURROGATE, TO_PD + SKIN, "mean"): "surrogate to PD, skin",
+            (FENICSX_NEO_HOOKEAN, TO_PD + SKIN, "mean"): "neo-Hookean law to PD, skin",
+            (FENICSX_NEO_HOOKEAN, TO_PD + ALL, "max"): "the same, all vertices, largest",
+            (NETWORK, TO_PD + SKIN, "mean"): "network to PD, skin",
             (BLENDSHAPES, TO_PD + SKIN, "mean"): "blendshapes to PD, skin",
         }
         cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))

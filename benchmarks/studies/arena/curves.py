@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ....animation.plots import subplots
+from ....surrogate.methods import METHODS, OTHER
 
 FLOOR, TOP = 1e-9, 100.0
 """[mm] below and above which nothing is drawn."""
@@ -16,22 +17,13 @@ COLOURS = {
     "sfepy": "#ff9896",
     "torch-fem": "#e377c2",
     "JAX-FEM": "#f7b6d2",
-    "FEniCSx Newton": "#8c564b",
-    "FEniCSx P2": "#4d2d26",
-    "FEniCSx P2-P1": "#a0522d",
-    "scikit-fem Newton": "#c49c94",
     "MuJoCo flex": "#2ca02c",
     "Newton VBD": "#ff7f0e",
     "Newton semi-implicit": "#bcbd22",
     "Newton XPBD": "#7f7f7f",
     "PyPBD": "#dbdb8d",
-    "libigl ARAP": "#9467bd",
-    "PD, L-BFGS": "#1f77b4",
-    "PD, Anderson": "#17becf",
-    "PD, plain": "#aec7e8",
-    "PD, L-BFGS on ARAP": "#c5b0d5",
 }
-"""By solver; others are black."""
+"""By solver of another package; others are black."""
 
 
 def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
@@ -55,7 +47,7 @@ def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
                 continue
             style = {"lw": 0.8, "ls": ":"} if title in firsts else {"lw": 1.4}
             marker = "o" if len(points) == 1 else None
-            colour = COLOURS.get(title, "k")
+            colour = COLOURS.get(title) or METHODS.get(title, OTHER).colour
             (line,) = axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)
             labels.setdefault(title, line)
             firsts.add(title)

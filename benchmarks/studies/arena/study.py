@@ -13,6 +13,7 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference.added import NotModelledError, added_solvers
+from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_ARAP, PD_PLAIN, SKFEM
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from . import problems
 from .claims import judge_all
@@ -27,28 +28,18 @@ from .summaries import tabulate_series, tabulate_spread
 
 REST, ANSWER = "from rest", "from the answer"
 OWN_SETTING = "default"
-NEWTON, QUADRATIC, MIXED, SKFEM, OURS, PLAIN, ANDERSON, OURS_RIGID = (
-    "FEniCSx Newton",
-    "FEniCSx P2",
-    "FEniCSx P2-P1",
-    "scikit-fem Newton",
-    "PD, L-BFGS",
-    "PD, plain",
-    "PD, Anderson",
-    "PD, L-BFGS on ARAP",
-)
 OWN: Mapping[str, tuple[str, dict[str, str]]] = {
-    NEWTON: (NEO_HOOKEAN, {"solver": "fenicsx"}),
-    QUADRATIC: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
-    MIXED: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
+    FENICSX: (NEO_HOOKEAN, {"solver": "fenicsx"}),
+    FENICSX_P2: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
+    FENICSX_P2P1: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
     SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
-    OURS: (PROJECTIVE, {"method": "lbfgs"}),
-    ANDERSON: (PROJECTIVE, {"method": "anderson"}),
-    PLAIN: (PROJECTIVE, {"method": "plain"}),
-    OURS_RIGID: (RIGID, {"method": "lbfgs"}),
+    PD: (PROJECTIVE, {"method": "lbfgs"}),
+    PD_ANDERSON: (PROJECTIVE, {"method": "anderson"}),
+    PD_PLAIN: (PROJECTIVE, {"method": "plain"}),
+    PD_ARAP: (RIGID, {"method": "lbfgs"}),
 }
 """Our solvers: law, and the options of `prepare`."""
-ARRIVING = (NEWTON, SKFEM, OURS, ANDERSON, "FElupe")
+ARRIVING = (FENICSX, SKFEM, PD, PD_ANDERSON, "FElupe")
 """Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
 QUICK_BUDGET = 1.0
 """[s] of a solve."""
@@ -112,7 +103,7 @@ class Arena(Study):
             for case in problems.CASES.values()
             if (case.seed < self.seeds if case.mean else self.whole or case.quick)
             for title, settings in self._rivals().items()
-            if title not in (QUADRATIC, MIXED) or (self.whole and case.quadratic)
+            if title not in (FENICSX_P2, FENICSX_P2P1) or (self.whole and case.quadratic)
             if title in ARRIVING or not case.mean
             for start in (REST, ANSWER)
             if start == REST or (case.start_at_answer and title not in OWN)

@@ -22,10 +22,9 @@ from ....reference import Parameters, settle
 from ....reference import Sequence as Simulation
 from ....reference.face.parameters import read_parameters
 from ....surrogate import Surrogate
+from ....surrogate.methods import BLENDSHAPES, NETWORK, NETWORK_AND_DERIVATIVES, PD
 from ...harness.study import Column, Row, Study, Task, Values
 from ..person import check_person
-
-TRUTH, NETWORK = "PD", "network"
 
 
 @dataclass(frozen=True)
@@ -66,14 +65,14 @@ class Closures(Study):
             {
                 "gap": gap.name,
                 "by": name,
-                "largest": float(np.abs(values[:, k] - widths[TRUTH][:, k]).max()),
-                "mean": float(np.abs(values[:, k] - widths[TRUTH][:, k]).mean()),
+                "largest": float(np.abs(values[:, k] - widths[PD][:, k]).max()),
+                "mean": float(np.abs(values[:, k] - widths[PD][:, k]).mean()),
                 "least": float(values[:, k].min()),
-                "least_simulated": float(widths[TRUTH][:, k].min()),
+                "least_simulated": float(widths[PD][:, k].min()),
             }
             for k, gap in enumerate(openings)
             for name, values in widths.items()
-            if name != TRUTH
+            if name != PD
         ]
         return {
             "rows": lines,
@@ -98,15 +97,15 @@ class Closures(Study):
         step = 1.0 / take.rate
         rigs = {
             NETWORK: surrogate.bind(skin, code, parameters),
-            "network + simulator at bind": surrogate.bind(skin, code, parameters, exact=True, head=head),
+            NETWORK_AND_DERIVATIVES: surrogate.bind(skin, code, parameters, exact=True, head=head),
         }
         simulation = Simulation.from_face(settle(head, parameters), time_step=step, dynamic=self.dynamic)
         playing = {name: rig.dynamic(step) if self.dynamic else rig for name, rig in rigs.items()}
-        widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
+        widths: dict[str, list[list[float]]] = {name: [] for name in (BLENDSHAPES, PD, *rigs)}
         for weights in take.weights:
             drawn = blend_linearly(skin, space.expressions, weights)
-            skins: dict[str, np.ndarray] = {"blendshapes": drawn}
-            skins[TRUTH] = simulation.skin(drawn, simulation.frame(drawn))
+            skins: dict[str, np.ndarray] = {BLENDSHAPES: drawn}
+            skins[PD] = simulation.skin(drawn, simulation.frame(drawn))
             skins |= {name: rig.frame(weights) for name, rig in playing.items()}
             for name, shown in skins.items():
                 widths[name].append([gap.width(shown) for gap in openings])
@@ -115,10 +114,10 @@ class Closures(Study):
 
 def _draw_curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
     figure, axes = plots.subplots(len(openings), 1, figsize=(9, 2.4 * len(openings)), sharex=True)
-    styles = {"blendshapes": ":", TRUTH: "-", "network": "--"}
+    styles = {BLENDSHAPES: ":", PD: "-", NETWORK: "--"}
     for k, (axis, gap) in enumerate(zip(axes, openings, strict=True)):
         for name, values in widths.items():
-            axis.plot(times, values[:, k], styles.get(name, "-."), label=name, lw=2.2 if name == TRUTH else 1.2)
+            axis.plot(times, values[:, k], styles.get(name, "-."), label=name, lw=2.2 if name == PD else 1.2)
         axis.set_ylabel(f"{gap.name} [mm]")
     axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     axes[-1].set_xlabel("time [s]")

@@ -18,6 +18,7 @@ from ....lhm.base.option import option
 from ....lhm.expressions import ARKIT
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Prepared, facial_scene, prepare
+from ....surrogate.methods import PD
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..person import OfPerson, Person
 
@@ -51,7 +52,7 @@ class Shapes(OfPerson):
         self.check()
         if self.count < 1:
             raise InputError(f"count: must be at least 1, got {self.count}")
-        return [Task(f"identity {seed}", "PD") for seed in range(self.seed, self.seed + self.count)]
+        return [Task(f"identity {seed}", PD) for seed in range(self.seed, self.seed + self.count)]
 
     def measure(self, task: Task) -> Values:
         """Measure a row per shape."""

@@ -19,6 +19,7 @@ from ....lhm.base.option import option
 from ....lhm.template import LEVELS
 from ....reference import Parameters, Solution, apply_law, facial_scene, prepare, projective
 from ....reference.face.sequence import Sequence as Simulation
+from ....surrogate.methods import FENICSX, FENICSX_NEO_HOOKEAN, PD
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import (
     ACCURACY,
@@ -40,7 +41,6 @@ from ..measures import (
 from ..person import OfPerson, check_known
 from .floor import count_factor_bytes
 
-PD, FENICSX, NEO_HOOKEAN = "PD", "FEniCSx, same energy", "FEniCSx, neo-Hookean"
 RATE = 60.0
 FEM_TOLERANCE = 1e-8
 GROWING = ("prepare_s", "solve_s", "cpu_s", "iterations", "linear_iterations", "iteration_ms", "scene_mb", "factor_mb")
@@ -88,7 +88,9 @@ class Scaling(OfPerson):
                 raise InputError(f"{what}: whole numbers above 0 were expected, got {', '.join(values)}")
         if self.repeats < 1:
             raise InputError(f"repeats: must be at least 1, got {self.repeats}")
-        tasks = [Task(f"level {level}", solver) for solver in (PD, FENICSX, NEO_HOOKEAN) for level in self.levels]
+        tasks = [
+            Task(f"level {level}", solver) for solver in (PD, FENICSX, FENICSX_NEO_HOOKEAN) for level in self.levels
+        ]
         tasks += [Task(f"{count} frames", PD) for count in self.frames]
         return tasks + [Task(f"{count} processes", PD) for count in self.processes]
 
@@ -114,7 +116,7 @@ class Scaling(OfPerson):
                 "iteration_ms": 1e3 * _time_iteration(trace.seconds),
             }
         else:
-            scene = (lambda: apply_law(make(), "neo-Hookean")) if solver == NEO_HOOKEAN else make
+            scene = (lambda: apply_law(make(), "neo-Hookean")) if solver == FENICSX_NEO_HOOKEAN else make
             held = measure_megabytes(scene, solver="fenicsx")
             runs = repeat_work(lambda: time_solve(scene, FEM_TOLERANCE, solver="fenicsx"), self.repeats)
             found["iteration_ms"] = 1e3 * float(np.median([_time_iteration(run.history.time) for run, _ in runs]))
@@ -169,7 +171,7 @@ class Scaling(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw seconds, iterations and memory over tets."""
         figure, axes = subplots(1, 3, figsize=(11, 3.6))
-        for solver in (PD, FENICSX, NEO_HOOKEAN):
+        for solver in (PD, FENICSX, FENICSX_NEO_HOOKEAN):
             of = [row for row in rows if row.case.startswith("level") and row.method == solver]
             sizes = [row.values["size"] for row in of]
             for axis, key in zip(axes, ("cpu_s", "iterations", "scene_mb"), strict=True):

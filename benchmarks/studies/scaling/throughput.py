@@ -19,6 +19,7 @@ from ....reference import Parameters, Prepared, facial_scene, prepare, projectiv
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
 from ....surrogate.corpus.mixture import FEW
+from ....surrogate.methods import PD
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
 from ..measures import ACCURACY, TIMES, Stopwatch, count_unfinished, largest_distance, time_solve, trace_to_itself
@@ -88,7 +89,7 @@ class Throughput(OfPerson):
         if self.frames < CHECKED_EVERY + 1 or self.people < 1:
             raise InputError(f"frames: {self.frames}, expected 13 or more; people: {self.people}, expected 1 or more")
         cold = [Task(COLD, kind) for kind in KINDS]
-        return [*cold, Task(SEQUENCE, "PD"), Task(WORKER, "PD"), Task(ITERATION, "PD")]
+        return [*cold, Task(SEQUENCE, PD), Task(WORKER, PD), Task(ITERATION, PD)]
 
     def measure(self, task: Task) -> Values:
         """Measure a kind of frames, the memory, or the floor."""

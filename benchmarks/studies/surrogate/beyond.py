@@ -15,7 +15,7 @@ from ....reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ....reference.face.settle import TARGET_OPTIONS, carry_skin
 from ....surrogate import Surrogate
 from ....surrogate.evaluate import Known, Score, score_distances
-from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
+from ....surrogate.methods import BLENDSHAPES, CARRIED, NETWORK, SETTLED
 
 KIND = "p beyond what was seen, clamped"
 CASES = (

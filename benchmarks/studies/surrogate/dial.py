@@ -23,6 +23,7 @@ from ....surrogate import CertifiedFace, Surrogate
 from ....surrogate.certified import DOUBT
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.corpus.people import People, people_from_text
+from ....surrogate.methods import DERIVATIVES, DIAL, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD_FIRST_ORDER, SETTLED
 from ....surrogate.ruler import MOVES
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_least
 
@@ -41,9 +42,6 @@ NEAR = (0.8, 1.25)
 """Told over true error is to be in here."""
 LEAST = 1e-3
 """[mm] Smaller true errors are counted apart: there rounding of positions and of the truth shows."""
-BLENDSHAPES, NETWORK, DERIVATIVES, BOTH, PD = (
-    "settled face + blendshapes", "network alone", "derivatives", "network + derivatives", "PD, from first order",
-)  # fmt: skip
 COLOURS = ("#006d5b", "#b3541e", "#4c3f91")
 
 
@@ -83,7 +81,7 @@ class Dial(Study):
         if self.faces < 1 or self.frames < 1:
             raise InputError("faces, frames: expected 1 or more")
         groups = (HELD_OUT, *((EXTERNAL,) if self.external else ()), BEYOND)
-        return [Task(f"{group}, person {number}", "dial") for group in groups for number in range(self.faces)]
+        return [Task(f"{group}, person {number}", DIAL) for group in groups for number in range(self.faces)]
 
     def measure(self, task: Task) -> Values:
         """Bind a person's face, and make its frames by every method and accuracy."""
@@ -157,7 +155,7 @@ class Dial(Study):
             f"{', '.join(f'{each:g}' for each in alike)} mm in {prices[alike[0]]:.0f} ms"
             for alike in _group_alike(ACCURACIES, list(prices.values()))
         ]
-        pd = [line for row in rows for line in row.values["lean"] if line["method"] == PD]
+        pd = [line for row in rows for line in row.values["lean"] if line["method"] == PD_FIRST_ORDER]
         ms, error = (float(np.median([line[key] for line in pd])) for key in ("ms", "true"))
         dearer = [f"{a:g}" for a in ACCURACIES if prices[a] > ms and error <= a]
         faces = f"{len(told)} answers, of {len(told) // len(ACCURACIES)} frames of {len(rows)} people"
@@ -167,7 +165,7 @@ class Dial(Study):
             f"It is within 0.8 to 1.25 on {100 * _share_near(told):.0f} % of all, and on "
             f"{100 * _share_near(certain):.0f} % of the {100 * len(certain) / len(told):.0f} % that say they are "
             f"certain. In the median a frame costs: {'; '.join(listed)}."
-        ) + (f" {PD} is cheaper than the dial at {', '.join(dearer)} mm: {ms:.0f} ms." if dearer else "")
+        ) + (f" {PD_FIRST_ORDER} is cheaper than the dial at {', '.join(dearer)} mm: {ms:.0f} ms." if dearer else "")
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate all people together, by accuracy; then by group."""
@@ -247,12 +245,14 @@ class _Frame:
         linear = face.derivatives
         settled = face.frames.linear.face.displacement
         made = {
-            BLENDSHAPES: lambda: face.rig.blend(weights) + settled,
+            SETTLED: lambda: face.rig.blend(weights) + settled,
             DERIVATIVES: lambda: linear.frame(weights),
-            PD: lambda: face.frames.linear.face.skin_after(self.expression, self._solve(FRAME_ACCURACY).positions),
+            PD_FIRST_ORDER: lambda: face.frames.linear.face.skin_after(
+                self.expression, self._solve(FRAME_ACCURACY).positions
+            ),
         }
         if network is not None:
-            made |= {NETWORK: lambda: network.frame(weights), BOTH: lambda: face.rig.frame(weights)}
+            made |= {NETWORK: lambda: network.frame(weights), NETWORK_AND_DERIVATIVES: lambda: face.rig.frame(weights)}
         rows = []
         for method, make in made.items():
             begin = time.process_time()
@@ -302,10 +302,10 @@ def plot_dial(people: Sequence[Values]):
     figure, axis = subplots(figsize=(6.4, 4.2))
     lean = [row for of in people for row in of["lean"]]
     places = []
-    for method, mark in zip(dict.fromkeys(row["method"] for row in lean), "^svDP", strict=False):
+    for method in dict.fromkeys(row["method"] for row in lean):
         of = [row for row in lean if row["method"] == method]
         places.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
-        axis.scatter(*places[-1], marker=mark, color="#b3541e" if method == PD else "#4c78a8", label=method)
+        axis.scatter(*places[-1], marker=METHODS[method].mark, color=METHODS[method].colour, label=method)
     told = [row for of in people for row in of["told"]]
     points = []
     for accuracy in ACCURACIES:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from ....surrogate.evaluate import ALL, UNSCALED, Score
+from ....surrogate.methods import CARRIED, DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES, SETTLED
 from ....surrogate.ruler import DEFAULT, KINDS
 from ...harness.study import at_most
 
-NETWORK, HYBRID, LINEARISED = "network", "network + simulator at bind", "linearised simulator"
-CARRIED, SETTLED, BLENDSHAPES = "bones carried", "settled neutral face + blendshapes", "blendshapes (T = S)"
 TRIVIAL = CARRIED, SETTLED
 """Rivals without learning, of which no one gives derivatives: nothing may lose to them."""
 BOUNDS: Mapping[str, float] = {
@@ -23,20 +22,20 @@ BOUNDS: Mapping[str, float] = {
 """Largest share of the network, on the corpus of `make study`: at most a quarter above what it measured there, and
 below the share of each trivial rival. Kinds in which the network loses have no bound; `defeats` names them."""
 ADDED = 0.774
-"""Largest share of network and simulator at bind over that of the simulator's derivatives alone, which it adds to."""
+"""Largest share of network + derivatives over that of the derivatives alone, to which the network adds."""
 
 
 def make_gates(scores: Iterable[Score]) -> list[dict]:
-    """Bound the network's share for each kind that the scores have, and the hybrid's over the derivatives' share."""
+    """Bound the network's share by kind, and that of network + derivatives over the derivatives'."""
     shares = {(score.method, score.kind): score.share for score in scores}
     kinds = {kind for _, kind in shares} | {ALL}
-    hybrid, linearised = shares.get((HYBRID, ALL)), shares.get((LINEARISED, ALL))
-    ratio = None if hybrid is None or linearised is None else hybrid / linearised
+    both, derivatives = shares.get((NETWORK_AND_DERIVATIVES, ALL)), shares.get((DERIVATIVES, ALL))
+    ratio = None if both is None or derivatives is None else both / derivatives
     return [
         at_most(f"network's share of |T - carried(S)|, {kind}", shares.get((NETWORK, kind)), bound)
         for kind, bound in BOUNDS.items()
         if kind in kinds
-    ] + [at_most("share of network and simulator at bind over the linearised simulator's", ratio, ADDED)]
+    ] + [at_most("share of network + derivatives over the derivatives'", ratio, ADDED)]
 
 
 def find_defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:

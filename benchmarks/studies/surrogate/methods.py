@@ -19,25 +19,39 @@ from ....surrogate.corpus.reading import Faces
 from ....surrogate.dynamics import Looseness
 from ....surrogate.generalisation import PairStore, simulate_pairs
 from ....surrogate.heads import BindCosts, Heads, measure_binds
-from ....surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
+from ....surrogate.methods import (
+    BAKED,
+    BLENDSHAPES,
+    CARRIED,
+    DERIVATIVES,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    SETTLED,
+    BakedShapes,
+    Blendshapes,
+    BonesCarried,
+    CoarsePD,
+    Derivatives,
+    Method,
+    NetworkMethod,
+)
 from ....surrogate.networks.responses import LearnedResponses
 from ....surrogate.networks.ridge import Ridge
 from ....surrogate.networks.weights import Weights
 from ....surrogate.schedule import count_processors, make_schedule
-from .gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
 
 Maker = Callable[[Weights, Heads], Method]
 READY: Mapping[str, Maker] = {
     NETWORK: lambda weights, heads: NetworkMethod(weights),
-    HYBRID: lambda weights, heads: NetworkMethod(weights, exact=True),
-    LINEARISED: lambda weights, heads: Derivatives(),
+    NETWORK_AND_DERIVATIVES: lambda weights, heads: NetworkMethod(weights, exact=True),
+    DERIVATIVES: lambda weights, heads: Derivatives(),
     SETTLED: lambda weights, heads: Derivatives(responses=False),
     CARRIED: lambda weights, heads: BonesCarried(heads),
     BLENDSHAPES: lambda weights, heads: Blendshapes(),
 }
 """Methods that need no fit, by name."""
 SIMULATE: Mapping[str, Callable[[Heads], Method]] = {
-    "baked shapes": BakedShapes,
+    BAKED: BakedShapes,
     "PD, 1 iteration a frame": lambda heads: CoarsePD(heads, 1),
     "PD, 5 iterations a frame": lambda heads: CoarsePD(heads, 5),
     "PD, 20 iterations a frame": lambda heads: CoarsePD(heads, 20),
@@ -119,7 +133,7 @@ class OnCorpus:
     @property
     def ready_names(self) -> list[str]:
         """Names of READY that the weights can honour."""
-        return [name for name in READY if name != HYBRID or self.network.weights.kind == "modal"]
+        return [name for name in READY if name != NETWORK_AND_DERIVATIVES or self.network.weights.kind == "modal"]
 
     def make_ready(self, name: str) -> Method:
         """Make a method of READY or SIMULATE."""

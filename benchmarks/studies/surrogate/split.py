@@ -25,6 +25,7 @@ from ....reference.face.facial import apply_law
 from ....reference.face.settle import SettledFace, carry_skin, neutral_scene
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import CorpusPlan
+from ....surrogate.methods import CARRIED, DERIVATIVES, SETTLED
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import distances, limit_of_two, solve_to_end
@@ -37,12 +38,12 @@ EFFECTS: Mapping[str, Parameters] = {
     "softer, 2 g": Parameters(soft_stiffness=2.0, gravity=2.0),
 }
 PARTS = {
-    "network": "surrogate - PD as trained",
+    "network": "network - PD as trained",
     "tolerance": "PD as trained - PD converged",
     "law": "PD's energy - neo-Hookean",
     "mesh": "linear tets - quadratic tets",
 }
-RIVALS = {"carried": "bones carried", "settled": "settled neutral face + blendshapes"}
+RIVALS = {"carried": CARRIED, "settled": SETTLED}
 """Rivals without learning: blendshapes moved with the bones that p scales, or with the simulated neutral face."""
 LAW = "neo-Hookean"
 COARSE = 1
@@ -77,11 +78,11 @@ class Split(OfPerson):
         Column("moved", "|T - carried(S)|, mean [mm]"),
         *(Column(key, f"{title}, mean [mm]") for key, title in PARTS.items()),
         Column("mesh_coarse", f"linear - quadratic tets on level {COARSE}, mean [mm]"),
-        Column("total", "surrogate - neo-Hookean reference, mean [mm]"),
-        Column("share", "surrogate's share of |T - carried(S)|"),
+        Column("total", "network - neo-Hookean reference, mean [mm]"),
+        Column("share", "network's share of |T - carried(S)|"),
         Column("share_carried", f"share of {RIVALS['carried']}"),
         Column("share_settled", f"share of {RIVALS['settled']}"),
-        Column("share_linearised", "share of the linearised simulator"),
+        Column("share_derivatives", f"share of {DERIVATIVES}"),
         Column("fenicsx", "check: PD - FEniCSx, same energy, max [mm]"),
     )
     note = (
@@ -134,7 +135,7 @@ class Split(OfPerson):
         motion = distances(converged, carried)
         rivals = {"carried": carried, "settled": shape + linear.face.displacement + linear.offset}
         moved = shape - head.skin.vertices
-        rivals["linearised"] = rivals["settled"] + linear.skin_by_shapes(moved[None])[0] - moved
+        rivals["derivatives"] = rivals["settled"] + linear.skin_by_shapes(moved[None])[0] - moved
         shares = {f"share_{key}": measure(distances(skin, converged), motion).share for key, skin in rivals.items()}
         return {
             "moved": float(motion.mean()),

@@ -19,14 +19,14 @@ from ....surrogate.corpus.manifest import OWNER, read_manifest, read_template
 from ....surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
 from ....surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ....surrogate.generalisation import evaluate_generalisation
-from ....surrogate.methods import NetworkMethod
+from ....surrogate.methods import BLENDSHAPES, CARRIED, NETWORK, SETTLED, NetworkMethod
 from ....surrogate.ruler import MOVES
 from ...harness.study import Column, Row, Study, Task, Values
 from .beyond import KIND as BEYOND
 from .beyond import score_beyond
 from .breakeven import Breakeven, compute_breakeven
 from .frames import draw_worst_frames
-from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
+from .gates import describe_defeats, make_gates
 from .methods import (
     READY,
     SIMULATE,

@@ -16,11 +16,10 @@ from ....surrogate.corpus.manifest import OWNER, read_manifest
 from ....surrogate.corpus.reading import Table
 from ....surrogate.evaluate import ALL, Score, evaluate
 from ....surrogate.evaluate_dynamic import DYNAMIC, evaluate_dynamic, evaluate_sequences
-from ....surrogate.methods import Method, NetworkMethod
+from ....surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, NETWORK, SETTLED, Method, NetworkMethod
 from ....surrogate.networks.weights import Weights
 from ...harness.study import Column, Row, Study, Task, Values
 from ...harness.study import Table as Tabled
-from .gates import BLENDSHAPES, CARRIED, LINEARISED, NETWORK, SETTLED
 from .methods import READY, OnCorpus, list_learners, open_corpus, parse_people
 
 GRADIENTS = {
@@ -32,7 +31,7 @@ GRADIENTS = {
 }
 """Names of `softdeca train --network`, as the table has them."""
 GRU, SNP, ENERGY = "SoftSMPL, dynamic (GRU)", "SNP", "trained by the energy"
-TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, LINEARISED)
+TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
 LEARNED_MOTION = ("paper", "hyper")
 """Networks that learn Eq. 21 where the corpus has sequences."""
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
@@ -232,10 +231,10 @@ class Table1(Study):
         lost = [name for name, share in learned.items() if share >= shares[SETTLED]]
         nothing = [name for name, share in learned.items() if share >= shares.get(BLENDSHAPES, np.inf)]
         best = sorted(learned, key=lambda name: learned[name])
-        said = f"Static frames under uniform p. {_names(nothing)} lose to T = S. " if nothing else ""
-        said += f"To the settled neutral face + blendshapes ({100 * shares[SETTLED]:.0f} %) lose {_names(lost)}. "
+        said = f"Static frames under uniform p. {_names(nothing)} lose to {BLENDSHAPES}. " if nothing else ""
+        said += f"To {SETTLED} ({100 * shares[SETTLED]:.0f} %) lose {_names(lost)}. "
         order = "; ".join(f"{name} {100 * learned[name]:.1f} %" for name in best)
-        linear = f" The linearised simulator leaves {100 * shares[LINEARISED]:.1f} %." if LINEARISED in shares else ""
+        linear = f" The derivatives leave {100 * shares[DERIVATIVES]:.1f} %." if DERIVATIVES in shares else ""
         return f"{said}Shares left: {order}.{linear}"
 
 

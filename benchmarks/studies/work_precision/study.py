@@ -17,6 +17,23 @@ from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import added_laws, added_solvers
 from ....reference.face.settle import carry_skin
+from ....surrogate.methods import (
+    BLENDSHAPES,
+    CARRIED,
+    DERIVATIVES,
+    FENICSX,
+    FENICSX_P2,
+    LIBIGL_ARAP,
+    METHODS,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    OTHER,
+    PD,
+    PD_ANDERSON,
+    PD_PLAIN,
+    SETTLED,
+    SKFEM,
+)
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, Stopwatch, Trace, distances, largest_distance, repeat_work, trace_solve
 from ..person import OfPerson, Person
@@ -29,27 +46,20 @@ BELOW = 0.1
 LEAST_ERROR = 1e-7
 """[mm], below which the tight runs' own error shows."""
 FACE, ARAP, LEARNED = "the face's energy (Eq. 15)", "ARAP's energy, same tets", "learned of the face's energy"
-OURS, PLAIN, ANDERSON = "PD, L-BFGS", "PD, plain", "PD, Anderson"
-PROJECTIVE = {OURS: "lbfgs", PLAIN: "plain", ANDERSON: "anderson"}
-NEWTON, QUADRATIC, SKFEM, IGL = "FEniCSx Newton, P1", "FEniCSx Newton, P2", "scikit-fem Newton, P1", "libigl ARAP"
-SURROGATE, EXACT, BLENDSHAPES = "surrogate", "surrogate, simulator at bind", "blendshapes"
-LINEARISED, CARRIED, SETTLED = "linearised simulator", "bones carried", "settled neutral face + blendshapes"
-METHODS = {
-    FACE: (*PROJECTIVE, NEWTON, QUADRATIC, SKFEM),
-    ARAP: (*PROJECTIVE, NEWTON, IGL),
-    LEARNED: (SURROGATE, EXACT, LINEARISED, SETTLED, CARRIED, BLENDSHAPES),
+PROJECTIVE = {PD: "lbfgs", PD_PLAIN: "plain", PD_ANDERSON: "anderson"}
+BY_ENERGY = {
+    FACE: (*PROJECTIVE, FENICSX, FENICSX_P2, SKFEM),
+    ARAP: (*PROJECTIVE, FENICSX, LIBIGL_ARAP),
+    LEARNED: (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES),
 }
-SLOW = (QUADRATIC, SKFEM)
+SLOW = (FENICSX_P2, SKFEM)
 """Left out unless they are asked for: a minute a solve."""
-RIVALS = ((FACE, PLAIN), (FACE, NEWTON), (ARAP, NEWTON), (ARAP, IGL))
+RIVALS = ((FACE, PD_PLAIN), (FACE, FENICSX), (ARAP, FENICSX), (ARAP, LIBIGL_ARAP))
 """Whom L-BFGS is to be ahead of, on which energy."""
 PLAIN_ENOUGH, PLAIN_LIMIT = 0.003, 1500
 """Plain projective dynamics is stopped here [mm], after so many iterations: it needs thousands for more."""
 POINTS = 80
 """Of a curve that are kept at most, evenly in the logarithm of the iteration."""
-COLOURS = {OURS: "#1f77b4", ANDERSON: "#9467bd", PLAIN: "#999999", NEWTON: "#d62728", IGL: "#2ca02c",
-           QUADRATIC: "#8c564b", SKFEM: "#e377c2", SURROGATE: "#17becf", EXACT: "#bcbd22",
-           LINEARISED: "#006d5b", SETTLED: "#a05195", CARRIED: "#665191", BLENDSHAPES: "#ff7f0e"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -93,11 +103,11 @@ class WorkPrecision(OfPerson):
         self.check(self.expressions)
         if not self.expressions or self.repeats < 1:
             raise InputError(f"expressions: {len(self.expressions)}, repeats: {self.repeats}; expected 1 or more")
-        laws: dict[str, Sequence[str]] = {name_law_energy(law): (NEWTON, SKFEM) for law in added_laws()}
+        laws: dict[str, Sequence[str]] = {name_law_energy(law): (FENICSX, SKFEM) for law in added_laws()}
         return [
             Task(text, f"{label}; {energy}")
             for text in self.expressions
-            for energy, labels in (METHODS | laws).items()
+            for energy, labels in (BY_ENERGY | laws).items()
             for label in (labels if energy == LEARNED else (*labels, *added_solvers()))
             if self.slow or label not in SLOW
         ]
@@ -112,7 +122,7 @@ class WorkPrecision(OfPerson):
         return {"energy": energy, "label": label} | values
 
     def _solve(self, problem: _Problem, label: str) -> dict:
-        if label == IGL:
+        if label == LIBIGL_ARAP:
             if not arap.is_installed():
                 raise MissingDependencyError("libigl is not installed (softdeca[bench])")
             assert problem.handles is not None
@@ -123,15 +133,15 @@ class WorkPrecision(OfPerson):
             return _summarise_runs(runs, problem.truth)
         if label in PROJECTIVE:
             how: dict = {"method": PROJECTIVE[label]}
-            limits: dict = {"enough": PLAIN_ENOUGH, "max_iterations": PLAIN_LIMIT} if label == PLAIN else {}
+            limits: dict = {"enough": PLAIN_ENOUGH, "max_iterations": PLAIN_LIMIT} if label == PD_PLAIN else {}
         else:
             solver = label if label in added_solvers() else "skfem" if label == SKFEM else "fenicsx"
             how, limits = {"solver": solver}, {}
-            how |= {"element": "P2"} if label == QUADRATIC else {}
+            how |= {"element": "P2"} if label == FENICSX_P2 else {}
         truth = problem.truth
-        if label == QUADRATIC:
+        if label == FENICSX_P2:
             truth = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
-        elif label in (NEWTON, SKFEM) and problem.is_projective:
+        elif label in (FENICSX, SKFEM) and problem.is_projective:
             own = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
             if largest_distance(own, truth) > ACCURACY:
                 # A face that folds has several minima: projective dynamics answers for the one that this solver found.
@@ -145,7 +155,7 @@ class WorkPrecision(OfPerson):
             return _Run(seconds, trace, solution.positions, solution.detail.get("linear_iterations"))
 
         # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
-        compared = problem.truth if label == QUADRATIC else truth
+        compared = problem.truth if label == FENICSX_P2 else truth
         apart = largest_distance(truth, problem.truth)
         return _summarise_runs(repeat_work(run, self.repeats), compared) | {"apart_mm": apart}
 
@@ -184,14 +194,16 @@ class WorkPrecision(OfPerson):
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
                 worst, _ = measure_lead(middles, energy, rival, prepared=prepared)
-                name = f"time of {OURS} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
+                name = f"time of {PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
                 # An infinite ratio is no JSON: what was not reached is None.
                 gates.append(at_most(name, None if worst is None or np.isinf(worst) else worst, 1.0, answer=False))
         newton = [
-            row.values["to_pd_mm"] for row in rows if row.values["label"] == NEWTON and row.values["energy"] in METHODS
+            row.values["to_pd_mm"]
+            for row in rows
+            if row.values["label"] == FENICSX and row.values["energy"] in BY_ENERGY
         ]
         if newton:
-            gates.append(at_most(f"{OURS} to {NEWTON}, both tight [mm]", max(newton), ACCURACY))
+            gates.append(at_most(f"{PD} to {FENICSX}, both tight [mm]", max(newton), ACCURACY))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -204,7 +216,7 @@ class WorkPrecision(OfPerson):
         ]
         learned = {
             label: tuple(np.median([v[name] for v in of]) for name in ("solve_s", "prepare_s", "mean_mm"))
-            for label in METHODS[LEARNED]
+            for label in BY_ENERGY[LEARNED]
             if (of := [row.values for row in rows if row.values["label"] == label])
         }
         beside = [
@@ -224,14 +236,14 @@ class WorkPrecision(OfPerson):
         ahead = [
             (energy, label, "prepared" if prepared else "with preparation", worst, ", ".join(f"{b:g}" for b in behind))
             for energy, label in middles
-            if label != OURS
+            if label != PD
             for prepared in (True, False)
             for worst, behind in [measure_lead(middles, energy, label, prepared=prepared)]
         ]
         return [
             Table("Seconds of the solve to an accuracy, medians over expressions", head, times),
             Table("Iterations to an accuracy, medians over expressions", head, steps),
-            Table(f"{OURS} beside others",
+            Table(f"{PD} beside others",
                   ["energy", "rival", "counted", "our time over its, worst below 0.1 mm", "behind at [mm]"], ahead),
         ]  # fmt: skip
 
@@ -259,7 +271,7 @@ class WorkPrecision(OfPerson):
         for axis, (energy, key) in zip(axes, panels, strict=True):
             named: set[str] = set()
             for row in rows:
-                values, colour = row.values, COLOURS.get(row.values["label"], "k")
+                values, colour = row.values, METHODS.get(row.values["label"], OTHER).colour
                 label = None if values["label"] in named else values["label"]
                 if values["energy"] == energy:
                     before = float(np.median(values["prepare_s"])) if key == "seconds" else 0.0
@@ -328,9 +340,9 @@ def _make_binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
         return lambda weights: blend(weights) + offset
 
     return {
-        SURROGATE: lambda: network.bind(**given).frame,
-        EXACT: lambda: network.bind(**given, exact=True, head=head).frame,
-        LINEARISED: lambda: derivatives_rig(head, shapes).frame,
+        NETWORK: lambda: network.bind(**given).frame,
+        NETWORK_AND_DERIVATIVES: lambda: network.bind(**given, exact=True, head=head).frame,
+        DERIVATIVES: lambda: derivatives_rig(head, shapes).frame,
         SETTLED: lambda: shift(lambda: solve_neutral(head, parameters) - head.skin.vertices),
         CARRIED: lambda: shift(lambda: carry_skin(head, parameters)),
         BLENDSHAPES: lambda: blend,
@@ -410,9 +422,9 @@ def measure_lead(
     An accuracy that the rival never reaches is won if we do reach it; one that we alone miss is an infinite ratio;
     one that neither reaches is left out. None if there is no rival.
     """
-    if (energy, rival) not in middles or (energy, OURS) not in middles:
+    if (energy, rival) not in middles or (energy, PD) not in middles:
         return None, []
-    (mine, _, my_start), (other, _, other_start) = middles[energy, OURS], middles[energy, rival]
+    (mine, _, my_start), (other, _, other_start) = middles[energy, PD], middles[energy, rival]
     more, other_more = (0.0, 0.0) if prepared else (my_start, other_start)
     ratios: dict[float, float] = {}
     for accuracy, a, b in zip(ACCURACIES, mine, other, strict=True):
