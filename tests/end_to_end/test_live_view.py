@@ -361,7 +361,7 @@ def test_a_port_that_is_taken_and_other_contradictions_are_told_in_a_line(served
     file.write_text("skin_growth = 1.45")
     for options, status, words in (
         (("--port", served.host.split(":")[1]), 1, "address already in use"),
-        (("--port", "2000", "--out", "page.html"), 2, "--port and --open are for the live page"),
+        (("--port", "2000", "--out", "page.html"), 2, "--out is no live page; leave out --port"),
         (("--parameters", str(file)), 1, "skin_growth = 1.45 is outside [1, 1.4]"),
     ):
         ended = subprocess.run([*COMMAND, str(head_file), *options], capture_output=True, text=True, timeout=LONGEST)

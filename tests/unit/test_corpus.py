@@ -230,7 +230,7 @@ def test_a_reader_finds_the_references_of_test_people(referenced):
     assert set(found.rows[:, 0]) == {2}
     with pytest.raises(InputError, match="nothing of references in the train split"):
         Table(referenced.folder, "references", "train")
-    assert {str(found[k]["law"]) for k in range(len(found))} == set(FEM_LAWS)
+    assert "PD" in {found[k]["law"].decode() for k in range(len(found))} <= set(FEM_LAWS)
     for index, (_, number) in enumerate(found.rows):
         for name in (*SMALL["references"], *LARGE["references"]):
             np.testing.assert_array_equal(found[index][name], getattr(shard.references, name)[number])
