@@ -204,10 +204,10 @@ def read_recorder(text: str) -> Take:
     rows = _rows(text)
     if rows and not rows[0][1][0].strip():
         line, row = rows[0]
-        counts = Counter(cell.strip() for cell in row[1:] if cell.strip())
-        if counts.total() > len(counts):
-            frame, times = counts.most_common(1)[0]
-            raise InputError(f"line {line}: frame {quote(frame)} stands there {times} times")
+        numbered = Counter(cell.strip() for cell in row[1:] if cell.strip())
+        if numbered.total() > len(numbered):
+            frame, often = numbered.most_common(1)[0]
+            raise InputError(f"line {line}: frame {quote(frame)} stands there {often} times")
     for line, row in rows:
         name = row[0].strip()
         known = BY_LOWER.get(name.lower(), name.lower())

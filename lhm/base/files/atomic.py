@@ -74,7 +74,7 @@ def check_replaceable(path: str | os.PathLike[str]) -> None:
     except OSError as error:
         if error.errno == errno.ENOENT:
             return
-        reason = error.strerror
+        reason = error.strerror or str(error)
     raise InputError(f"{path}: cannot be written ({reason})")
 
 

@@ -192,7 +192,7 @@ class _Document:
 
     def _transforms(self, primitive: _Primitive, node: dict, matrix: Floats) -> tuple[Floats, Floats]:
         """Return the linear map (1, 3, 3) and shift (1, 3) of a node, or those of a skin for each vertex (n, ...)."""
-        if "skin" not in node or primitive.joints is None:
+        if "skin" not in node or primitive.joints is None or primitive.weights is None:
             found = matrix[None, :3]
         else:
             joints = self._joints_of_skin(node["skin"])
