@@ -35,8 +35,8 @@ RATIO = 0.1
 """How much of a column's growth its muscle takes (SoftDECA 3.1.2: ten percent)."""
 LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 45.0
 """Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
-MOST_OFF = 0.25
-"""Share of its size by which a skin may differ from the template: identities of 2.5 standard deviations have 0.18."""
+MOST_LONGER = 1.5
+"""Of a skin's edges over the template's, scaled: identities have up to 1.1, vertices in another order 1.6 and more."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
 LEADERS = 400
@@ -156,35 +156,32 @@ def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
 
 def is_upright(template: Surface, skin: Surface) -> bool:
     """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
-    size, turned, _ = _place(template.vertices, skin.vertices)
+    size, turned = _place(template.vertices, skin.vertices)
     return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
 
 
-def _place(rest: Floats, skin: Floats) -> tuple[float, float, float]:
-    """Return a skin's size over the template's, its rotation [degrees], and its RMS distance from the template.
-
-    The distance is measured after translation, rotation and scaling, as a share of the skin's RMS radius.
-    """
+def _place(rest: Floats, skin: Floats) -> tuple[float, float]:
+    """Return a skin's size, its RMS radius over the template's, and its rotation from it [degrees]."""
     rotation, _ = rigid_motion(rest, skin)
     turned = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    before, after = rest - rest.mean(axis=0), skin - skin.mean(axis=0)
-    size = np.linalg.norm(after) / np.linalg.norm(before)
-    off = np.linalg.norm(after - size * before @ rotation.T) / max(np.linalg.norm(after), 1e-30)
-    return float(size), float(turned), float(off)
+    size = np.linalg.norm(skin - skin.mean(axis=0)) / np.linalg.norm(rest - rest.mean(axis=0))
+    return float(size), float(turned)
 
 
 def _check_place(template: Surface, skin: Surface) -> None:
     """Raise InputError for a skin of the template's triangles that is no head in the template's unit and axes."""
-    size, turned, off = _place(template.vertices, skin.vertices)
+    size, turned = _place(template.vertices, skin.vertices)
     if not LEAST_SIZE <= size <= MOST_SIZE:
         raise InputError(f"skin: {size:.3g} times as large as the template's [mm]; are its units off?")
     check_outward(skin)
     if turned > MOST_TURNED:
         raise InputError(f"skin: turned by {turned:.0f} degrees from the template, which looks along +z with +y up")
-    if off > MOST_OFF:
+    before, after = (np.diff(each.vertices[each.triangles], axis=1) for each in (template, skin))
+    longer = np.linalg.norm(after, axis=2).mean() / (size * np.linalg.norm(before, axis=2).mean())
+    if longer > MOST_LONGER:
         raise InputError(
-            f"skin: {off:.2g} of its size from the template's shape, expected at most {MOST_OFF:g}; "
-            "are its vertices in the template's order?"
+            f"skin: its edges are {longer:.2g} times as long as the template's, at its size, expected at most "
+            f"{MOST_LONGER:g}; are its vertices in the template's order?"
         )
 
 
