@@ -92,8 +92,7 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
     begin, processor = time.perf_counter(), read_cpu_seconds()
     with lock_folder(out, "study"):
         template = load_template(identities.from_text(agreement.identities), progress=progress)
-        # Its own name stands in the report.
-        corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}" / "unseen-people"
+        corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
         made, failed = [], []
         found = choose_studies(agreement, out, corpus)
         # What is timed is run by itself: nothing of ours runs beside it.

@@ -170,7 +170,7 @@ class Archive:
             bone: _numbers(f"{file}: {bone}", mesh.point_data[bone], (count,)) for bone in self.description["bones"]
         }
         _check(f"{file}: tets", len(tets) == self.description["meshes"][name]["tets"])
-        _check(f"{file}: held", held.any() and not held.all())
+        _check(f"{file}: held", 0 < np.count_nonzero(held) < count)
         # The 8^level tets that make a coarse one follow one another; its corners are their points of least number.
         parents = np.sort(tets.reshape(-1, 4 * 8**level), axis=1)[:, :4]
         around = np.zeros(count, dtype=np.int64)
@@ -306,8 +306,10 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
     line = f"{problem}, {mesh.name} mesh: {verdict.upper()}: {told}"
     if verdict == "truncated":
         return Score(verdict, line)
-    values = measure(archive.description, mesh.level, moved, arrays.get("reaction"), arrays.get("cauchy"), mesh.shares)
-    return Score(verdict, line, tuple(_compare(archive.problems[problem]["quantities"], values)))
+    quantities = measure(
+        archive.description, mesh.level, moved, arrays.get("reaction"), arrays.get("cauchy"), mesh.shares
+    )
+    return Score(verdict, line, tuple(_compare(archive.problems[problem]["quantities"], quantities)))
 
 
 def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[str, str]:

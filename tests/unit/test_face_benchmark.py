@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -18,6 +19,7 @@ from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.export import export
 from softdeca.benchmarks.face.problems import BONES, PROBLEMS
 from softdeca.benchmarks.studies.mesh.face import METHODS
+from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import solve
 from softdeca.reference.solution import write_solution
@@ -112,6 +114,15 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
     texts = {"README.md", "score.py", "benchmark.json", "SHA256SUMS"}
     assert names[0] == names[1] == meshes | texts | {"answers.npz"}
+
+
+def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
+    shutil.copytree(exported[0] / "rows", tmp_path / "rows")
+    (file,) = (tmp_path / "rows").glob("*jaw*FEniCSx-linear-fine*.npy")
+    np.save(file, np.load(file)[:126])
+    with pytest.raises(InputError, match=r"expected shape \(5778, 3\), got \(126, 3\)\); use an empty folder"):
+        export(tmp_path / "benchmark.zip", study, tmp_path / "rows", workers=1)
+    assert not (tmp_path / "benchmark.zip").exists()
 
 
 def test_the_archive_says_what_is_asked(archive, study, tmp_path):

@@ -92,6 +92,29 @@ def test_a_missed_bound_is_a_line_with_its_numbers(verified, tmp_path):
     assert "all of it [s]" not in text and "processor time [s]</th>" in text.partition("Where and with what")[2]
 
 
+def test_no_panel_stands_empty():
+    part = read_part(RESULTS / "work-precision.json", load_study)
+    for energies, panels in ((("Eq. 15",), 2), (("Eq. 15", "ARAP"), 3), ((), 0)):
+        rows = [row for row in part.results.rows if any(energy in row.values["energy"] for energy in energies)]
+        drawn = "".join(part.study.pictures(rows).values())
+        assert len(re.findall(r'id="axes_\d+"', drawn)) == panels
+
+
+def test_the_dial_says_how_much_its_answers_decide():
+    part = read_part(RESULTS / "dial.json", load_study)
+    rows = [row for row in part.results.rows if row.case.endswith("person 0")]
+    assert "of 12 people. It is within" in part.study.words(part.results.rows)
+    words, count = part.study.words(rows), sum(len(row.values["told"]) for row in rows)
+    assert f"{count} answers" in words and "too few to judge a share of 95 %, which takes 200" in words
+    assert [gate.get("count") for gate in part.study.gates(rows)][0] == count
+    # Accuracies that cost the same are named together, and where projective dynamics alone is cheaper that is said.
+    assert "0.1, 0.05, 0.02 mm in " in words
+    for row in rows:
+        row.values["lean"].append({"method": "PD, from first order", "true": 1e-5, "ms": 0.01})
+    rows[0].values["lean"] += rows[0].values["lean"][-1:] * 1000
+    assert "PD, from first order is cheaper than the dial at 0.1, 0.05" in part.study.words(rows)
+
+
 def test_a_table_as_markdown_and_latex():
     table = Table("50 % of |x|", ["law", "error [mm]"], [("a_b & c", 0.00012345), (True, None)], "by hand")
     assert to_markdown(table).splitlines()[2:6] == [

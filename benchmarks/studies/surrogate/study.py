@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -100,7 +101,7 @@ class SurrogateOnCorpus(Study):
         """Measure a method's scores on the frames of a question."""
         scores = self._list_questions()[task.case][1](task.method)
         tested, values = self._open_corpus(), {}
-        if task == Task(Path(self.corpus).name, NETWORK):
+        if task == Task(self._name_corpus(), NETWORK):
             paid = (
                 None
                 if tested.split is None
@@ -165,6 +166,11 @@ class SurrogateOnCorpus(Study):
             pictures["Error over the number of people trained on."] = to_svg(figure)
         return pictures
 
+    def _name_corpus(self) -> str:
+        """Name the corpus as rows do: by its folder, or, where that is only digests, by what it is for."""
+        name = Path(self.corpus).name
+        return "unseen people" if re.fullmatch(r"corpus-[0-9a-f]+-[0-9a-f]+", name) else name
+
     def _open_corpus(self) -> OnCorpus:
         weights = Path(self.weights) if self.weights else None
         return open_corpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
@@ -173,7 +179,7 @@ class SurrogateOnCorpus(Study):
         """Methods, and what scores one of them, by case."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        tested, corpus = self._open_corpus(), Path(self.corpus).name
+        tested, corpus = self._open_corpus(), self._name_corpus()
         ready, counts, swings = tested.ready_names, read_manifest(tested.corpus).counts, tested.looseness is not None
         tested.network.weights.check_mesh(read_template(tested.corpus))
         asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
