@@ -23,7 +23,7 @@ from ..lhm.identities import LinearSpace
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
-from .codes import check_belonging
+from .codes import SAME, check_belonging
 from .corpus.face import Face
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
@@ -198,6 +198,9 @@ class Surrogate:
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
             self._check_skin(head.skin)
+            away = np.linalg.norm(head.skin.vertices - skin.vertices, axis=1).max()
+            if away > SAME:
+                raise InputError(f"head: its skin is {away:.2g} mm from the skin given, expected at most {SAME:g} mm")
             return head
         if self.space != "anny":
             raise InputError(f"head: none is fitted for the space {self.space!r}; give bind(exact=True, head=)")

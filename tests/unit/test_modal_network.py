@@ -14,10 +14,11 @@ import torch
 
 from softdeca.benchmarks.studies.agreement.study import Face
 from softdeca.benchmarks.studies.person import Person
-from softdeca.lhm import InputError, Surface
+from softdeca.lhm import InputError, Surface, identities
 from softdeca.reference import Parameters, settle
 from softdeca.reference.face.derivatives import differentiate
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.codes import nearest_code
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC, WAVES
 from softdeca.surrogate.corpus.people import OfSpace
@@ -517,6 +518,18 @@ def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
         Weights.load(path)
+
+
+def test_a_code_and_a_skin_of_two_people_are_refused():
+    space, rng, network = identities.Anny(), np.random.default_rng(1), Surrogate.load()
+    (code, skin), (other, _) = space.sample(rng), space.sample(rng)
+    far = skin.with_vertices(skin.vertices + 500.0)
+    weights = np.full(52, 0.1)
+    near = [network.bind(one, code).frame(weights) - one.vertices for one in (skin, far)]
+    np.testing.assert_allclose(*near, atol=1e-3)
+    network.bind(skin, nearest_code(space, skin))
+    with pytest.raises(InputError, match="code: its skin is .* mm from the skin given, expected at most"):
+        network.bind(skin, other)
 
 
 def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
