@@ -357,7 +357,7 @@ def evaluate_references(
     partial: bool = False,
     on_progress: OnProgress = silent,
 ) -> list[Score]:
-    """Score projective dynamics and each method, which is fitted, by law (AGAINST): T is FEniCSx' answer.
+    """Score projective dynamics and each method, which is fitted, by law that the corpus has: T is FEniCSx' answer.
 
     heads: of the corpus' people. Raises InputError where no frame with references has derivatives, and what `Table`
     raises.
@@ -366,9 +366,8 @@ def evaluate_references(
     grouped: dict[tuple[str, int], list[ReferenceFrame]] = {}
     for frame in read_references(folder, split, faces, partial=partial):
         grouped.setdefault((frame.law, frame.face), []).append(frame)
-    missing = [law for law in FEM_LAWS if law not in {law for law, _ in grouped}]
-    if missing:
-        raise InputError(f"corpus {folder}: no frame with an answer of {missing[0]} has derivatives")
+    if not grouped:
+        raise InputError(f"corpus {folder}: no frame with an answer of FEniCSx has derivatives")
 
     def trials() -> Iterator[Trial]:
         for (law, index), frames in grouped.items():

@@ -34,8 +34,8 @@ from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_sec
 from .simulate import GENERATOR, simulate_person
 
 SERIAL = Schedule()
-PARTIAL = ".person-*"
-"""What a process that was killed while it wrote leaves behind."""
+OWN = ("person-*", "corpus", "template", "velocities", "README", "figures", "croissant")
+"""Files of a corpus, without their endings."""
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,8 @@ class Corpus:
         meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
-            for left in self.folder.glob(PARTIAL):
-                left.unlink(missing_ok=True)
+            for left in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
+                left.unlink(missing_ok=True)  # of a process that was killed while it wrote
             pending = [k for k in self._order() if not self.is_whole(k)]
             self._write_manifest()
             if self.plan.sequences and pending:

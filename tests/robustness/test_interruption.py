@@ -1,9 +1,11 @@
 """Ctrl-C, a full disk and missing packages: one line, the right exit status, and no file left half-written."""
 
+import json
 import logging
 import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -153,6 +155,19 @@ def test_ctrl_c_ends_processes_that_work(tmp_path):
     assert seconds < 20, "stderr ends with the last process that holds it"
 
 
+def test_sigterm_ends_processes_that_work_without_a_word(tmp_path):
+    (tmp_path / "work.py").write_text(WORK)
+    arguments = [sys.executable, tmp_path / "work.py"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stderr:
+            if line == "done\n":
+                break
+        process.terminate()
+        rest = process.stderr.read()
+        process.wait(60)
+    assert process.returncode == 128 + signal.SIGTERM and rest.replace("done\n", "") == ""
+
+
 def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(tmp_path):
     """On a Dask cluster of two processes, beside a run that was killed outright, and went on."""
     from distributed import LocalCluster
@@ -191,17 +206,145 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_corpus_on_a_full_disk_keeps_whole_shards_only(tmp_path):
-    (tmp_path / "make.py").write_text(CORPUS)
-    arguments = ["bash", "-c", f"ulimit -f 20; exec {sys.executable} {tmp_path}/make.py {tmp_path}/corpus"]
-    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
-    last = ended.stderr.rstrip().splitlines()[-1]
-    assert ended.returncode == 1 and re.search(
-        r"InputError: .*(corpus\.json|template\.npz|person-\d+\.h5): cannot be written \(File too", last
-    )
-    # The seconds of a person are whole, whether the shard that is written after them is or not.
-    left = {p.name for p in (tmp_path / "corpus").iterdir() if not re.fullmatch(r"person-\d+\.json", p.name)}
-    assert left <= {".lock", "corpus.json", "template.npz"}, "what was not written whole is not there"
+STRIKE = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/types.h>
+#include <unistd.h>
+
+static char folder[4096];
+static int at = -1, failure, calls;
+
+void strike(const char *below, int number, int code) {
+    snprintf(folder, sizeof folder, "%s/", below);
+    at = number; failure = code; calls = 0;
+}
+int counted(void) { return calls; }
+
+static int struck(const char *path) {
+    if (!*folder || strncmp(path, folder, strlen(folder)) || calls++ != at) return 0;
+    if (!failure) kill(getpid(), SIGKILL);
+    errno = failure;
+    return 1;
+}
+static int struck_file(int file) {
+    char link[64], path[4096];
+    snprintf(link, sizeof link, "/proc/self/fd/%d", file);
+    ssize_t length = readlink(link, path, sizeof path - 1);
+    if (length < 0) return 0;
+    path[length] = 0;
+    return struck(path);
+}
+#define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
+ssize_t write(int f, const void *b, size_t n) {
+    if (!struck_file(f)) return REAL(write)(f, b, n);
+    int told = errno;
+    if (n > 1) (void)!REAL(write)(f, b, n / 2);  // a full disk takes a part
+    errno = told;
+    return -1;
+}
+ssize_t pwrite64(int f, const void *b, size_t n, off64_t o) {
+    return struck_file(f) ? -1 : REAL(pwrite64)(f, b, n, o);
+}
+int fsync(int f) { return struck_file(f) ? -1 : REAL(fsync)(f); }
+int fdatasync(int f) { return struck_file(f) ? -1 : REAL(fdatasync)(f); }
+int ftruncate64(int f, off64_t n) { return struck_file(f) ? -1 : REAL(ftruncate64)(f, n); }
+int rename(const char *a, const char *b) { return struck(b) ? -1 : REAL(rename)(a, b); }
+int renameat(int d, const char *a, int e, const char *b) { return struck(b) ? -1 : REAL(renameat)(d, a, e, b); }
+"""
+"""Fails the n-th write, sync or rename below a folder, or ends the process there."""
+
+STRUCK = """
+import ctypes, errno, json, os, sys
+from functools import cache
+from pathlib import Path
+from shutil import rmtree
+from softdeca.cli import main
+from softdeca.lhm.base import provenance
+from softdeca.surrogate.corpus import folder, plan as plans, sequences
+
+shim, place = ctypes.CDLL(os.environ["LD_PRELOAD"]), Path(sys.argv[1])
+plan = place / "plan.toml"
+options = ['preset = "tiny"', "identities = 2", "frames = 1", "run = 3", "references = 0", "responses = 0.0"]
+plan.write_text(os.linesep.join(options))
+known = {}
+
+def once(function):
+    # Files are what is tried: people, and all else, are made once.
+    def remember(plan, people, what, *others):
+        key = what if isinstance(what, int) else None
+        if key not in known:
+            known[key] = function(plan, people, what, *others)
+        return known[key]
+    return remember
+
+folder.simulate_person, sequences._run = once(folder.simulate_person), once(sequences._run)
+plans.recordings, provenance.describe_machine = cache(plans.recordings), cache(provenance.describe_machine)
+
+def generate(out, at=-1, code=0):
+    # Status, what was said, and the number of writes.
+    sys.argv = ["softdeca", "corpus", "generate", str(plan), "--identities", "spheres:1", "--out", str(out)]
+    with open(place / "said", "w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    shim.strike(str(out).encode(), at, code)
+    try:
+        main()
+    except SystemExit as ended:
+        return ended.code, (place / "said").read_text(), shim.counted()
+
+def generate_apart(*arguments):
+    reader, writer = os.pipe()
+    child = os.fork()
+    if not child:
+        os.write(writer, json.dumps(generate(*arguments)).encode())
+        os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader) as pipe:
+        answer = pipe.read()
+    status = os.waitpid(child, 0)[1]
+    return json.loads(answer) if answer else (-os.WTERMSIG(status), "", 0)
+
+def content(out):
+    return {p.name: p.read_bytes() for p in out.iterdir() if p.name != ".lock"}
+
+answer = os.dup(1)
+status, said, count = generate(place / "whole")
+whole, out, wrong = content(place / "whole"), place / "out", []
+for at in range(count):
+    for code in (errno.ENOSPC, 0):
+        rmtree(out, ignore_errors=True)
+        status, said, _ = generate_apart(out, at, code)
+        lines = [line for line in said.splitlines() if not line.endswith(" s)")]
+        left = [p.name for p in out.iterdir() if p.name.startswith(".") and p.name != ".lock"]
+        if code:
+            good = status == 1 and len(lines) == 1 and "cannot be written" in lines[0] and not left
+        else:
+            good = status == -9
+        again, _, _ = generate_apart(out)
+        there = content(out)
+        if not good or again or there != whole:
+            wrong.append([at, code, status, lines, left, again, sorted(set(whole.items()) ^ set(there.items()))])
+os.write(answer, json.dumps({"count": count, "wrong": wrong}, default=str).encode())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("gcc"), reason="gcc and LD_PRELOAD are needed")
+def test_whichever_write_of_a_corpus_fails_it_ends_in_one_line_and_goes_on_to_the_same_bytes(tmp_path):
+    """Every write, sync and rename, once as the disk is full, and once as the process is killed."""
+    (tmp_path / "strike.c").write_text(STRIKE)
+    shim = tmp_path / "strike.so"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", shim, tmp_path / "strike.c", "-ldl"], check=True)
+    arguments = [sys.executable, "-c", STRUCK, tmp_path]
+    environment = os.environ | {"LD_PRELOAD": str(shim)}
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=300, env=environment)
+    assert ended.stdout, ended.stderr + (tmp_path / "said").read_text()
+    found = json.loads(ended.stdout)
+    assert found["count"] >= 20 and found["wrong"] == []
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")

@@ -2,9 +2,6 @@
 
 import json
 import shutil
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import h5py
@@ -118,32 +115,8 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
         } - {"frequency", "damping", "strain_limit"}
 
 
-KILLED = """
-import os, signal, sys
-from dataclasses import replace
-from softdeca.surrogate.corpus import folder
-from softdeca.surrogate.corpus.people import OfSpace
-from softdeca.surrogate.corpus.plan import PRESETS
-from softdeca.surrogate.sphere import Spheres
-
-def write_and_die(path, shard, owner):
-    folder.Corpus.written = getattr(folder.Corpus, "written", 0) + 1
-    if folder.Corpus.written == 2:
-        path.with_name(f".{path.stem}-abc.h5").write_bytes(b"half")
-        os.kill(os.getpid(), signal.SIGKILL)
-    write(path, shard, owner)
-
-write, folder.write_shard = folder.write_shard, write_and_die
-space = Spheres(1)
-people = OfSpace(space, space.mean, space.fit)
-folder.Corpus(sys.argv[1], replace(PRESETS["tiny"], references=0), people).generate()
-"""
-
-
-def test_one_or_two_workers_killed_and_resumed_write_the_same_bytes(made, tmp_path):
+def test_two_workers_write_the_same_bytes_as_one(made, tmp_path):
     """Seconds differ between runs, and lie in files of their own; every other file is the same to the byte."""
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
-    assert killed.returncode == -signal.SIGKILL and len(list(tmp_path.glob("person-*.h5"))) == 1
     Corpus(tmp_path, PLAN, PEOPLE).generate(on=Schedule("processes", 2))
     names = [f"person-{k:05d}.h5" for k in range(3)] + ["corpus.json", "template.npz", "velocities.npz"]
     for name in names:
@@ -375,11 +348,17 @@ def copied(made, tmp_path):
 
 def test_a_part_of_a_corpus_can_be_read(copied):
     (copied / "person-00000.h5").unlink()
-    with pytest.raises(InputError, match="person-00000"):
+    with pytest.raises(InputError, match="1 of 2 people of the train split .* person-00000.h5 is missing; .*partial"):
         Table(copied, "statics", "train")
     assert set(Table(copied, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(copied, "statics", None, partial=True).rows[:, 0]) == {1, 2}
     assert set(Table(copied, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
+
+
+def test_too_few_people_to_train_on_are_told_with_the_command_that_makes_more(copied, command):
+    pytest.importorskip("torch")
+    refused = command("train", copied, "--out", copied / "out").refusal()
+    assert f"2 people of {copied} have derivatives; at least 10 are needed, `softdeca corpus generate" in refused
 
 
 def test_swapped_shards_are_of_another_person(copied, command):

@@ -17,7 +17,7 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.dynamics import Looseness
-from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
+from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, read_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, NetworkMethod
@@ -132,6 +132,16 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
     assert simulated.mean <= found["linearised simulator", AGAINST["PD"]].mean
     # Methods answer with skins in single precision, 4e-6 mm at 100 mm, of which S is taken.
     assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0, rel=1e-5)
+
+
+def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus, monkeypatch):
+    """A p that varies over the face has no neo-Hookean counterpart."""
+    frames = [frame for frame in read_references(corpus, None, Faces(corpus, None)) if frame.law == "PD"]
+    monkeypatch.setattr("softdeca.surrogate.evaluate.read_references", lambda *_, **__: frames)
+    assert {score.kind for score in evaluate_references(METHODS[:1], corpus, None, HEADS)} == {AGAINST["PD"]}
+    frames.clear()
+    with pytest.raises(InputError, match="no frame with an answer of FEniCSx has derivatives"):
+        evaluate_references(METHODS[:1], corpus, None, HEADS)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
