@@ -11,6 +11,7 @@ import importlib.util
 import warnings
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -179,13 +180,17 @@ def _check_densities(name: str, law: EnergyLaw, s: Floats):
     if not isinstance(law, HasMixedDensity):
         return
     law.check_mixed()
+
+    def mixed(pressure: float, F: Any) -> Any:
+        return law.mixed_density(F, pressure, law)
+
     upright = np.flatnonzero(np.isfinite(psi) & (s.prod(axis=1) > 0))
     kept = _evaluate(name, law, s / np.cbrt(s.prod(axis=1, keepdims=True)))[0]
     for m in upright[::BY_UFL]:
         _compare(name, "isochoric", lambda F: law.isochoric(F, law), F[m], kept[m], s[m], law.stiffness)
 
         def lost(pressure: float, F: Floats = F[m]) -> float:
-            return -_in_ufl(lambda F: law.mixed_density(F, pressure, law), F)
+            return -_in_ufl(partial(mixed, pressure), F)
 
         try:
             pressure = minimize_scalar(lost, (-law.stiffness, law.stiffness), options={"maxiter": 40}).x
@@ -194,7 +199,7 @@ def _check_densities(name: str, law: EnergyLaw, s: Floats):
                 f"law {name!r}: mixed_density: {type(error).__name__}: {quote(str(error), 100)}"
             ) from error
         form = f"mixed_density, greatest at a pressure of {pressure:.6g} kPa,"
-        _compare(name, form, lambda F, p=pressure: law.mixed_density(F, p, law), F[m], psi[m], s[m], law.stiffness)
+        _compare(name, form, partial(mixed, pressure), F[m], psi[m], s[m], law.stiffness)
 
 
 def _compare(

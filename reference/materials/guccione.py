@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from .material import check_positive
@@ -72,10 +73,9 @@ class Guccione(SplitLaw):
 
 def unit_vectors(name: str, fibres) -> Floats:
     """A law's fibres as unit vectors, shape (3,) or (m, 3), read-only; SceneError for others."""
-    try:
-        directions = np.array(fibres, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name}: needs fibres of shape (3,) or (m, 3)") from None
+    words = "numbers of shape (3,) or (m, 3)"
+    numbers = array_of_kind(f"{name}: needs fibres", fibres, "fiu", words, error=SceneError)
+    directions = np.array(numbers, dtype=np.float64)
     if directions.ndim not in (1, 2) or directions.shape[-1] != 3:
         raise SceneError(f"{name}: needs fibres of shape (3,) or (m, 3), got shape {directions.shape}")
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)

@@ -327,7 +327,7 @@ def problems_of(name: str, law: EnergyLaw) -> list[Problem]:
         return np.eye(3) + amount * np.outer([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 
     def psi(amount: float) -> float:
-        return _psi(law, np.linalg.svd(sheared(amount), compute_uv=False))
+        return _psi(law, np.linalg.svd(sheared(amount), compute_uv=False).tolist())
 
     A = sheared(SHEAR)
     for what, quantity, value in (

@@ -162,7 +162,7 @@ def _case(name: str, source: str, criterion: str, error, bound: float, element: 
 def disagreement(law: str, attempt: Attempt) -> float:
     """The largest distance [mm] from FEniCSx' answer of a block of 1 mm that its weight bends sideways."""
     scene = standing(law)
-    weight = Gravity((recovery.YOUNG / 20, 0.0, 0.0), density=1.0)
+    weight = Gravity(np.array([recovery.YOUNG / 20, 0.0, 0.0]), density=1.0)
     bent = Scene(scene.vertices, scene.tets, (*scene.terms, weight))
     answers = [way.solve(way.prepare(bent)).positions for way in (attempt, Attempt("fenicsx"))]
     return float(np.linalg.norm(answers[0] - answers[1], axis=1).max())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import MeshError, Surface, TetMesh
+from softdeca.lhm import InputError, MeshError, Surface, TetMesh
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Scene, SceneError, materials, prepare, terms
 from softdeca.reference.problems.meshes import box
@@ -95,6 +95,33 @@ def test_a_scene_names_the_term_that_does_not_fit(term, message):
 def test_a_scene_names_columns_that_do_not_fit(columns, message):
     with pytest.raises(SceneError, match=message):
         Scene(CORNERS, TETS, [], columns=columns)
+
+
+def masked(values):
+    return np.ma.masked_less(np.asarray(values), 1)
+
+
+@pytest.mark.parametrize("kind", [masked, lambda values: np.asarray(values) + 1j])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda of: Scene(of(CORNERS), TETS, []),
+        lambda of: Scene(CORNERS, of(TETS), []),
+        lambda of: Scene(CORNERS, TETS, [], columns=[of([[0, 1, 2]])]),
+        lambda of: terms.Strain(of([1.0, 2.0])),
+        lambda of: terms.Strain(1.0, tets=of([0, 1])),
+        lambda of: terms.SurfaceStrain(of([[0, 1, 2]]), 1.0),
+        lambda of: terms.Target([1], of([[0.0, 1.0, 2.0]]), 1.0),
+        lambda of: terms.RigidBody([0, 1, 2], of(CORNERS[:3])),
+        lambda of: terms.Gravity(of([0.0, -1.0, 0.0]), 1.0),
+        lambda of: terms.Inertia(1.0, 0.1, velocities=of(CORNERS)),
+        lambda of: materials.Guccione(1.0, 1.0, 1.0, 1.0, of([1.0, 0.0, 0.0]), 10.0),
+        lambda of: prepare(Scene(CORNERS, TETS, [terms.Strain(1.0)])).solve(start=of(CORNERS)),
+    ],
+)
+def test_numbers_that_numpy_would_lose_are_refused(make, kind):
+    with pytest.raises((SceneError, InputError), match="expected"):
+        make(kind)
 
 
 @pytest.mark.parametrize(
