@@ -149,7 +149,7 @@ def frame_view(
     """Centre (3,) [mm] and height [mm] of a picture, `aspect` times as wide, seen from the direction `view`.
 
     It shows all points of the surfaces, each (n, 3) [mm]. With `framed` (k, 3) [mm] it shows these points and all above
-    them, since a crown is never cut off. It is at least 1 mm high, where all are one point.
+    them, since a crown is never cut off.
     """
     ahead = np.asarray(view, dtype=np.float64) / np.linalg.norm(view)
     right = np.cross((0.0, 1.0, 0.0), ahead)
@@ -159,7 +159,7 @@ def frame_view(
     shown = points if framed is None else framed
     x, low, high = shown @ right, (shown @ up).min(), (points @ up).max()
     centre = 0.5 * (x.min() + x.max()) * right + 0.5 * (low + high) * up + shown.mean(axis=0) @ ahead * ahead
-    return centre, MARGIN * float(max(high - low, np.ptp(x) / aspect, 1.0))
+    return centre, MARGIN * float(max(high - low, np.ptp(x) / aspect))
 
 
 def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), legend: str = "") -> bytes:
@@ -309,7 +309,7 @@ def draw_views(
 ) -> bytes:
     """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
 
-    `framed` and `rest` as in `draw_strip`.
+    `framed` and `rest` as in `strip`.
     """
     pyvista = load_pyvista()
     colours = None if rest is None else shade_skin(rest)
@@ -371,9 +371,9 @@ def draw_labelled(
     framed: Floats,
     size: int = 560,
 ) -> bytes:
-    """A surface from several views (caption, direction), with points [mm] by name, numbered.
+    """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`.
 
-    The names are listed below; `framed` as in `draw_strip`.
+    The names are listed below.
     """
     pyvista = load_pyvista()
     window = (size * len(views), size)
