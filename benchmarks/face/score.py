@@ -221,10 +221,12 @@ def _check(name: str, good: bool) -> None:
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return finite real numbers of a shape as float64; ValueError for others."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu" or array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {array.dtype} of shape {array.shape}")
+    """Return finite real numbers of a shape as float64, none of which overflows; ValueError for others."""
+    array, most = np.asarray(values), max(MOST.values())
+    good = array.dtype.kind in "fiu" and array.shape == shape and np.isfinite(array).all()
+    if not good or np.abs(array.astype(np.float64)).max(initial=0.0) > most:
+        expected = f"finite numbers of shape {shape}, {most:g} at most"
+        raise ValueError(f"{name}: expected {expected}, got {array.dtype} of shape {array.shape}")
     return array.astype(np.float64)
 
 

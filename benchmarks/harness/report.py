@@ -113,7 +113,7 @@ def write_report(
         with refuse_other_versions(f"report, {name}"):
             sections[name] = collect_content(part.study, part.results, part.folder)
             sections[name]["command"] = describe_command(name)
-    with refuse_other_versions("report"):
+    with refuse_other_versions(f"report of {quote(', '.join(ordered), 200)}"):
         content: dict[str, Any] = {
             "title": title,
             "first": _collect_first_screen(ordered),

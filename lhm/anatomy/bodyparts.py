@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -59,9 +58,9 @@ FMA_PARTS = {
     "other": "12513 eyeball, 58271 58272 sclera of the eyeball, 12519 atlas, 12520 axis, 52749 hyoid bone",
 }
 """Groups of parts by their numbers in the Foundational Model of Anatomy (FMA), of two the right and the left one."""
-_CONCEPT = re.compile(r"#\s*Concept ID\s*:\s*(FMA\d+)")
-HEADER = 40
-"""Lines of an OBJ file within which its concept is named."""
+_CONCEPT = re.compile(r"^#\s*Concept ID\s*:\s*(FMA\d+)", re.MULTILINE)
+HEADER = 4_000
+"""Letters of an OBJ file within which its concept is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,10 +214,8 @@ def _files(folder: Path, concepts: set[str]) -> dict[str, list[Path]]:
 
 def _concept(file: Path) -> str | None:
     with file.open(encoding="utf-8", errors="replace") as text:
-        for line in islice(text, HEADER):
-            if match := _CONCEPT.match(line):
-                return match.group(1)
-    return None
+        match = _CONCEPT.search(text.read(HEADER))
+    return match.group(1) if match else None
 
 
 def _merged(files: list[Path]) -> tuple[Floats, Ints]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..base.checks import finite, in_range, integers, text
-from ..base.errors import InputError
+from ..base.errors import InputError, quote
 from ..base.files.npz import read_arrays, write_arrays
 from ..base.geometry.warp import rigid_motion
 from ..base.limits import PAIRS
@@ -147,8 +147,8 @@ class DepthRegressor:
         digest = wrap_digest(template_wrap)
         if digest != self.wrap:
             raise InputError(
-                f"depth regressor ({self.label}): trained on the skin wrap {self.wrap} of another template; "
-                f"this template's is {digest}"
+                f"depth regressor ({quote(self.label)}): trained on the skin wrap {quote(self.wrap)} of another "
+                f"template; this template's is {digest}"
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -84,7 +84,7 @@ def all_formats() -> Iterator[Format]:
     yield Format("corpus/template.npz", read_corpus, arrays)
     yield Format("corpus/person-00001.json", read_corpus, tree)
     yield Format("corpus/person-00000.h5", read_corpus, mutations.of_shard)
-    yield Format("weights.safetensors", read_weights, mutations.of_safetensors, ("weights: ",))
+    yield Format("weights.safetensors", read_weights, mutations.of_safetensors, ("weights: ", "anchors: "))
     yield Format("results.json", read_results, tree, ("mixed",))
     # An archive's error may name a part of it, an answer's what it is about.
     yield Format("benchmark.zip", lambda path: scored(path.with_name("gravity.vtu"), path), mutations.of_zip, ("",))

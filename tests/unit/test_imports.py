@@ -1,5 +1,8 @@
 """ICT-FaceKit's and BodyParts3D's folders made files, by small folders of the same form."""
 
+import os
+import resource
+
 import numpy as np
 import pytest
 import trimesh
@@ -149,7 +152,11 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     file = next(f for f in body.glob("*.obj") if f.stem == "FMA9710" or "FMA9710\n" in f.read_text())
     text = file.read_text()
     file.unlink()
+    (body / "FJ3.obj").touch()
+    os.truncate(body / "FJ3.obj", 2 * 10**9)  # one line, of which only the beginning is read
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert bodyparts.missing_parts(bodyparts.read_folder(body)) == ["vomer"]
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000, "kB"
     ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))
