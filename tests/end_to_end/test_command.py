@@ -1,6 +1,8 @@
 """The command does what it says: exit status, results on stdout, files that the next command accepts."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +101,8 @@ def test_the_version_is_that_of_the_package(command):
     from importlib.metadata import version
 
     assert command("--version").out == f"softdeca {version('softdeca')}\n"
+    module = subprocess.run([sys.executable, "-m", "softdeca.cli", "--version"], capture_output=True, text=True)
+    assert (module.stdout, module.stderr) == (f"softdeca {version('softdeca')}\n", "")
 
 
 def test_the_list_of_studies_has_whole_questions(command):
