@@ -168,7 +168,7 @@ class Animate:
 
         path, baked = self.out / "rig.glb", rig.bake(self.targets)
         baked.write_gltf(path, take)
-        note = describe_targets(path, self.targets, baked.largest_error)
+        note = describe_targets(path, len(baked.targets), baked.largest_error)
         return replace(result, files=(*result.files, path), notes=(*result.notes, note))
 
     def _say(self, result: AnimateResult) -> None:

@@ -282,14 +282,12 @@ def check_regions(regions: Mapping[str, NDArray[np.bool_]]) -> None:
             )
 
 
-def measure_face(
-    skin: Floats, skull: Floats, bone: Ints, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, float | None]:
+def measure_face(skin: Floats, skull: Floats, bone: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
     """Measure how a face is turned, how large it is, and where its bones lie; None where it has no mouth or eyes.
 
     `skin`, `skull`: vertices (n, 3) [mm] of the wraps; names and units as in HeadReport.
     """
-    values: dict[str, float | None] = dict.fromkeys(
+    values: dict[str, Any] = dict.fromkeys(
         ("turned", "eyes_across", "eyes_to_mouth", "mandible_over_eyes", "cranium_under_mouth")
     )
     found = find_face_axes(skin, regions)
