@@ -16,7 +16,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -33,12 +32,11 @@ from ..reference.projective.newton_step import NewtonStep
 from ..reference.solution import OnIteration
 from .codes import nearest_code
 from .local import on_wraps
+from .methods import DERIVATIVES, NETWORK_AND_DERIVATIVES
 from .rig import FaceModes, check_shapes, check_weights
 from .ruler import MOVES
 from .runtime import BoundSurrogate, Surrogate
 
-Method = Literal["derivatives", "network", "corrected", "converged"]
-"""In the order of their price. "derivatives" are the simulator's, "network" is these and the network's remainder."""
 ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
 FINEST, COARSEST = 1e-6, 100.0
@@ -79,15 +77,16 @@ class CertifiedFrame(Reached):
     """A frame and its error.
 
     skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. errors (n,)
-    [mm] are each vertex' own, whether it counts or not. certain: False where the estimate may be far off. seconds: what
-    it took. solves: with one of the two matrices.
+    [mm] are each vertex' own, whether it counts or not. certain: False where the estimate may be far off. method, in
+    the order of price: derivatives, network + derivatives, corrected, converged. seconds: what it took. solves:
+    with one of the two matrices.
     """
 
     skin: Floats32
     error: float
     errors: Floats32
     certain: bool
-    method: Method
+    method: str
     seconds: float
     solves: int
 
@@ -200,7 +199,7 @@ class CertifiedFace:
             correction.smooth(SETTLING)
             ahead = correction.newton_step()
         guess = self._tell(correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin())
-        before, best = guess.skin, replace(guess, method="network" if self.has_network else "derivatives")
+        before, best = guess.skin, replace(guess, method=NETWORK_AND_DERIVATIVES if self.has_network else DERIVATIVES)
         while True:
             frame = self._tell(correction, ahead, begin, correction.skin(), before)
             if frame.bound <= best.bound or frame.method == "converged":

@@ -12,6 +12,7 @@ from ...lhm.base.errors import SceneError
 from ...reference import Parameters
 from ...reference.face.derivatives import Analysis
 from ...surrogate import CertifiedFace, Surrogate
+from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES
 from .face import LiveFace
 from .messages import Change, DerivativesFound, Frame
 
@@ -68,7 +69,7 @@ class Refinement:
             has_converged = frame.method == "converged" or frame.bound <= ENOUGH
             yield Frame(
                 change.number,
-                "derivatives" if frame.method in ("derivatives", "network") else "simulator",
+                "derivatives" if frame.method in (DERIVATIVES, NETWORK_AND_DERIVATIVES) else "simulator",
                 frame.skin,
                 frame.errors,
                 frame.error,

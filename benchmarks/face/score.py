@@ -15,6 +15,7 @@ import json
 import re
 import sys
 import tempfile
+import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -202,8 +203,15 @@ def read_plain_file(path: Path) -> bytes:
 
 
 def read_mesh(path: Path) -> meshio.Mesh:
-    """Read a mesh file; AnswerError for what cannot be read."""
+    """Read a mesh file; AnswerError for what cannot be read, and for XDMF whose numbers are not beside it."""
     try:
+        if path.suffix.lower() in (".xdmf", ".xmf"):
+            for item in ElementTree.parse(path).iter("DataItem"):
+                name = str(item.text).split(":")[0].strip()
+                inside = item.get("Format", "XML") == "XML"
+                beside = item.get("Format") == "HDF" and Path(name).name == name
+                if not inside and (not beside or (path.parent / name).is_symlink()):
+                    raise ValueError(f"its numbers are in {name!r}; expected a plain HDF5 file beside it")
         with _quiet():
             return meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio raises anything, and exits, over a damaged file

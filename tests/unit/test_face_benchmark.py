@@ -320,6 +320,16 @@ def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path):
             scorer.score(file, archive)
 
 
+@pytest.mark.parametrize("name", ["../other.h5:/data0", "/etc/passwd:/", "&#47;etc&#47;passwd:/", "linked.h5:/data0"])
+def test_an_answer_opens_no_file_of_another_folder(archive, judged, tmp_path, name):
+    judged(archive.arrays["gravity.converged"], suffix=".xdmf")
+    (tmp_path / "linked.h5").symlink_to("/etc/passwd")
+    file = tmp_path / "gravity.xdmf"
+    file.write_text(file.read_text().replace("gravity.h5:/data0", name))
+    with pytest.raises(scorer.AnswerError, match="expected a plain HDF5 file beside it"):
+        scorer.score(file, archive)
+
+
 @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".xdmf", ".stl", ".xyz", ""])
 @pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"<VTKFile>", b"$MeshFormat\n4.1 0 8\n", b"# vtk DataFile"])
 def test_a_file_that_is_no_answer_is_one_line(archive, tmp_path, suffix, content):
