@@ -229,7 +229,7 @@ def fuzz_one(name: str, seconds: float, out: Path, folder: Path, seed: int) -> N
         (out / "seeds" / label).write_bytes(content)
     (folder / BEGUN).touch()
     options = f"-max_len=1000000 -len_control=0 -rss_limit_mb=0 -timeout=600 -verbosity=0 -seed={seed + 1}".split()
-    options += [f"-artifact_prefix={out}/", str(out / "corpus"), str(out / "seeds")]
+    options += [f"-artifact_prefix={folder}/", str(out / "corpus"), str(out / "seeds")]
     atheris.Setup([sys.argv[0], *options], try_content, custom_mutator=mutate)
     atheris.Fuzz()
 
@@ -308,15 +308,15 @@ def main() -> int:
     parser.add_argument("formats", nargs="*", help="default: all")
     parser.add_argument("--seconds", type=float, default=3600.0, help="for all formats together")
     parser.add_argument("--mutants", type=int, help="of each format, without atheris")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, help="default: another each time; 0 with --mutants")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.child:
         fuzz_one(given.formats[0], given.seconds, given.out, given.child, given.seed)
     if given.mutants is not None:
-        return replay(given.formats, given.mutants, given.seed)
-    return fuzz(given.formats, given.seconds, given.out, given.seed)
+        return replay(given.formats, given.mutants, given.seed or 0)
+    return fuzz(given.formats, given.seconds, given.out, int(time.time()) if given.seed is None else given.seed)
 
 
 if __name__ == "__main__":

@@ -113,7 +113,10 @@ def of_json(content: bytes, rng: np.random.Generator) -> bytes:
         return b"[" * int(rng.choice([10, 100, 100_000])) + content
     if rng.random() < 0.4:
         return renumbered(content, rng)
-    text = json.dumps(changed(json.loads(content), rng))
+    tree = changed(json.loads(content), rng)
+    if rng.random() < 0.05:
+        tree = [tree] if rng.random() < 0.5 else VALUES[rng.integers(len(VALUES))]
+    text = json.dumps(tree)
     keys = [*re.finditer(r'"[^"]*": ', text)]
     if keys and rng.random() < 0.1:  # a key twice
         key = keys[rng.integers(len(keys))]
