@@ -101,7 +101,8 @@ class SurrogateOnCorpus(Study):
     def measure(self, task: Task) -> Values:
         """Measure a method's scores on the frames of a question."""
         scores = self._list_questions()[task.case][1](task.method)
-        tested, values = self._open_corpus(), {}
+        tested = self._open_corpus()
+        values: Values = {}
         if task == Task(self._name_corpus(), NETWORK):
             paid = (
                 None
@@ -116,7 +117,7 @@ class SurrogateOnCorpus(Study):
                 "bind_costs": None if tested.costs is None else asdict(tested.costs),
             }
             strips = enumerate(draw_worst_frames(tested, silent), start=1)
-            values |= {f"worst frame of the {number}. worst face": strip for number, strip in strips}
+            values = {**values, **{f"worst frame of the {number}. worst face": strip for number, strip in strips}}
         note = (load_network(Path(task.method)) if task.case == CURVE else tested.network).weights.note
         people = len({identity for identity, _ in tested.faces.groups.tolist()})
         return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}
