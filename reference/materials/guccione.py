@@ -73,8 +73,9 @@ class Guccione(SplitLaw):
 
 def unit_vectors(name: str, fibres) -> Floats:
     """A law's fibres as unit vectors, shape (3,) or (m, 3), read-only; SceneError for others."""
-    words = "fibres of shape (3,) or (m, 3)"
-    directions = np.array(array_of_kind(f"{name}.fibres", fibres, "fiu", words, error=SceneError), dtype=np.float64)
+    words = "numbers of shape (3,) or (m, 3)"
+    numbers = array_of_kind(f"{name}: needs fibres", fibres, "fiu", words, error=SceneError)
+    directions = np.array(numbers, dtype=np.float64)
     if directions.ndim not in (1, 2) or directions.shape[-1] != 3:
         raise SceneError(f"{name}: needs fibres of shape (3,) or (m, 3), got shape {directions.shape}")
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)

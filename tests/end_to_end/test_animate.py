@@ -460,7 +460,7 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
         ),
         *("--out", tmp_path / "baked"),
     )
-    assert ended.status == 0 and "6 frames (6 network + simulator), 0 failed; no error told; bound in" in ended.out
+    assert ended.status == 0 and "6 frames (6 network + derivatives), 0 failed; no error told; bound in" in ended.out
     rig = gltf(tmp_path / "baked" / "rig.glb")
     assert len(rig["meshes"][0]["primitives"][0]["targets"]) == 12
     greatest = rig["meshes"][0]["extras"]["greatest_error_mm"]

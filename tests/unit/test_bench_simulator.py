@@ -24,13 +24,12 @@ from softdeca.benchmarks.studies.work_precision.study import (
     ACCURACIES,
     ARAP,
     FACE,
-    NEWTON,
-    OURS,
     WorkPrecision,
     find_medians,
     measure_lead,
 )
 from softdeca.reference import Parameters, facial_scene, prepare, terms
+from softdeca.surrogate.methods import FENICSX, PD
 
 
 @pytest.fixture(scope="module")
@@ -74,14 +73,14 @@ def curve(label: str, energy: str, prepare_s: float, seconds: float | None) -> R
 
 def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
     assert ACCURACIES[0] == 1.0 and ACCURACIES[-1] == 1e-6 and 0.1 in ACCURACIES
-    rows = find_medians([curve(OURS, FACE, 1.0, 1.0), curve(NEWTON, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)])
+    rows = find_medians([curve(PD, FACE, 1.0, 1.0), curve(FENICSX, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)])
     # Prepared: 1 to 1.5 at each; with preparation (1 + k + 1) / 1.5 (k + 1), worst at 0.1 mm, where k = 2.
     assert ACCURACIES[2] == 0.1
-    assert measure_lead(rows, FACE, NEWTON, prepared=True) == (pytest.approx(1 / 1.5), [])
-    assert measure_lead(rows, FACE, NEWTON) == (pytest.approx(4 / 4.5), [])
-    assert measure_lead(rows, FACE, "slow") == (0.0, []) and measure_lead(rows, ARAP, NEWTON) == (None, [])
-    behind = [curve(OURS, FACE, 0.0, None), curve(NEWTON, FACE, 0.0, 1.0)]
-    worst, where = measure_lead(find_medians(behind), FACE, NEWTON)
+    assert measure_lead(rows, FACE, FENICSX, prepared=True) == (pytest.approx(1 / 1.5), [])
+    assert measure_lead(rows, FACE, FENICSX) == (pytest.approx(4 / 4.5), [])
+    assert measure_lead(rows, FACE, "slow") == (0.0, []) and measure_lead(rows, ARAP, FENICSX) == (None, [])
+    behind = [curve(PD, FACE, 0.0, None), curve(FENICSX, FACE, 0.0, 1.0)]
+    worst, where = measure_lead(find_medians(behind), FACE, FENICSX)
     assert worst == np.inf and where == list(ACCURACIES[2:])
     with_preparation, prepared, agreement = WorkPrecision().gates(behind)
     assert (with_preparation["value"], with_preparation["passed"], prepared["answer"]) == (None, False, False)
@@ -91,10 +90,10 @@ def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
 
 
 def test_medians_are_missing_where_an_expression_did_not_come_so_far():
-    two = [curve(OURS, FACE, 1.0, 1.0), curve(OURS, FACE, 3.0, None)]
-    assert find_medians(two)[FACE, OURS][0] == [None] * len(ACCURACIES)
-    three = [curve(OURS, FACE, 1.0, 1.0), curve(OURS, FACE, 3.0, 3.0), curve(OURS, FACE, 2.0, 2.0)]
-    seconds, _, ready = find_medians(three)[FACE, OURS]
+    two = [curve(PD, FACE, 1.0, 1.0), curve(PD, FACE, 3.0, None)]
+    assert find_medians(two)[FACE, PD][0] == [None] * len(ACCURACIES)
+    three = [curve(PD, FACE, 1.0, 1.0), curve(PD, FACE, 3.0, 3.0), curve(PD, FACE, 2.0, 2.0)]
+    seconds, _, ready = find_medians(three)[FACE, PD]
     assert seconds[0] == 2.0 and ready == 2.0
 
 

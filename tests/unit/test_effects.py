@@ -11,7 +11,6 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement import fan as fan_module
 from softdeca.benchmarks.studies.agreement.effect import (
     EFFECTS,
-    LAW,
     Effect,
     apply_rules,
     compare_laws,
@@ -21,12 +20,13 @@ from softdeca.benchmarks.studies.agreement.effect import (
 )
 from softdeca.benchmarks.studies.agreement.effects import STARTS, Effects
 from softdeca.benchmarks.studies.agreement.fan import SUSPECTS, fan
+from softdeca.benchmarks.studies.measures import NEO_HOOKEAN, PD_ENERGY
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
-from softdeca.surrogate.methods import CARRIED, PD, SETTLED
+from softdeca.surrogate.methods import CARRIED, FENICSX_NEO_HOOKEAN, PD, SETTLED
 
 from ..conftest import with_regions
 
@@ -238,7 +238,9 @@ def figures(mean: float) -> dict:
 
 
 def by_laws(**changes) -> dict:
-    stress = {law: {layer: {"mean": 0.3, "p95": 1.0} for layer in ("soft", "muscle")} for law in (PD, LAW)}
+    stress = {
+        law: {layer: {"mean": 0.3, "p95": 1.0} for layer in ("soft", "muscle")} for law in (PD_ENERGY, NEO_HOOKEAN)
+    }
     load = {"force": 4.0, "torque": 500.0}
     inside = {
         "vertices": {"mean": 0.05, "max": 0.625},
@@ -248,7 +250,11 @@ def by_laws(**changes) -> dict:
         "prescribed": {PD: load},
     }
     found = {"same_mm": 0.003, "done": True, "inside": inside, "law_mean_mm": 0.04, "law_max_mm": 0.5}
-    return found | {"to_pd": {LAW: figures(0.04)}, "to_law": {PD: figures(0.04), CARRIED: figures(0.3)}} | changes
+    return (
+        found
+        | {"to_pd": {FENICSX_NEO_HOOKEAN: figures(0.04)}, "to_law": {PD: figures(0.04), CARRIED: figures(0.3)}}
+        | changes
+    )
 
 
 def rows_of(*records, spread=None) -> list[Row]:
@@ -279,7 +285,7 @@ def test_methods_insides_scenes_and_starts_are_told(record):
     methods, inside, jaw, scenes, starts, suspects = Effects().tables(rows)
     assert [row[1:] for row in methods.rows] == [
         (PD, None, None, None, 0.04, 0.4, 0.04),
-        (LAW, 0.04, 0.4, 0.04, None, None, None),
+        (FENICSX_NEO_HOOKEAN, 0.04, 0.4, 0.04, None, None, None),
         (CARRIED, 0.2, 2.0, 0.2, 0.3, 3.0, 0.3),
     ]
     assert inside.rows == [("jaw", 0.05, 0.625, *(0.3, 1.0) * 4)]
@@ -306,7 +312,7 @@ def test_an_effect_by_both_laws(head):
     neutral = settle(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
     other = solve(neutral.scene(shape), solver="skfem", start=result.solution.positions, tolerance=1e-9)
     apart = np.linalg.norm(neutral.skin_after(shape, other.positions) - result.with_it, axis=1)
-    law = found["to_pd"][LAW]
+    law = found["to_pd"][FENICSX_NEO_HOOKEAN]
     np.testing.assert_allclose([law["skin_mean"], law["skin_max"]], [apart.mean(), apart.max()], rtol=1e-3)
     motion = np.linalg.norm(result.with_it - shape, axis=1)
     assert law["share"] == pytest.approx(apart[motion > 0.05].mean() / motion[motion > 0.05].mean(), rel=1e-3)
