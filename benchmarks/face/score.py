@@ -1,8 +1,9 @@
 """Score an answer to the open face benchmark: `python score.py ANSWER.vtu`. It needs numpy and meshio alone.
 
-This file is in the benchmark's archive too, so it imports nothing of softdeca. An answer is a mesh file with the points
-and tets of one of the archive's meshes, in their order, and on the points `displacement` [mm], (n, 3). `reaction` [mN],
-(n, 3), on the points and `cauchy` [kPa], (m, 9) or (m, 6), on the tets are scored too where they are there.
+This file is in the benchmark's archive too, so it imports nothing of softdeca. An answer is a mesh file (.vtu, .vtk,
+.msh of gmsh, or .xdmf) with the points and tets of one of the archive's meshes, in their order, and on the points
+`displacement` [mm], (n, 3). `reaction` [mN], (n, 3), on the points and `cauchy` [kPa], (m, 9) or (m, 6), on the tets
+are scored too where they are there.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ import numpy as np
 Floats = np.ndarray
 ARCHIVE = "face-benchmark.zip"
 DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
+FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh", ".xdmf": "xdmf", ".xmf": "xdmf"}
+"""By the suffix of an answer; readers of other kinds follow names of more files."""
 MESHES = ("coarse", "medium", "fine")
 """Nested meshes, each of eight times the tets of the one before."""
 MOST_BYTES = 1_000_000_000
@@ -203,20 +206,49 @@ def read_plain_file(path: Path) -> bytes:
 
 
 def read_mesh(path: Path) -> meshio.Mesh:
-    """Read a mesh file; AnswerError for what cannot be read, and for XDMF whose numbers are not beside it."""
+    """Read a mesh file; AnswerError for another kind, for a damaged one, and for XDMF whose numbers lie elsewhere."""
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise AnswerError(f"{path}: unknown kind of file {path.suffix!r}; expected one of {', '.join(FORMATS)}")
     try:
-        if path.suffix.lower() in (".xdmf", ".xmf"):
+        if kind == "xdmf":
             for item in ElementTree.parse(path).iter("DataItem"):
-                name = str(item.text).split(":")[0].strip()
-                inside = item.get("Format", "XML") == "XML"
-                beside = item.get("Format") == "HDF" and Path(name).name == name
-                if not inside and (not beside or (path.parent / name).is_symlink()):
-                    raise ValueError(f"its numbers are in {name!r}; expected a plain HDF5 file beside it")
+                _check_beside(path, item)
         with _quiet():
-            return meshio.read(path)
+            return meshio.read(path, file_format=kind)
     except (Exception, SystemExit) as error:  # meshio raises anything, and exits, over a damaged file
         reason = " ".join(str(error).replace(str(path), "").split())[:80]
         raise AnswerError(f"{path}: cannot be read; damaged, or cut short ({reason})") from None
+
+
+def _check_beside(path: Path, item: ElementTree.Element) -> None:
+    """Raise ValueError unless the numbers of an XDMF item are in the file, or all in a plain HDF5 file beside it."""
+    if item.get("Format", "XML") == "XML":
+        return
+    name = str(item.text).strip().split(":")[0]
+    file = path.resolve().parent / name
+    plain = item.get("Format") == "HDF" and Path(name).name == name and file.is_file() and not file.is_symlink()
+    if not plain:
+        raise ValueError(f"its numbers are in {name!r}; expected a plain HDF5 file beside it")
+    import h5py
+
+    with h5py.File(file, "r") as content:
+        groups, size = [content["/"]], 0
+        for group in groups:
+            for key in group:
+                if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                    raise ValueError(f"{name}: {key!r} is a link; expected numbers in it")
+                each = group[key]
+                if isinstance(each, h5py.Group):
+                    if each in groups:
+                        raise ValueError(f"{name}: {key!r} is there twice; expected it once")
+                    groups.append(each)
+                elif not isinstance(each, h5py.Dataset) or each.external or each.is_virtual:
+                    raise ValueError(f"{name}: {key!r} has its numbers in another file; expected them in it")
+                else:
+                    size += each.nbytes
+        if size > MOST_BYTES:
+            raise ValueError(f"{name}: {size:,} bytes of numbers; at most {MOST_BYTES:,} are read")
 
 
 def _refuse_constant(word: str) -> float:
@@ -297,7 +329,7 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
     if "cauchy" in answer.cell_data:
         arrays["cauchy"] = _stresses(answer, len(mesh.tets))
     for name, values in arrays.items():
-        _check_once(name, answer, content)
+        _check_once(name, answer, FORMATS[path.suffix.lower()], content)
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         if bad.size:
             told = f"{bad.size:,} of {len(values):,} rows of {name!r} are NaN or infinite, the first is {bad[0]:,}"
@@ -467,13 +499,28 @@ def _orientations(tets: np.ndarray) -> np.ndarray:
     return found
 
 
-def _check_once(name: str, answer: meshio.Mesh, content: bytes) -> None:
+def _check_once(name: str, answer: meshio.Mesh, kind: str, content: bytes) -> None:
     """Raise AnswerError for an array that a file has twice, of which meshio gives the last."""
-    tags = rb"<(?:DataArray|Attribute)\b[^>]*\bName=[\"']%b[\"']" % name.encode()
-    lines = rb"^(?:SCALARS |VECTORS |TENSORS |NORMALS )?%b (?=\w)|^\"%b\"" % (name.encode(), name.encode())
-    there = len(re.findall(tags + rb"|" + lines, content, re.MULTILINE))
+    if kind in ("vtu", "xdmf"):
+        there = sum(
+            each.get("Name") == name for each in _parse(content).iter() if each.tag in ("DataArray", "Attribute")
+        )
+    else:
+        words = rb"(?i:SCALARS|VECTORS|TENSORS|NORMALS)"
+        lines = rb"^[ \t]*(?:%b[ \t]+)?%b[ \t]+(?=\w)|^[ \t]*\"%b\"" % (words, name.encode(), name.encode())
+        there = len(re.findall(lines, content, re.MULTILINE))
     if there > (name in answer.point_data) + (name in answer.cell_data):
         raise AnswerError(f"{name!r} is there {there} times; expected it once")
+
+
+def _parse(content: bytes) -> ElementTree.Element:
+    """Parse XML; bytes within, which VTU may have after its arrays, are cut out as meshio does."""
+    try:
+        return ElementTree.fromstring(content)
+    except ElementTree.ParseError:
+        match = re.search(rb'<AppendedData[^>]+(?:">)', content)
+        end = match.end() if match else 0
+        return ElementTree.fromstring(content[:end] + content[content.find(b"</AppendedData>") :])
 
 
 def _vectors(answer: meshio.Mesh, name: str, unit: str) -> Floats:

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -310,14 +311,68 @@ def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, 
     assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
 
 
-def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path):
+NAMES = [
+    (".vtu", b'Name="displacement"'), (".xdmf", b'Name="displacement"'), (".vtu", b"Name = 'displacement'"),
+    (".xdmf", b'Name="displac&#101;ment"'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "name"), NAMES)
+def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path, suffix, name):
     limit = archive.arrays["gravity.converged"]
-    for suffix in (".vtu", ".xdmf"):
-        judged(limit, suffix=suffix, other=0.0 * limit)
-        file = tmp_path / f"gravity{suffix}"
-        file.write_bytes(file.read_bytes().replace(b'Name="other"', b'Name="displacement"'))
-        with pytest.raises(scorer.AnswerError, match="'displacement' is there 2 times"):
-            scorer.score(file, archive)
+    judged(limit, suffix=suffix, other=0.0 * limit)
+    file = tmp_path / f"gravity{suffix}"
+    file.write_bytes(file.read_bytes().replace(b'Name="other"', name))
+    with pytest.raises(scorer.AnswerError, match="'displacement' is there 2 times"):
+        scorer.score(file, archive)
+
+
+def elsewhere(link):
+    """Give a change of an HDF5 file that puts its last array into another."""
+
+    def change(file, key):
+        with h5py.File(file, "r+") as content:
+            values = content[key][()]
+            del content[key]
+            link(content, key, values, str(file.with_name("other.h5")))
+
+    return change
+
+
+def as_virtual(content, key, values, other):
+    layout = h5py.VirtualLayout(values.shape, values.dtype)
+    layout[:] = h5py.VirtualSource(other, "x", values.shape)
+    content.create_virtual_dataset(key, layout)
+
+
+ELSEWHERE = {
+    "external link": (lambda f, k, v, other: f.update({k: h5py.ExternalLink(other, "x")}), "is a link"),
+    "soft link": (lambda f, k, v, other: f.update({k: h5py.SoftLink("/data0")}), "is a link"),
+    "external numbers": (
+        lambda f, k, v, other: f.create_dataset(k, v.shape, v.dtype, external=[(other, 0, v.nbytes)]),
+        "has its numbers in another file",
+    ),
+    "virtual": (as_virtual, "has its numbers in another file"),
+    "huge": (lambda f, k, v, other: f.create_dataset(k, (10**12,), "f8", chunks=(999,)), "at most 1,000,000,000"),
+}
+
+
+@pytest.mark.parametrize("case", ELSEWHERE)
+def test_numbers_beside_an_answer_are_all_in_one_file(archive, judged, tmp_path, case):
+    link, words = ELSEWHERE[case]
+    judged(archive.arrays["gravity.converged"], suffix=".xdmf")
+    elsewhere(link)(tmp_path / "gravity.h5", "data2")
+    with pytest.raises(scorer.AnswerError, match=words):
+        scorer.score(tmp_path / "gravity.xdmf", archive)
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".med", ".h5m", ".hmf", ".ele", ".inp.vtu"])
+def test_other_kinds_of_files_are_not_opened(archive, tmp_path, suffix):
+    os.mkfifo(tmp_path / "pipe")
+    file = tmp_path / f"gravity{suffix}"
+    file.write_text("*HEADING\n*INCLUDE,INPUT=pipe\n")
+    with pytest.raises(scorer.AnswerError, match="unknown kind of file|cannot be read"):
+        scorer.score(file, archive)
 
 
 @pytest.mark.parametrize("name", ["../other.h5:/data0", "/etc/passwd:/", "&#47;etc&#47;passwd:/", "linked.h5:/data0"])
