@@ -124,6 +124,10 @@ class Archive:
 
     def _refuse(self, error: Exception) -> AnswerError:
         reason = " ".join(str(error).replace(f"{self.path}: ", "").split())[:100] or type(error).__name__
+        if isinstance(error, KeyError):
+            reason = f"{reason} is missing"
+        elif isinstance(error, (IndexError, TypeError, AttributeError, np.linalg.LinAlgError)):
+            reason = "its parts do not fit together"
         return AnswerError(f"{self.path}: no archive of the face benchmark, or damaged ({reason})")
 
     def _read(self, name: str) -> bytes:
@@ -291,11 +295,13 @@ def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
     for name, patch in description["patches"].items():
         listed = _check_numbers_of(f"patch {name}", patch["tets"], tets)
         _check(f"patch {name}", _numbers(f"patch {name}", patch["volumes"], (listed,)).min() > 0.0)
-    _check("bones", isinstance(description["bones"], list) and len(description["bones"]) > 0)
+    bones = description["bones"]
+    _check("bones", isinstance(bones, list) and len(bones) > 0 and all(isinstance(bone, str) for bone in bones))
     lengths = {"skin, mean": 1, "skin, largest": 1, **{f"at {name}": 3 for name in description["points"]}}
     lengths |= {f"stress at {name}": 1 for name in description["patches"]}
     lengths |= {f"force on {bone}": 3 for bone in description["bones"]}
     _check("problems", len(description["problems"]) > 0)
+    _check("names", all(name.isprintable() for name in (*lengths, *description["problems"])))
     for problem, asked in description["problems"].items():
         converged = _numbers(f"{problem}.converged", arrays[f"{problem}.converged"], (count, 3))
         for mesh, size in zip(MESHES, sizes, strict=True):
@@ -303,10 +309,16 @@ def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
         for name, most in (("band_mm", _rms(converged)), ("largest_mm", _norms(converged).max())):
             _check(f"{problem}, {name}", 0.0 < float(_numbers(f"{problem}, {name}", asked[name], ())) <= most)
         _check(f"{problem}, quantities", set(asked["quantities"]) == set(lengths))
+        largest = dict.fromkeys(("mm", "kPa", "mN"), 0.0)
         for name, quantity in asked["quantities"].items():
-            _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
-            _check(f"{problem}, {name}", float(_numbers(f"{problem}, {name}", quantity["band"], ())) > 0.0)
-            _check(f"{problem}, {name}", isinstance(quantity["unit"], str))
+            unit = {"stress": "kPa", "force": "mN"}.get(name.split()[0], "mm")
+            _check(f"{problem}, {name}: unit", quantity["unit"] == unit)
+            value = _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
+            largest[unit] = max(largest[unit], float(np.linalg.norm(value)))
+        _check(f"{problem}: values in mm", largest["mm"] <= 2.0 * _norms(converged).max())
+        for name, quantity in asked["quantities"].items():
+            band = float(_numbers(f"{problem}, {name}", quantity["band"], ()))
+            _check(f"{problem}, {name}: band", 0.0 < band <= largest[quantity["unit"]])
 
 
 def score(path: Path, archive: Archive, problem: str = "") -> Score:
@@ -396,9 +408,10 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
                 "right on this mesh",
                 f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {told}",
             )
-    for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
-        if _rms(factor * moved - linear) <= EXPLAINED * _rms(linear):
-            return "wrong", f"displacements are in {unit}; expected mm"
+    for truth in (linear, converged):
+        for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
+            if _rms(factor * moved - truth) <= EXPLAINED * _rms(truth):
+                return "wrong", f"displacements are in {unit}; expected mm"
     for truth in (linear, converged):
         still, shift, angle = _without_rigid_motion(mesh.points + moved, mesh.points + truth)
         if not strayed and _rms(still - mesh.points - truth) <= EXPLAINED * _rms(moved - truth):

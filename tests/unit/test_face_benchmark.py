@@ -117,6 +117,15 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     assert names[0] == names[1] == meshes | texts | {"answers.npz"}
 
 
+def test_an_export_tries_failed_rows_again(study, exported, tmp_path):
+    shutil.copytree(exported[0] / "rows", tmp_path / "rows")
+    rows = tmp_path / "rows" / "rows.jsonl"
+    row = next(line for line in rows.read_text().splitlines() if "linear, coarse" in line)
+    rows.write_text(rows.read_text() + json.dumps(json.loads(row) | {"status": "failed", "values": {}}) + "\n")
+    results, _ = export(tmp_path / "benchmark.zip", study, tmp_path / "rows", workers=1)
+    assert results.passed and (tmp_path / "benchmark.zip").exists()
+
+
 def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
     shutil.copytree(exported[0] / "rows", tmp_path / "rows")
     (file,) = (tmp_path / "rows").glob("*jaw*FEniCSx-linear-fine*.npy")
@@ -480,6 +489,12 @@ DAMAGED = {
     ),
     "band of a quantity zero": in_description(set_to("problems", "jaw", "quantities", "at chin", "band", value=0)),
     "unit a number": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value=1)),
+    "band of a quantity wider than all": in_description(
+        set_to("problems", "jaw", "quantities", "at chin", "band", value=100.0)
+    ),
+    "value far off": in_description(set_to("problems", "jaw", "quantities", "skin, mean", "value", value=[100.0])),
+    "unit that colours": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value="\x1b[31m")),
+    "bones that are numbers": in_description(set_to("bones", value=[1])),
     "skin point out of range": in_description(set_to("skin_points", 0, value=126)),
     "skin point below zero": in_description(set_to("skin_points", 0, value=-1)),
     "skin points broken": in_description(set_to("skin_points", 0, value=0.5)),
@@ -515,6 +530,8 @@ def test_a_damaged_archive_is_refused_in_a_line(archive, judged, tmp_path, damag
     with pytest.raises(scorer.AnswerError, match="damaged.zip: no archive of the face benchmark, or damaged") as error:
         scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "damaged.zip"))
     assert "\n" not in str(error.value)
+    words = {"an empty object": "'meshes' is missing", "a list": "fit together", "coarse mesh flat": "fit together"}
+    assert words.get(damage, "") in str(error.value)
 
 
 def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
@@ -541,8 +558,9 @@ def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_told_apart_in_a_line(archive, judged, fault):
     change, verdict, words = FAULTS[fault]
-    score = judged(change(archive.arrays["gravity.linear.coarse"]))
-    assert f": {verdict}: " in score.line and words in score.line and "\n" not in score.line
+    for truth in ("gravity.linear.coarse", "gravity.converged"):
+        score = judged(change(archive.arrays[truth]))
+        assert f": {verdict}: " in score.line and words in score.line and "\n" not in score.line
 
 
 def test_a_turned_answer_is_shifted(archive, judged):
