@@ -195,9 +195,10 @@ volume at rest. A force is the sum of the reactions, by which held points hold t
 
     python score.py my-jaw.vtu
 
-It needs numpy and meshio. The file has the points and tets of one of the meshes, in their order, and on the points
-`displacement` [mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets (nine components, or xx yy zz xy yz
-xz) are scored if they are there. The verdict is that of the displacement. `SHA256SUMS` has the files' checksums.
+It needs numpy and meshio. The file (.vtu, .vtk, .msh of gmsh, or .xdmf) has the points and tets of one of the meshes,
+in their order, and on the points `displacement` [mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets
+(nine components, or xx yy zz xy yz xz) are scored if they are there. The verdict is that of the displacement.
+`SHA256SUMS` has the files' checksums.
 
 ## Licence and citation
 

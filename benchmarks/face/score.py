@@ -1,8 +1,9 @@
 """Score an answer to the open face benchmark: `python score.py ANSWER.vtu`. It needs numpy and meshio alone.
 
-This file is in the benchmark's archive too, so it imports nothing of softdeca. An answer is a mesh file with the points
-and tets of one of the archive's meshes, in their order, and on the points `displacement` [mm], (n, 3). `reaction` [mN],
-(n, 3), on the points and `cauchy` [kPa], (m, 9) or (m, 6), on the tets are scored too where they are there.
+This file is in the benchmark's archive too, so it imports nothing of softdeca. An answer is a mesh file (.vtu, .vtk,
+.msh of gmsh, or .xdmf) with the points and tets of one of the archive's meshes, in their order, and on the points
+`displacement` [mm], (n, 3). `reaction` [mN], (n, 3), on the points and `cauchy` [kPa], (m, 9) or (m, 6), on the tets
+are scored too where they are there.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ import numpy as np
 Floats = np.ndarray
 ARCHIVE = "face-benchmark.zip"
 DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
+FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh", ".xdmf": "xdmf", ".xmf": "xdmf"}
+"""By the suffix of an answer; readers of other kinds follow names of more files."""
 MESHES = ("coarse", "medium", "fine")
 """Nested meshes, each of eight times the tets of the one before."""
 MOST_BYTES = 1_000_000_000
@@ -121,6 +124,10 @@ class Archive:
 
     def _refuse(self, error: Exception) -> AnswerError:
         reason = " ".join(str(error).replace(f"{self.path}: ", "").split())[:100] or type(error).__name__
+        if isinstance(error, KeyError):
+            reason = f"{reason} is missing"
+        elif isinstance(error, (IndexError, TypeError, AttributeError, np.linalg.LinAlgError)):
+            reason = "its parts do not fit together"
         return AnswerError(f"{self.path}: no archive of the face benchmark, or damaged ({reason})")
 
     def _read(self, name: str) -> bytes:
@@ -203,20 +210,49 @@ def read_plain_file(path: Path) -> bytes:
 
 
 def read_mesh(path: Path) -> meshio.Mesh:
-    """Read a mesh file; AnswerError for what cannot be read, and for XDMF whose numbers are not beside it."""
+    """Read a mesh file; AnswerError for another kind, for a damaged one, and for XDMF whose numbers lie elsewhere."""
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise AnswerError(f"{path}: unknown kind of file {path.suffix!r}; expected one of {', '.join(FORMATS)}")
     try:
-        if path.suffix.lower() in (".xdmf", ".xmf"):
+        if kind == "xdmf":
             for item in ElementTree.parse(path).iter("DataItem"):
-                name = str(item.text).split(":")[0].strip()
-                inside = item.get("Format", "XML") == "XML"
-                beside = item.get("Format") == "HDF" and Path(name).name == name
-                if not inside and (not beside or (path.parent / name).is_symlink()):
-                    raise ValueError(f"its numbers are in {name!r}; expected a plain HDF5 file beside it")
+                _check_beside(path, item)
         with _quiet():
-            return meshio.read(path)
+            return meshio.read(path, file_format=kind)
     except (Exception, SystemExit) as error:  # meshio raises anything, and exits, over a damaged file
         reason = " ".join(str(error).replace(str(path), "").split())[:80]
         raise AnswerError(f"{path}: cannot be read; damaged, or cut short ({reason})") from None
+
+
+def _check_beside(path: Path, item: ElementTree.Element) -> None:
+    """Raise ValueError unless the numbers of an XDMF item are in the file, or all in a plain HDF5 file beside it."""
+    if item.get("Format", "XML") == "XML":
+        return
+    name = str(item.text).strip().split(":")[0]
+    file = path.resolve().parent / name
+    plain = item.get("Format") == "HDF" and Path(name).name == name and file.is_file() and not file.is_symlink()
+    if not plain:
+        raise ValueError(f"its numbers are in {name!r}; expected a plain HDF5 file beside it")
+    import h5py
+
+    with h5py.File(file, "r") as content:
+        groups, size = [content["/"]], 0
+        for group in groups:
+            for key in group:
+                if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                    raise ValueError(f"{name}: {key!r} is a link; expected numbers in it")
+                each = group[key]
+                if isinstance(each, h5py.Group):
+                    if each in groups:
+                        raise ValueError(f"{name}: {key!r} is there twice; expected it once")
+                    groups.append(each)
+                elif not isinstance(each, h5py.Dataset) or each.external or each.is_virtual:
+                    raise ValueError(f"{name}: {key!r} has its numbers in another file; expected them in it")
+                else:
+                    size += each.nbytes
+        if size > MOST_BYTES:
+            raise ValueError(f"{name}: {size:,} bytes of numbers; at most {MOST_BYTES:,} are read")
 
 
 def _refuse_constant(word: str) -> float:
@@ -259,11 +295,13 @@ def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
     for name, patch in description["patches"].items():
         listed = _check_numbers_of(f"patch {name}", patch["tets"], tets)
         _check(f"patch {name}", _numbers(f"patch {name}", patch["volumes"], (listed,)).min() > 0.0)
-    _check("bones", isinstance(description["bones"], list) and len(description["bones"]) > 0)
+    bones = description["bones"]
+    _check("bones", isinstance(bones, list) and len(bones) > 0 and all(isinstance(bone, str) for bone in bones))
     lengths = {"skin, mean": 1, "skin, largest": 1, **{f"at {name}": 3 for name in description["points"]}}
     lengths |= {f"stress at {name}": 1 for name in description["patches"]}
     lengths |= {f"force on {bone}": 3 for bone in description["bones"]}
     _check("problems", len(description["problems"]) > 0)
+    _check("names", all(name.isprintable() for name in (*lengths, *description["problems"])))
     for problem, asked in description["problems"].items():
         converged = _numbers(f"{problem}.converged", arrays[f"{problem}.converged"], (count, 3))
         for mesh, size in zip(MESHES, sizes, strict=True):
@@ -271,10 +309,16 @@ def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
         for name, most in (("band_mm", _rms(converged)), ("largest_mm", _norms(converged).max())):
             _check(f"{problem}, {name}", 0.0 < float(_numbers(f"{problem}, {name}", asked[name], ())) <= most)
         _check(f"{problem}, quantities", set(asked["quantities"]) == set(lengths))
+        largest = dict.fromkeys(("mm", "kPa", "mN"), 0.0)
         for name, quantity in asked["quantities"].items():
-            _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
-            _check(f"{problem}, {name}", float(_numbers(f"{problem}, {name}", quantity["band"], ())) > 0.0)
-            _check(f"{problem}, {name}", isinstance(quantity["unit"], str))
+            unit = {"stress": "kPa", "force": "mN"}.get(name.split()[0], "mm")
+            _check(f"{problem}, {name}: unit", quantity["unit"] == unit)
+            value = _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
+            largest[unit] = max(largest[unit], float(np.linalg.norm(value)))
+        _check(f"{problem}: values in mm", largest["mm"] <= 2.0 * _norms(converged).max())
+        for name, quantity in asked["quantities"].items():
+            band = float(_numbers(f"{problem}, {name}", quantity["band"], ()))
+            _check(f"{problem}, {name}: band", 0.0 < band <= largest[quantity["unit"]])
 
 
 def score(path: Path, archive: Archive, problem: str = "") -> Score:
@@ -297,7 +341,7 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
     if "cauchy" in answer.cell_data:
         arrays["cauchy"] = _stresses(answer, len(mesh.tets))
     for name, values in arrays.items():
-        _check_once(name, answer, content)
+        _check_once(name, answer, FORMATS[path.suffix.lower()], content)
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         if bad.size:
             told = f"{bad.size:,} of {len(values):,} rows of {name!r} are NaN or infinite, the first is {bad[0]:,}"
@@ -364,9 +408,10 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
                 "right on this mesh",
                 f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {told}",
             )
-    for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
-        if _rms(factor * moved - linear) <= EXPLAINED * _rms(linear):
-            return "wrong", f"displacements are in {unit}; expected mm"
+    for truth in (linear, converged):
+        for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
+            if _rms(factor * moved - truth) <= EXPLAINED * _rms(truth):
+                return "wrong", f"displacements are in {unit}; expected mm"
     for truth in (linear, converged):
         still, shift, angle = _without_rigid_motion(mesh.points + moved, mesh.points + truth)
         if not strayed and _rms(still - mesh.points - truth) <= EXPLAINED * _rms(moved - truth):
@@ -467,13 +512,28 @@ def _orientations(tets: np.ndarray) -> np.ndarray:
     return found
 
 
-def _check_once(name: str, answer: meshio.Mesh, content: bytes) -> None:
+def _check_once(name: str, answer: meshio.Mesh, kind: str, content: bytes) -> None:
     """Raise AnswerError for an array that a file has twice, of which meshio gives the last."""
-    tags = rb"<(?:DataArray|Attribute)\b[^>]*\bName=[\"']%b[\"']" % name.encode()
-    lines = rb"^(?:SCALARS |VECTORS |TENSORS |NORMALS )?%b (?=\w)|^\"%b\"" % (name.encode(), name.encode())
-    there = len(re.findall(tags + rb"|" + lines, content, re.MULTILINE))
+    if kind in ("vtu", "xdmf"):
+        there = sum(
+            each.get("Name") == name for each in _parse(content).iter() if each.tag in ("DataArray", "Attribute")
+        )
+    else:
+        words = rb"(?i:SCALARS|VECTORS|TENSORS|NORMALS)"
+        lines = rb"^[ \t]*(?:%b[ \t]+)?%b[ \t]+(?=\w)|^[ \t]*\"%b\"" % (words, name.encode(), name.encode())
+        there = len(re.findall(lines, content, re.MULTILINE))
     if there > (name in answer.point_data) + (name in answer.cell_data):
         raise AnswerError(f"{name!r} is there {there} times; expected it once")
+
+
+def _parse(content: bytes) -> ElementTree.Element:
+    """Parse XML; bytes within, which VTU may have after its arrays, are cut out as meshio does."""
+    try:
+        return ElementTree.fromstring(content)
+    except ElementTree.ParseError:
+        match = re.search(rb'<AppendedData[^>]+(?:">)', content)
+        end = match.end() if match else 0
+        return ElementTree.fromstring(content[:end] + content[content.find(b"</AppendedData>") :])
 
 
 def _vectors(answer: meshio.Mesh, name: str, unit: str) -> Floats:

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -114,6 +115,15 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
     texts = {"README.md", "score.py", "benchmark.json", "SHA256SUMS"}
     assert names[0] == names[1] == meshes | texts | {"answers.npz"}
+
+
+def test_an_export_tries_failed_rows_again(study, exported, tmp_path):
+    shutil.copytree(exported[0] / "rows", tmp_path / "rows")
+    rows = tmp_path / "rows" / "rows.jsonl"
+    row = next(line for line in rows.read_text().splitlines() if "linear, coarse" in line)
+    rows.write_text(rows.read_text() + json.dumps(json.loads(row) | {"status": "failed", "values": {}}) + "\n")
+    results, _ = export(tmp_path / "benchmark.zip", study, tmp_path / "rows", workers=1)
+    assert results.passed and (tmp_path / "benchmark.zip").exists()
 
 
 def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
@@ -310,14 +320,68 @@ def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, 
     assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
 
 
-def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path):
+NAMES = [
+    (".vtu", b'Name="displacement"'), (".xdmf", b'Name="displacement"'), (".vtu", b"Name = 'displacement'"),
+    (".xdmf", b'Name="displac&#101;ment"'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "name"), NAMES)
+def test_an_array_that_is_there_twice_is_refused(archive, judged, tmp_path, suffix, name):
     limit = archive.arrays["gravity.converged"]
-    for suffix in (".vtu", ".xdmf"):
-        judged(limit, suffix=suffix, other=0.0 * limit)
-        file = tmp_path / f"gravity{suffix}"
-        file.write_bytes(file.read_bytes().replace(b'Name="other"', b'Name="displacement"'))
-        with pytest.raises(scorer.AnswerError, match="'displacement' is there 2 times"):
-            scorer.score(file, archive)
+    judged(limit, suffix=suffix, other=0.0 * limit)
+    file = tmp_path / f"gravity{suffix}"
+    file.write_bytes(file.read_bytes().replace(b'Name="other"', name))
+    with pytest.raises(scorer.AnswerError, match="'displacement' is there 2 times"):
+        scorer.score(file, archive)
+
+
+def elsewhere(link):
+    """Give a change of an HDF5 file that puts its last array into another."""
+
+    def change(file, key):
+        with h5py.File(file, "r+") as content:
+            values = content[key][()]
+            del content[key]
+            link(content, key, values, str(file.with_name("other.h5")))
+
+    return change
+
+
+def as_virtual(content, key, values, other):
+    layout = h5py.VirtualLayout(values.shape, values.dtype)
+    layout[:] = h5py.VirtualSource(other, "x", values.shape)
+    content.create_virtual_dataset(key, layout)
+
+
+ELSEWHERE = {
+    "external link": (lambda f, k, v, other: f.update({k: h5py.ExternalLink(other, "x")}), "is a link"),
+    "soft link": (lambda f, k, v, other: f.update({k: h5py.SoftLink("/data0")}), "is a link"),
+    "external numbers": (
+        lambda f, k, v, other: f.create_dataset(k, v.shape, v.dtype, external=[(other, 0, v.nbytes)]),
+        "has its numbers in another file",
+    ),
+    "virtual": (as_virtual, "has its numbers in another file"),
+    "huge": (lambda f, k, v, other: f.create_dataset(k, (10**12,), "f8", chunks=(999,)), "at most 1,000,000,000"),
+}
+
+
+@pytest.mark.parametrize("case", ELSEWHERE)
+def test_numbers_beside_an_answer_are_all_in_one_file(archive, judged, tmp_path, case):
+    link, words = ELSEWHERE[case]
+    judged(archive.arrays["gravity.converged"], suffix=".xdmf")
+    elsewhere(link)(tmp_path / "gravity.h5", "data2")
+    with pytest.raises(scorer.AnswerError, match=words):
+        scorer.score(tmp_path / "gravity.xdmf", archive)
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".med", ".h5m", ".hmf", ".ele", ".inp.vtu"])
+def test_other_kinds_of_files_are_not_opened(archive, tmp_path, suffix):
+    os.mkfifo(tmp_path / "pipe")
+    file = tmp_path / f"gravity{suffix}"
+    file.write_text("*HEADING\n*INCLUDE,INPUT=pipe\n")
+    with pytest.raises(scorer.AnswerError, match="unknown kind of file|cannot be read"):
+        scorer.score(file, archive)
 
 
 @pytest.mark.parametrize("name", ["../other.h5:/data0", "/etc/passwd:/", "&#47;etc&#47;passwd:/", "linked.h5:/data0"])
@@ -425,6 +489,12 @@ DAMAGED = {
     ),
     "band of a quantity zero": in_description(set_to("problems", "jaw", "quantities", "at chin", "band", value=0)),
     "unit a number": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value=1)),
+    "band of a quantity wider than all": in_description(
+        set_to("problems", "jaw", "quantities", "at chin", "band", value=100.0)
+    ),
+    "value far off": in_description(set_to("problems", "jaw", "quantities", "skin, mean", "value", value=[100.0])),
+    "unit that colours": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value="\x1b[31m")),
+    "bones that are numbers": in_description(set_to("bones", value=[1])),
     "skin point out of range": in_description(set_to("skin_points", 0, value=126)),
     "skin point below zero": in_description(set_to("skin_points", 0, value=-1)),
     "skin points broken": in_description(set_to("skin_points", 0, value=0.5)),
@@ -460,6 +530,8 @@ def test_a_damaged_archive_is_refused_in_a_line(archive, judged, tmp_path, damag
     with pytest.raises(scorer.AnswerError, match="damaged.zip: no archive of the face benchmark, or damaged") as error:
         scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "damaged.zip"))
     assert "\n" not in str(error.value)
+    words = {"an empty object": "'meshes' is missing", "a list": "fit together", "coarse mesh flat": "fit together"}
+    assert words.get(damage, "") in str(error.value)
 
 
 def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
@@ -486,8 +558,9 @@ def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_told_apart_in_a_line(archive, judged, fault):
     change, verdict, words = FAULTS[fault]
-    score = judged(change(archive.arrays["gravity.linear.coarse"]))
-    assert f": {verdict}: " in score.line and words in score.line and "\n" not in score.line
+    for truth in ("gravity.linear.coarse", "gravity.converged"):
+        score = judged(change(archive.arrays[truth]))
+        assert f": {verdict}: " in score.line and words in score.line and "\n" not in score.line
 
 
 def test_a_turned_answer_is_shifted(archive, judged):

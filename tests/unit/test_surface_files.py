@@ -61,7 +61,7 @@ def test_an_obj_of_several_groups_and_materials_keeps_its_vertices(tmp_path):
     lines += ["f " + " ".join(f"{k - len(X)}//1" for k in t) for t in TRIANGLES[half:]]
     vertices, triangles = mesh_of(written(tmp_path / "head.obj", "\n".join(lines)))
     assert np.allclose(vertices, X) and np.array_equal(triangles, TRIANGLES)
-    quad = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 \\\n3 4\nl 1 2\n"
+    quad = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 \\\n3 4 # a_b\nl 1 2\n"
     assert mesh_of(written(tmp_path / "quad.obj", quad))[1].tolist() == [[0, 1, 2], [0, 2, 3]]
 
 
@@ -145,8 +145,13 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
 
     made.words["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(made.chunk).decode()
     assert np.array_equal(mesh_of(written(tmp_path / "b.gltf", json.dumps(made.words)))[0], scan.vertices)
-    made.words["buffers"][0]["uri"] = "missing.bin"
-    refused("missing.bin: no such file beside it", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
+    for uri, said in (
+        ("missing.bin", "no such file beside it"),
+        ("head:1.bin", "has no ':'"),
+        (".a.bin", "with a dot"),
+    ):
+        made.words["buffers"][0]["uri"] = uri
+        refused(f"{uri}: .*{said}", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
     whole = (tmp_path / "a.glb").read_bytes()
     for cut in (10, 200, len(whole) // 2, len(whole) - 9):
         refused(r"c\.glb: ", read_scan, written(tmp_path / "c.glb", whole[:cut]))
@@ -274,6 +279,10 @@ GLTF = [
     (sparse(5, 5), "sparse indices: they do not rise"),
     (sparse(5, 999), "sparse indices: 999"),
     (no_weights, "WEIGHTS_0: vertex 0 hangs on no joint"),
+    (lambda words: words["accessors"][0].pop("bufferView"), "accessor 0: its numbers are not in the file"),
+    (lambda words: words["accessors"][1].pop("bufferView"), "accessor 1: its numbers are not in the file"),
+    (changed("accessors", 1, componentType=5126, count=3), "accessor 1: of floats, expected integers"),
+    (changed("accessors", 1, count=8), "triangles: 8 corners, no multiple of 3"),
 ]
 
 
@@ -313,6 +322,7 @@ BAD = [
         ("v 1 2 nan", "1 rows are not finite"),
         (f"v 1 2 1{'0' * 400}", "1 rows are not finite"),
         ("v 1 2", "line .* is none of an OBJ file"),
+        ("f 1 2 #3", "line .* is none of an OBJ file"),
         ("f 1 2 \x1b[2J", r"line .* is none of an OBJ file: .*x1b\[2J"),
     ]),
     ("a.obj", "v 0 0 0", "no triangles found"),
@@ -332,6 +342,8 @@ BAD = [
     ("a.ply", "", "the file is empty"),
     ("a.ply", ASCII + b"1 3 4 5 6 0\n", "goes on after the elements"),
     ("a.ply", BINARY + b"more", "goes on after the elements"),
+    ("a.ply", ASCII + b"hello\n", "'hello', which is no number"),
+    ("a.ply", ASCII.replace(b"1 3 4 5 6", b"1 3 4 5,5 6"), "'5,5', which is no number"),
     ("a.obj", OBJ + "v 1_0 0 0\n", "line .* is none of an OBJ file"),
     ("a.obj", OBJ + "f 1 2 1_0\n", "line .* is none of an OBJ file"),
     ("a.stl", FACET + "outer loop\nvertex 1_0 2 3\n", "line 4 is none of an STL file"),
@@ -340,8 +352,10 @@ BAD = [
     *(("a.stl", stl_of(count), "its size is not that of the") for count in (10**9, 2**32 - 1, 319, 0)),
     ("a.stl", FACET + "something else\n", "line 3 is none of an STL file"),
     ("a.stl", FACET + "outer loop\nvertex 1 2 3\n", "cut off within a triangle"),
+    ("a.stl", exported("stl_ascii", X, TRIANGLES).rpartition(b"endsolid")[0], "it does not end in 'endsolid'"),
     ("a.stl", "hello", "no"),
     *(("a.glb", edited_glb(edit), message) for edit, message in GLTF),
+    ("a.glb", gltf().glb().replace(b"glTF\2", b"glTF\1"), "a GLB file of version 1; expected 2"),
     ("a.glb", "solid", "does not begin with 'glTF'"),
     ("a.gltf", "{", "not a glTF file"),
     ("a.gltf", '{"asset": {"version": "1.0"}}', "not a glTF 2.0 file"),
@@ -443,6 +457,7 @@ def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_
         (packed_glb, "bufferViews", 1, {"byteLength": 396}, "396 bytes; its meshopt data have 102 times 4"),
         (packed_glb, "bufferViews", 1, {"byteLength": 3 * 10**9}, "shorter than it says"),
         (draco_glb, "accessors", 0, {"count": 41}, r"Draco's vertices: expected shape \(41, 3\), got \(42, 3\)"),
+        (draco_glb, "accessors", 0, {"min": [-100] * 3, "max": [50] * 3}, "Draco's vertices lie 50 off the extent"),
         (draco_glb, "accessors", 1, {"count": 237}, r"Draco's corners: expected shape \(237,\), got \(240,\)"),
     ],
 )

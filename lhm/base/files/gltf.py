@@ -32,6 +32,7 @@ from .meshopt import decode_meshopt
 from .text import find_beside, parse_json, read_bytes, read_json
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+FLOAT = 5126
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _KNOWN = {
     "KHR_draco_mesh_compression",
@@ -44,6 +45,8 @@ LARGEST = 1e12
 LONGEST_STRIDE = 65536
 """Bytes; the specification has 252."""
 LONGEST_NAME = 200
+QUANTISED = 0.02
+"""Of a mesh's size: how far Draco's quantisation moves its extent, with 5 bits or more."""
 FLAT = 1e-9
 """Of a transform's largest number, cubed: a determinant below leaves no volume."""
 ENDED = "the file is shorter than it says: is its end missing?"
@@ -231,11 +234,12 @@ class _Document:
             x, triangles = decode_draco(bytes(self._view(packed["bufferView"])), packed["attributes"]["POSITION"])
             shape("Draco's vertices", x, (self._count(attributes["POSITION"]), 3))
             shape("Draco's corners", triangles.ravel(), (self._count(primitive["indices"]),))
+            self._check_extent(attributes["POSITION"], x)
         else:
-            x = self._accessor(attributes["POSITION"], "VEC3")
+            x = self._accessor(attributes["POSITION"], "VEC3", stored=True)
             ids = np.arange(len(x))
             if "indices" in primitive:
-                ids = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+                ids = self._accessor(primitive["indices"], "SCALAR", integer=True, stored=True)[:, 0].astype(np.int64)
             triangles = _triangles(ids, primitive.get("mode", 4))
         triangles = indices_below("triangles", triangles, len(x), (None, 3))
         targets: dict[str, Floats] = {}
@@ -248,7 +252,7 @@ class _Document:
                 shape(f"morph target {name!r}", targets[name], (len(x), 3))
         if "JOINTS_0" not in attributes:
             return _Primitive(x, triangles, targets)
-        joints = self._accessor(attributes["JOINTS_0"], "VEC4").astype(np.int64)
+        joints = self._accessor(attributes["JOINTS_0"], "VEC4", integer=True).astype(np.int64)
         shape("JOINTS_0", joints, (len(x), 4))
         weights = in_range("WEIGHTS_0", self._accessor(attributes["WEIGHTS_0"], "VEC4"), 0.0, 1e3, (len(x), 4))
         total = weights.sum(axis=1, keepdims=True)
@@ -256,11 +260,27 @@ class _Document:
             raise InputError(f"WEIGHTS_0: vertex {np.argmin(total)} hangs on no joint")
         return _Primitive(x, triangles, targets, joints, weights / total)
 
-    def _accessor(self, number: int, kind_of: str) -> Floats:
-        """Return an accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
+    def _check_extent(self, number: int, x: Floats) -> None:
+        """Check that vertices (n, 3) which were decoded lie where their accessor states."""
+        accessor = self._item("accessors", number)
+        if "min" in accessor and "max" in accessor and len(x):
+            least, most = (finite(name, accessor[name], (3,)) for name in ("min", "max"))
+            off = max(np.abs(x.min(axis=0) - least).max(), np.abs(x.max(axis=0) - most).max())
+            if off > QUANTISED * np.ptp(x, axis=0).max():
+                raise InputError(f"Draco's vertices lie {off:.3g} off the extent that the file states")
+
+    def _accessor(self, number: int, kind_of: str, *, integer: bool = False, stored: bool = False) -> Floats:
+        """Return an accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3".
+
+        `integer`: its numbers have to be integers; `stored`: they have to be in the file, not zeros that it leaves out.
+        """
         accessor = self._item("accessors", number)
         if accessor["type"] != kind_of:
             raise InputError(f"accessor {number}: of type {quote(accessor['type'])}, expected {kind_of}")
+        if integer and accessor["componentType"] == FLOAT:
+            raise InputError(f"accessor {number}: of floats, expected integers")
+        if stored and "bufferView" not in accessor:
+            raise InputError(f"accessor {number}: its numbers are not in the file")
         kind, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[kind_of]
         count = self._count(number)
         view, offset = accessor.get("bufferView"), accessor.get("byteOffset", 0)
@@ -348,7 +368,10 @@ def _glb(content: bytes) -> tuple[Any, memoryview | None]:
     """Return the JSON and the binary chunk of a GLB file."""
     if content[:4] != b"glTF":
         raise InputError("not a GLB file (it does not begin with 'glTF')")
-    if struct.unpack("<I", content[8:12])[0] > len(content):
+    version, size = struct.unpack("<II", content[4:12])
+    if version != 2:
+        raise InputError(f"a GLB file of version {version}; expected 2")
+    if size > len(content):
         raise InputError(ENDED)
     chunks: dict[bytes, memoryview] = {}
     place = 12
@@ -388,7 +411,9 @@ def _strided(
 def _triangles(ids: Ints, mode: int) -> Ints:
     """Return triangles of a list (mode 4), a strip (5) or a fan (6)."""
     if mode == 4:
-        return ids[: len(ids) // 3 * 3].reshape(-1, 3)
+        if len(ids) % 3:
+            raise InputError(f"triangles: {len(ids):,} corners, no multiple of 3")
+        return ids.reshape(-1, 3)
     if len(ids) < 3:
         return np.zeros((0, 3), dtype=np.int64)
     if mode == 6:

@@ -16,7 +16,7 @@ from numba import njit
 from ..errors import InputError, quote
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints
-from .text import read_bytes
+from .text import parse_number, read_bytes
 
 KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 KINDS |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
@@ -115,12 +115,26 @@ def _property(words: list[str], order: str) -> _Property:
 
 
 def _numbers_of_text(body: bytes) -> Floats:
+    body = body.rstrip(b"\0\x1a \t\r\n")
+    if not body:
+        return np.zeros(0)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", DeprecationWarning)  # for text that ends in no number; it is cut off there
+        warnings.simplefilter("error", DeprecationWarning)  # where it would end at what is no number
         try:
             return np.fromstring(body, dtype=np.float64, sep=" ")
+        except (ValueError, DeprecationWarning):
+            raise InputError(f"its body has {_find_no_number(body)!r}, which is no number") from None
+
+
+def _find_no_number(body: bytes) -> str:
+    """Return the first word that is no number, in part."""
+    for match in re.finditer(rb"\S+", body):
+        word = match[0].decode("ascii", errors="replace")
+        try:
+            parse_number(word)
         except ValueError:
-            raise InputError("its body has words that are no numbers") from None
+            return quote(word, 40)
+    return "a word"
 
 
 def _vertices(body: np.ndarray, place: int, element: _Element) -> tuple[Floats, int]:

@@ -108,9 +108,10 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
         content = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     coordinates, corners = array("d"), array("q")
     for number, line in enumerate(content.splitlines(), start=1):
-        kind, *fields = line.split() or [b""]
+        said = line.partition(b"#")[0]
+        kind, *fields = said.split() or [b""]
         try:
-            if b"_" in line and kind in (b"v", b"f"):  # 1_0 is a number to Python alone
+            if b"_" in said and kind in (b"v", b"f"):  # 1_0 is a number to Python alone
                 raise ValueError
             if kind == b"v":
                 x, y, z = fields[:3]
@@ -162,7 +163,7 @@ def read_stl(path: Path) -> tuple[Floats, Ints]:
 
 def _corners_of_text(content: bytes) -> np.ndarray:
     """Return the corners (3 m, 3) of a text STL, float32."""
-    corners, facet = array("d"), 0
+    corners, facet, ended = array("d"), 0, False
     for number, line in enumerate(content.lower().splitlines(), start=1):
         kind, *fields = line.split() or [b""]
         try:
@@ -176,12 +177,16 @@ def _corners_of_text(content: bytes) -> np.ndarray:
                 if facet != 3:
                     raise ValueError
                 facet = 0
-            elif kind not in (b"solid", b"facet", b"outer", b"endloop", b"endsolid", b""):
+            elif kind in (b"solid", b"endsolid"):
+                ended = kind == b"endsolid"
+            elif kind not in (b"facet", b"outer", b"endloop", b""):
                 raise ValueError
         except ValueError:
             raise _none_of("an STL", number, line) from None
     if facet:
         raise InputError("the file is cut off within a triangle")
+    if not ended:
+        raise InputError("the file is cut off: it does not end in 'endsolid'")
     TRIANGLES.check("it has", len(corners) // 9)
     with np.errstate(over="ignore"):
         return np.frombuffer(corners, np.float64).reshape(-1, 3).astype(np.float32)

@@ -47,7 +47,10 @@ def find_beside(path: Path, name: str) -> Path:
     `path` that is a link is followed first.
     """
     parts = PurePosixPath(name).parts
-    inside = not re.search(r"[:\\]", name) and not any(part.startswith((".", "/")) for part in parts)
+    if re.search(r"[:\\]", name) or any(part.startswith(".") and part != ".." for part in parts):
+        said = "the name of a file in another has no ':', no '\\' and no part that begins with a dot"
+        raise InputError(f"{quote(name, 80)}: {said}")
+    inside = not any(part in ("/", "//", "..") for part in parts)
     folder = path.resolve().parent
     found = folder / name if inside else folder
     if inside and not is_plain_file(found):
