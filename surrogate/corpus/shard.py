@@ -394,7 +394,12 @@ def _array(file: h5py.File, name: str) -> NDArray[Any]:
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
     """Return one array of a file, of a plain type, whose bytes lie in the file in one run, as `write_shard` has it."""
-    data = file[name]
+    data: Any = file
+    for part in name.split("/"):
+        # Asked before anything is opened: a link leads to other arrays, or to files elsewhere.
+        if not isinstance(data, h5py.Group) or data.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
+            raise ValueError(f"{name} is a link, or lies in no group")
+        data = data[part]
     if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "biufS":
         raise ValueError(f"{name} is no array of numbers or texts")
     if not 0 <= data.nbytes <= file.id.get_filesize() or (data.nbytes and data.id.get_offset() is None):

@@ -1,6 +1,7 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -466,6 +467,12 @@ DAMAGES = {
     "a link to another file": replace_by(
         "groups/settled", lambda file: h5py.ExternalLink("other.h5", "/groups/settled")
     ),
+    "a soft link to the same numbers": lambda file: (
+        file.move("statics/frame", "kept"),
+        file.__setitem__("statics/frame", h5py.SoftLink("/kept")),
+    ),
+    "a table in another file": replace_by("groups", lambda file: h5py.ExternalLink("person-00000.h5", "/groups")),
+    "a link to a pipe": replace_by("groups/settled", lambda file: h5py.ExternalLink("pipe.h5", "/groups/settled")),
     "storage elsewhere": put("statics/weights", external=[("other.raw", 0, 10**4)]),
     "a group": lambda file: (file.__delitem__("statics/weights"), file.create_group("statics/weights")),
     "two persons": lambda file: put("persons/code", data=np.repeat(file["persons/code"][()], 2, axis=0))(file),
@@ -475,6 +482,7 @@ DAMAGES = {
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_status_names_what_verify_names(copied, command, damage):
     (copied / "other.raw").write_bytes(bytes(10**4))
+    os.mkfifo(copied / "pipe.h5")
     with h5py.File(copied / "person-00001.h5", "r+") as file:
         damage(file)
     named = command("corpus", "verify", copied).refusal()
