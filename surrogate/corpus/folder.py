@@ -245,7 +245,7 @@ def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = 
             check_intact(manifest, mean, identity)
             arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
         except InputError as error:
-            damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
+            damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
             continue
         done, size = done + 1, size + path.stat().st_size
         versions[label.version] = versions.get(label.version, 0) + 1
@@ -268,12 +268,14 @@ def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = 
 def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
     """Read every shard of a corpus whole, and return how many there are.
 
-    InputError names the first that is missing, damaged, or of another corpus or person, or the template; see `intact`.
+    InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged, or
+    the template; see `intact`.
     """
     manifest, mean = read_manifest(folder), read_template(folder)
     people = manifest.counts.identities
     for identity in range(people):
         read_intact(manifest, mean, identity)
+        read_seconds(manifest.shard_path(identity))
         on_progress("verify", (identity + 1) / people)
     return people
 

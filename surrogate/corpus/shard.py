@@ -24,7 +24,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.base.errors import InputError
+from ...lhm.base.checks import number
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import read_json
 from ...lhm.base.limits import PARAMETER_SETS, SHARD_BYTES, TAKE_FRAMES
@@ -44,6 +45,8 @@ FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 LONGEST = 200
 """Characters of a status."""
 WEIGHTS = 52
+SPENT = 1e9
+"""[s] Most of a phase of a person: thirty years."""
 _REMEDY = "`softdeca corpus generate` makes it anew"
 
 Halves = NDArray[np.float16]
@@ -313,16 +316,14 @@ def seconds_path(path: Path) -> Path:
 def read_seconds(path: Path) -> dict[str, float]:
     """Read the processor seconds by phase that a shard took; empty if the file beside it is missing.
 
-    InputError for a file that cannot be read, or that holds anything but finite numbers by name.
+    InputError for a file that cannot be read, or that holds anything but numbers from 0 to SPENT by name.
     """
     beside = seconds_path(path)
     if not beside.exists():
         return {}
     try:
-        seconds = {str(phase): float(spent) for phase, spent in read_json(beside).items()}
-        if not all(spent >= 0.0 for spent in seconds.values()):
-            raise ValueError
-    except (ValueError, TypeError, AttributeError):
+        seconds = {phase: number(phase, spent, least=0.0, most=SPENT) for phase, spent in read_json(beside).items()}
+    except (InputError, AttributeError):
         raise InputError(
             f"seconds {beside}: expected JSON of seconds by phase; delete it, or make the shard anew"
         ) from None
@@ -436,7 +437,10 @@ class _opened:
 
 
 def _label(file: h5py.File) -> Label:
-    return Label(str(file.attrs["owner"]), int(file.attrs["format"]), str(file.attrs["version"]))
+    format = file.attrs["format"]
+    if not isinstance(format, np.integer):
+        raise ValueError(f"format: expected a whole number, got {quote(format)}")
+    return Label(str(file.attrs["owner"]), int(format), str(file.attrs["version"]))
 
 
 def _check_label(path: Path, label: Label, owner: str) -> None:
@@ -446,3 +450,5 @@ def _check_label(path: Path, label: Label, owner: str) -> None:
         raise InputError(
             f"shard {path}: of another corpus ({label.owner}, expected {owner}): its plan or template differs"
         )
+    if not owner.endswith(f"-{label.format}"):
+        raise InputError(f"shard {path}: of format {label.format}, its corpus of another; {_REMEDY}")

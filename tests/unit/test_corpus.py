@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -139,7 +140,7 @@ def test_seconds_lie_beside_a_shard(made, tmp_path):
     assert read_shard(path, made.owner).checksum == shard.checksum
     seconds_path(path).unlink()
     assert read_seconds(path) == {}
-    for damaged in ("[1]", '{"fit": "long"}', '{"fit": NaN}', '{"fit": -1}', "{"):
+    for damaged in ("[1]", '{"fit": "long"}', '{"fit": NaN}', '{"fit": -1}', '{"fit": true}', '{"fit": "1"}', '{"fit": 1e300}', "{"):
         seconds_path(path).write_text(damaged)
         with pytest.raises(InputError, match="person-00000.json: expected JSON of seconds by phase"):
             read_seconds(path)
@@ -411,13 +412,21 @@ def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
 def test_a_checksum_covers_owner_format_and_version(copied):
     path = copied / "person-00001.h5"
     whole = path.read_bytes()
-    for name, value in (("version", "0.1.1"), ("format", 2), ("checksum", "0"), ("checksum", None)):
+    for name, value in (("version", "0.1.1"), ("checksum", "0"), ("checksum", None)):
         path.write_bytes(whole)
         with h5py.File(path, "r+") as file:
             del file.attrs[name]
             file.attrs.update({} if value is None else {name: value})
         with pytest.raises(InputError, match=r"person-00001.h5: .*checksum"):
             verify_folder(copied)
+
+
+@pytest.mark.parametrize("format", [2, 3.7, 3.0, "3", [3], True], ids=repr)
+def test_a_shard_is_of_the_format_of_its_corpus(copied, format):
+    with h5py.File(copied / "person-00001.h5", "r+") as file:
+        file.attrs["format"] = format
+    with pytest.raises(InputError, match=r"person-00001.h5: .*format"):
+        verify_folder(copied)
 
 
 def test_a_corpus_of_the_format_before_is_read_and_not_gone_on_with(copied):
@@ -475,6 +484,7 @@ DAMAGES = {
     "a link to a pipe": replace_by("groups/settled", lambda file: h5py.ExternalLink("pipe.h5", "/groups/settled")),
     "storage elsewhere": put("statics/weights", external=[("other.raw", 0, 10**4)]),
     "a group": lambda file: (file.__delitem__("statics/weights"), file.create_group("statics/weights")),
+    "seconds beside it": lambda file: seconds_path(Path(file.filename)).write_text('{"fit": "1"}'),
     "two persons": lambda file: put("persons/code", data=np.repeat(file["persons/code"][()], 2, axis=0))(file),
 }
 
@@ -486,7 +496,7 @@ def test_status_names_what_verify_names(copied, command, damage):
     with h5py.File(copied / "person-00001.h5", "r+") as file:
         damage(file)
     named = command("corpus", "verify", copied).refusal()
-    assert "person-00001.h5: " in named
+    assert "person-00001.h5: " in named or "person-00001.json: " in named
     ended = command("corpus", "status", copied)
     assert (
         ended.status == 1 and f"DAMAGED {named.partition('error: ')[2]}" in ended.out and "2 of 3 people" in ended.out
