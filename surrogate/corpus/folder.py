@@ -140,8 +140,8 @@ class Corpus:
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
-        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed
-        meanwhile, and SoftdecaError if a worker dies again and again.
+        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed or
+        changed meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
             for left in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
@@ -156,7 +156,18 @@ class Corpus:
             status = self.status(on_progress=on_progress)
             if status.identities_done + len(status.damaged) < status.identities:
                 raise self._removed(status.identities_done)
+            self._check_kept()
         return status
+
+    def _check_kept(self) -> None:
+        """Raise InputError where corpus.json or template.npz is not what was written when the generation began."""
+        try:
+            read_template(self.folder)
+            is_kept = read_manifest(self.folder).said == json.loads(json.dumps(self.manifest.said))
+        except InputError as error:
+            raise InputError(f"{error}; it changed while the corpus was made, run again") from None
+        if not is_kept:
+            raise InputError(f"{self.folder / MANIFEST}: it changed while the corpus was made; run again")
 
     def _removed(self, done: int) -> InputError:
         return InputError(
