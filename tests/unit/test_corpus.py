@@ -140,7 +140,16 @@ def test_seconds_lie_beside_a_shard(made, tmp_path):
     assert read_shard(path, made.owner).checksum == shard.checksum
     seconds_path(path).unlink()
     assert read_seconds(path) == {}
-    for damaged in ("[1]", '{"fit": "long"}', '{"fit": NaN}', '{"fit": -1}', '{"fit": true}', '{"fit": "1"}', '{"fit": 1e300}', "{"):
+    for damaged in (
+        "[1]",
+        '{"fit": "long"}',
+        '{"fit": NaN}',
+        '{"fit": -1}',
+        '{"fit": true}',
+        '{"fit": "1"}',
+        '{"fit": 1e300}',
+        "{",
+    ):
         seconds_path(path).write_text(damaged)
         with pytest.raises(InputError, match="person-00000.json: expected JSON of seconds by phase"):
             read_seconds(path)
@@ -609,11 +618,35 @@ def test_files_that_vanish_while_a_corpus_is_made_end_it(tmp_path, gone):
     assert corpus.generate().identities_done == 3 and verify_folder(corpus.folder) == 3
 
 
+@pytest.mark.parametrize("name", ["corpus.json", "template.npz"])
+@pytest.mark.parametrize("content", [None, b"", b"{}"], ids=["removed", "empty", "replaced"])
+def test_files_that_change_while_a_corpus_is_made_end_it(copied, name, content):
+    path = copied / name
+
+    def damage(what, share):
+        if what == "check" and share == 1.0:
+            path.unlink() if content is None else path.write_bytes(content)
+
+    with pytest.raises(InputError, match=name) as refused:
+        Corpus(copied, PLAN, PEOPLE).generate(on_progress=damage)
+    assert "\n" not in str(refused.value)
+
+
+def test_another_description_while_a_corpus_is_made_ends_it(copied):
+    path = copied / "corpus.json"
+
+    def replace_people(what, share):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"people": "others"}))
+
+    with pytest.raises(InputError, match="corpus.json: it changed while the corpus was made"):
+        Corpus(copied, PLAN, PEOPLE).generate(on_progress=replace_people)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"content": None}, "content and made_with: expected objects"),
-        ({"people": None}, "people: expected a text"),
+        ({"people": None}, "people: expected a text, got None"),
         ({"tested": None}, "tested: None, expected 1"),
         ({"template": "0" * 16}, "not of the mesh that corpus.json names"),
         ({"format": None}, "format: expected a number, got None"),
