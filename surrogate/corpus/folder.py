@@ -140,8 +140,8 @@ class Corpus:
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
-        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed or
-        changed meanwhile, and SoftdecaError if a worker dies again and again.
+        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed
+        or changed meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
             for left in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):

@@ -86,6 +86,8 @@ FARTHEST = 10_000.0
 """[mm] Of a vertex, and of a derivative."""
 MOVED = 500.0
 """[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
+LEAST_GROWN = 10.0
+"""Most of the smallest volume ratio of a frame: muscle and skin grow to three times at most."""
 CODES = 10.0
 """Most of a code's number; people are drawn within 2.5."""
 COUNT = 2**31
@@ -156,7 +158,7 @@ class Statics:
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
     residual: Singles = column(np.float32)
-    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=FARTHEST)
+    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=LEAST_GROWN)
     inverted: Numbers = column(np.int64)
     crossings: Numbers = column(np.int64)
 
@@ -180,7 +182,7 @@ class Sequences:
     status: Texts = text_column()
     iterations: Numbers = column(np.int64, LENGTH)
     residual: Singles = column(np.float32, LENGTH)
-    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=FARTHEST)
+    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=LEAST_GROWN)
     inverted: Numbers = column(np.int64, LENGTH)
     crossings: Numbers = column(np.int64, LENGTH)
 

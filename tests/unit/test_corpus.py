@@ -527,6 +527,9 @@ def put_at(place, value):
     return change
 
 
+TRAINED = PLAN.pools["train"]["conversation"][0]
+DRIVEN = PLAN.recordings[PLAN.sequence(2, 0)[0]].frames
+DEFAULT = next(name for name in NAMES if name not in parameters_of(2).names)
 MIRROR = np.diag([1.0, 1.0, -1.0])
 FORGED = {
     "rotations of zeros": ("sequences", "rotations", lambda a: 0 * a),
@@ -557,6 +560,18 @@ FORGED = {
     "a frame beyond the end": ("sequences", "frame", put_at(0, 10**5)),
     "a row of no group": ("statics", "group", put_at(0, 7)),
     "negative iterations": ("statics", "iterations", put_at(0, -1)),
+    "shapes in metres": ("persons", "shapes", lambda a: a / 1000),
+    "shapes of reversed vertices": ("persons", "shapes", lambda a: a[:, :, np.random.default_rng(0).permutation(42)]),
+    "a residual above the tolerance": ("statics", "residual", put_at(0, 2.0 * PLAN.tolerance)),
+    "a sequence's residual": ("sequences", "residual", put_at((0, 3), 2.0 * PLAN.tolerance)),
+    "more iterations than allowed": ("statics", "iterations", put_at(0, 2 * PLAN.max_iterations + 1)),
+    "inverted tets of positive volume": ("statics", "inverted", put_at(0, 3)),
+    "negative volume of no tet": ("sequences", "smallest_volume_ratio", put_at((0, 0), -0.1)),
+    "a volume of 100 times": ("statics", "smallest_volume_ratio", put_at(0, 100.0)),
+    "a sequence over the end": ("sequences", "frame", lambda a: 0 * a + DRIVEN - LENGTH + 1),
+    "a recording of training": ("statics", "recording", put_at(0, TRAINED.encode())),
+    "a group that did not settle": ("groups", "status", put_at(0, b"settling: lost")),
+    "a derivative by a default": ("parameter_responses", "name", put_at(0, DEFAULT.encode())),
     "a negative residual": ("statics", "residual", put_at(0, -1.0)),
     "a negative distance": ("statics", "moved", put_at((0, 0), -1.0)),
     "inverted tets, negative": ("sequences", "inverted", put_at((0, 0), -5)),
@@ -653,6 +668,8 @@ def test_another_description_while_a_corpus_is_made_ends_it(copied):
         ({"format": 1}, "format: 1, this version reads 2 and 3"),
         ({"code_size": 0}, "code_size: 0"),
         ({"plan": "0" * 16}, "content: not that of plan 0000"),
+        ({"pools": None}, "pools: expected names of recordings"),
+        ({"pools": {"train": {"hard": ["a"]}, "test": {"hard": ["a"]}}}, "recording a is in train and in test"),
         ({"parameters": []}, "parameters: others than this version has"),
     ],
 )
