@@ -31,6 +31,7 @@ from ...lhm.base.files.text import read_json
 from ...lhm.base.limits import PARAMETER_SETS, SHARD_BYTES, TAKE_FRAMES
 from ...lhm.base.mesh import Floats
 from ...reference.face.facial import PD_ENERGY
+from .face import MOVED
 from .mixture import KINDS, NAMES, WAVES
 from .plan import LENGTH
 
@@ -84,8 +85,6 @@ VERTICES, CODE = -1, -2
 """Lengths of axes that a corpus has: of its skins, and of its people's codes."""
 FARTHEST = 10_000.0
 """[mm] Of a vertex, and of a derivative."""
-MOVED = 500.0
-"""[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
 LEAST_GROWN = 10.0
 """Most of the smallest volume ratio of a frame: muscle and skin grow to three times at most."""
 CODES = 10.0
