@@ -124,19 +124,32 @@ def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems:
         raise InputError(f"law {name!r} was added already")
     if not (isinstance(name, str) and name.strip() and name.isprintable()):
         raise InputError(f"law {quote(name)}: expected a name of printable characters")
+    if not isinstance(problems, (tuple, list)) or not all(isinstance(each, _problem_class()) for each in problems):
+        raise InputError(f"law {name!r}: problems: expected a tuple of Problem, got {quote(problems)}")
     if _plain(name) in map(_plain, HOUSE_LAWS):
         raise InputError(f"law {name!r}: a law of this name is there already")
     for moduli in ((1.0, 9.0), (0.4, 3.1)):  # two: a power of a modulus is 1 at 1 kPa
         try:
             law = of_moduli(*moduli)
-        except Exception as error:
-            raise InputError(f"law {name!r}: of moduli {moduli} kPa: {type(error).__name__}: {error}") from error
+            lame = tuple(map(float, law.lame)) if isinstance(law, EnergyLaw) else ()
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit would end the process as if all had been done
+            raise InputError(
+                f"law {name!r}: of moduli {moduli} kPa: {type(error).__name__}: {quote(str(error), 100)}"
+            ) from error
         if not isinstance(law, EnergyLaw):
             raise InputError(f"law {name!r}: expected an EnergyLaw, got {type(law).__name__}")
-        if not all(abs(a - b) < 1e-9 for a, b in zip(law.lame, moduli, strict=True)):
-            raise InputError(f"law {name!r}: of moduli {moduli} kPa it has {law.lame} at rest")
+        if len(lame) != 2 or not all(abs(a - b) < 1e-9 for a, b in zip(lame, moduli, strict=True)):
+            raise InputError(f"law {name!r}: of moduli {moduli} kPa it has {quote(lame)} at rest")
         check_law(name, law)
     _laws[name] = AddedLaw(of_moduli, tuple(problems))
+
+
+def _problem_class() -> type:
+    from .problems.problem import Problem  # which imports this module
+
+    return Problem
 
 
 def _plain(name: str) -> str:

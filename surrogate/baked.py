@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numbers
+import warnings
 from dataclasses import dataclass, replace
 from functools import cache
 from os import PathLike
@@ -84,11 +86,15 @@ class BakedRig:
             array.flags.writeable = False  # a frame might be asked to be written over them
 
     def target_weights(self, weights) -> Floats32:
-        """Weights of the targets, shape (..., rank), for ARKit weights (..., 52)."""
-        weights = np.asarray(real("weights", weights), dtype=np.float32)
+        """Weights of the targets, shape (..., rank), for ARKit weights (..., 52), clipped to [0, 1] with a warning."""
+        with np.errstate(over="ignore"):  # which is clipped
+            weights = real("weights", weights).astype(np.float32)
         if weights.shape[-1:] != (WEIGHTS,):
             raise InputError(f"weights: expected the {WEIGHTS} of ARKit, got shape {weights.shape}")
-        return np.concatenate([weights, self.remainder_of(weights)], axis=-1) @ self.mixing
+        inside = np.clip(weights, 0.0, 1.0)
+        if outside := np.count_nonzero(inside != weights):
+            warnings.warn(f"{outside} of {weights.size} weights outside [0, 1] were clipped", stacklevel=2)
+        return np.concatenate([inside, self.remainder_of(inside)], axis=-1) @ self.mixing
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
         """The skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given. It takes no `blended`."""
@@ -129,9 +135,9 @@ def bake(
     swing: Swings | None = None,
 ) -> BakedRig:
     """Find the best `rank` targets for usual expressions from shapes (52 + k, 3 n) [mm]: their principal components."""
-    if isinstance(rank, bool) or not isinstance(rank, int) or rank < 1:
+    if isinstance(rank, bool) or not isinstance(rank, numbers.Integral) or rank < 1:
         raise InputError(f"bake rank: expected a whole number from 1 on, got {rank!r}")
-    rank = min(rank, len(shapes))
+    rank = min(int(rank), len(shapes))
     expressions = (usual_expressions(seed, SAMPLED) for seed in (0, 1))
     chosen, other = (np.concatenate([w, remainder_of(w)], axis=1) for w in expressions)
     second = (chosen.T @ chosen).astype(np.float64) / len(chosen)

@@ -212,7 +212,7 @@ class Remainder:
         )  # fmt: skip
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
 def _write_remainder(weights, inner, inner_bias, middle, middle_bias, outer, linear, rest, amplitudes):
     """`Remainder.__call__` of one expression, whose weights of zero cost nothing."""
     first, second = inner_bias.copy(), middle_bias.copy()

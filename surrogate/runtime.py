@@ -24,7 +24,7 @@ from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
 from .codes import SAME, check_belonging
-from .corpus.face import Face
+from .corpus.face import MOVED, Face
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
 from .local import at_vertices as spread_over
@@ -169,7 +169,17 @@ class Surrogate:
         network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
             modes = _check_finite(bind_modal(network, self._tables, features, code, skin.vertices, at_vertices, shapes))
-            return BoundSurrogate(skin, _check_finite(compress(modes)), shapes, swing)
+            try:
+                rig = BoundSurrogate(skin, _check_finite(compress(modes)), shapes, swing)
+            except np.linalg.LinAlgError:
+                raise InputError("weights: their remainder for this face is not finite; they are damaged") from None
+            moved = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
+        if not moved <= MOVED:
+            raise InputError(
+                f"weights: they move a vertex of this face by {moved:.3g} mm, expected at most {MOVED:g} mm; are they "
+                "damaged?"
+            )
+        return rig
 
     @cached_property
     def _tables(self) -> Floats32:

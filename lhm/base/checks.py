@@ -162,7 +162,7 @@ def text(name: str, value: Any) -> str:
     """Return a text, also one that is stored as an array of one."""
     array = np.asarray(value)
     if array.dtype.kind != "U" or array.ndim:
-        raise InputError(f"{name}: expected a text, got {array.dtype} of shape {array.shape}")
+        raise InputError(f"{name}: expected a text, got {_quote_kind(value)}")
     try:
         return str(array)
     except ValueError:  # numbers beyond the last character

@@ -23,9 +23,11 @@ class Bound:
 
     def check(self, name: str, count: Any) -> int:
         """Return a count as int; InputError names it for another kind of value, or one outside the bound."""
-        good = isinstance(count, numbers.Integral) and not isinstance(count, bool)
-        if not good or not self.least <= int(count) <= self.most:
-            allowed = f"{self.least:,} to {self.most:,}" if self.least else f"at most {self.most:,}"
+        if not isinstance(count, numbers.Integral) or isinstance(count, bool):
+            shown = repr(count) if isinstance(count, str) and len(count) < 40 and count.isprintable() else quote(count)
+            raise InputError(f"{name}: expected a whole number, got {shown}")
+        if not self.least <= int(count) <= self.most:
+            allowed = f"{self.least:,} to {self.most:,}" if self.least or count < 0 else f"at most {self.most:,}"
             raise InputError(f"{name}: {quote(count)} {self.what}; expected {allowed}")
         return int(count)
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Floats
 from .material import EnergyLaw, HasMixedDensity
@@ -100,8 +101,11 @@ def _evaluate(name: str, law: EnergyLaw, s: Floats) -> tuple[Floats, Floats, Flo
     try:
         with np.errstate(all="ignore"):
             found = law.by_invariants(*invariants(s)[0])
-        psi, gradient, hessian = (np.asarray(each, dtype=np.float64) for each in found)
-    except Exception as error:
+        psi, gradient, hessian = (array_of_kind("by_invariants", each, "fiu", "real numbers") for each in found)
+        psi, gradient, hessian = (each.astype(np.float64, copy=False) for each in (psi, gradient, hessian))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit would end the process as if all had been done
         raise InputError(f"law {name!r}: by_invariants: {type(error).__name__}: {quote(str(error), 100)}") from error
     if (psi.shape, gradient.shape, hessian.shape) != ((m,), (m, 3), (m, 3, 3)):
         raise InputError(

@@ -11,6 +11,9 @@ from ...lhm.base.mesh import Floats, Floats32
 from .mixture import ParameterSet
 from .people import Person
 
+MOVED = 500.0
+"""[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
+
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:

@@ -141,7 +141,7 @@ class Corpus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
         Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed
-        meanwhile, and SoftdecaError if a worker dies again and again.
+        or changed meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
             for left in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
@@ -156,7 +156,18 @@ class Corpus:
             status = self.status(on_progress=on_progress)
             if status.identities_done + len(status.damaged) < status.identities:
                 raise self._removed(status.identities_done)
+            self._check_kept()
         return status
+
+    def _check_kept(self) -> None:
+        """Raise InputError where corpus.json or template.npz is not what was written when the generation began."""
+        try:
+            read_template(self.folder)
+            is_kept = read_manifest(self.folder).said == json.loads(json.dumps(self.manifest.said))
+        except InputError as error:
+            raise InputError(f"{error}; it changed while the corpus was made, run again") from None
+        if not is_kept:
+            raise InputError(f"{self.folder / MANIFEST}: it changed while the corpus was made; run again")
 
     def _removed(self, done: int) -> InputError:
         return InputError(
@@ -245,7 +256,7 @@ def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = 
             check_intact(manifest, mean, identity)
             arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
         except InputError as error:
-            damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
+            damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
             continue
         done, size = done + 1, size + path.stat().st_size
         versions[label.version] = versions.get(label.version, 0) + 1
@@ -268,12 +279,14 @@ def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = 
 def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
     """Read every shard of a corpus whole, and return how many there are.
 
-    InputError names the first that is missing, damaged, or of another corpus or person, or the template; see `intact`.
+    InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged, or
+    the template; see `intact`.
     """
     manifest, mean = read_manifest(folder), read_template(folder)
     people = manifest.counts.identities
     for identity in range(people):
         read_intact(manifest, mean, identity)
+        read_seconds(manifest.shard_path(identity))
         on_progress("verify", (identity + 1) / people)
     return people
 

@@ -13,8 +13,10 @@ import numpy as np
 from ...lhm.base.checks import in_range, indices_below, integers, one_of, shape
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Surface
+from ..rig import check_shapes
 from .manifest import Manifest
 from .mixture import NAMES
+from .plan import LENGTH, CorpusPlan
 from .shard import ACCEPTED, CODE, TABLES, VERTICES, Column, Groups, Sequences, Shard, columns_of, read_shard
 from .simulator import UNDIFFERENTIATED
 
@@ -23,6 +25,10 @@ UNLIKE = 0.5
 """Most of the root mean square distance of a person's skin from the mean one, over the mean skin's from its middle."""
 ROUNDED = 1e-3
 """Of float32: of a rotation's scalar products, and of a parameter's place in its range."""
+ROUNDING = 1e-6
+"""Residual that rounding leaves, however small a plan's tolerance is."""
+METRICS = 2
+"""How often a static frame is solved at most, see `FaceSimulator.solve`."""
 ONCE = {"responses": ("group",), "parameter_responses": ("group", "name"), "references": ("static", "law")}
 """Columns whose rows differ from one another."""
 Key = tuple[str, str, int, int, int, int]
@@ -88,7 +94,11 @@ def check_shard(shard: Shard, manifest: Manifest, mean: Surface, identity: int) 
             used = arrays[name] if column.dtype.kind != "f" or accepted.all() else arrays[name][accepted]
             _check_range(f"{table}/{name}", used, column, rows.get(column.below, 0))
         if "recording" in arrays:
-            _check_recordings(table, arrays["recording"], arrays["frame"], manifest.recordings)
+            pool = manifest.pool(plan.split(identity))
+            known = {name: frames for name, frames in manifest.recordings.items() if name in pool}
+            last = LENGTH - 1 if table == "sequences" else 0
+            _check_recordings(table, arrays["recording"], arrays["frame"] + last, known)
+            _check_solves(table, arrays, accepted, plan)
         if table in ONCE and len({*zip(*(arrays[name].tolist() for name in ONCE[table]), strict=True)}) < count:
             raise InputError(f"{table}: two rows of one {' and '.join(ONCE[table])}")
     planned = {"statics": np.repeat(np.arange(plan.groups), plan.frames), "sequences": np.arange(plan.sequences)}
@@ -97,6 +107,8 @@ def check_shard(shard: Shard, manifest: Manifest, mean: Surface, identity: int) 
             raise InputError(f"{table}/group: the rows are not in the plan's order")
     check_person(shard.groups.number, plan.parameter_numbers(identity))
     _check_parameters(shard.groups)
+    _check_planned(shard, plan, identity)
+    check_shapes(shard.persons.shapes[0], mean)
     _check_skin(shard.persons.skin[0], mean)
     _check_rotations(shard.sequences)
 
@@ -134,7 +146,39 @@ def _check_recordings(table: str, names: np.ndarray, frames: np.ndarray, known: 
     for name, frame in zip(names.tolist(), frames.tolist(), strict=True):
         count = known.get(name.decode(), 0)
         if frame >= count:
-            raise InputError(f"{table}/frame: {frame} of recording {quote(name.decode())}, which has {count} frames")
+            raise InputError(
+                f"{table}/frame: {frame} of recording {quote(name.decode())}, which has {count} frames in its split"
+            )
+
+
+def _check_solves(table: str, arrays: Mapping[str, np.ndarray], accepted: np.ndarray, plan: CorpusPlan) -> None:
+    """Check that accepted frames were solved as the plan asks, and that inverted tets have no volume and no others."""
+    most = plan.tolerance * (1.0 + ROUNDED) + ROUNDING
+    in_range(f"{table}/residual", arrays["residual"][accepted], 0.0, most)
+    if table == "statics":  # a sequence's solves have a limit of their own
+        integers("statics/iterations", arrays["iterations"][accepted], 0, METRICS * plan.max_iterations)
+    if ((arrays["inverted"] > 0) != (arrays["smallest_volume_ratio"] <= 0.0))[accepted].any():
+        raise InputError(f"{table}/inverted: not those that smallest_volume_ratio tells")
+
+
+def _check_planned(shard: Shard, plan: CorpusPlan, identity: int) -> None:
+    """Check that settled groups and accepted frames alone have more, and only what the plan asks for."""
+    settled = shard.groups.status == ACCEPTED.encode()
+    wanted = np.array([plan.has_responses(number) for number in plan.parameter_numbers(identity)]) & settled[:, None]
+    allowed = {"responses": wanted[:, 0], "parameter_responses": wanted[:, 1], "statics": settled, "sequences": settled}
+    for table, groups in allowed.items():
+        rows = getattr(shard, table)
+        used = rows.status == ACCEPTED.encode() if hasattr(rows, "status") else slice(None)
+        if not groups[rows.group[used]].all():
+            raise InputError(f"{table}/group: a group that did not settle, or of which the plan asks for none")
+    derived = shard.parameter_responses
+    differing = np.array([NAMES.index(name.decode()) for name in derived.name], dtype=int)
+    if not shard.groups.varied[derived.group, differing].all():
+        raise InputError("parameter_responses/name: a parameter that has its default")
+    solved = np.unique(shard.references.static)
+    most = plan.references if plan.split(identity) == "test" else 0
+    if len(solved) > most or not (shard.statics.status[solved] == ACCEPTED.encode()).all():
+        raise InputError(f"references/static: expected at most {most} frames, each accepted, got {len(solved)}")
 
 
 def _check_parameters(groups: Groups) -> None:

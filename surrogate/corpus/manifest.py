@@ -10,14 +10,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ...lhm.base.checks import finite, integers, text
+from ...lhm.base.checks import finite, integers, text, texts
 from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Surface
 from ..surface_hash import surface_hash
 from .mixture import NAMES
-from .plan import CorpusPlan
+from .plan import SPLITS, CorpusPlan, Split
 from .shard import FARTHEST, FORMATS, READ
 
 MANIFEST = "corpus.json"
@@ -43,6 +43,10 @@ class Manifest:
     def recordings(self) -> dict[str, int]:
         """Frames of each recording by name."""
         return {name: each[1] for name, each in self.said["content"]["recordings"].items()}
+
+    def pool(self, split: Split) -> set[str]:
+        """Names of the recordings of a split."""
+        return {name for names in self.said["pools"][split].values() for name in names}
 
     @property
     def code_size(self) -> int | None:
@@ -109,11 +113,20 @@ def _check(folder: Path, said: Any) -> Manifest:
         isinstance(each, list) and len(each) == 4 and isinstance(each[1], int) for each in recordings.values()
     ):
         raise InputError("recordings: expected kind, frames, rate and origin by name")
+    _check_pools(said.get("pools"))
     if said["format"] not in FORMATS:
         raise InputError(f"format: {quote(said['format'])}, this version reads {READ}")
     if said["format"] > min(FORMATS):
         integers("code_size", said.get("code_size"), 1, 1_000_000, ())
     return Manifest(folder, said, counts, made_with)
+
+
+def _check_pools(pools: Any) -> None:
+    if not isinstance(pools, dict) or set(pools) != set(SPLITS) or not all(isinstance(p, dict) for p in pools.values()):
+        raise InputError("pools: expected names of recordings by source, of train and test")
+    train, test = ({name for each in pools[split].values() for name in texts("pools", each)} for split in SPLITS)
+    if both := train & test:
+        raise InputError(f"pools: recording {quote(min(both))} is in train and in test")
 
 
 def write_template(folder: str | PathLike[str], mean: Surface) -> None:

@@ -24,12 +24,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.base.errors import InputError
+from ...lhm.base.checks import number
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import read_json
 from ...lhm.base.limits import PARAMETER_SETS, SHARD_BYTES, TAKE_FRAMES
 from ...lhm.base.mesh import Floats
 from ...reference.face.facial import PD_ENERGY
+from .face import MOVED
 from .mixture import KINDS, NAMES, WAVES
 from .plan import LENGTH
 
@@ -44,6 +46,8 @@ FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 LONGEST = 200
 """Characters of a status."""
 WEIGHTS = 52
+SPENT = 1e9
+"""[s] Most of a phase of a person: thirty years."""
 _REMEDY = "`softdeca corpus generate` makes it anew"
 
 Halves = NDArray[np.float16]
@@ -81,8 +85,8 @@ VERTICES, CODE = -1, -2
 """Lengths of axes that a corpus has: of its skins, and of its people's codes."""
 FARTHEST = 10_000.0
 """[mm] Of a vertex, and of a derivative."""
-MOVED = 500.0
-"""[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
+LEAST_GROWN = 10.0
+"""Most of the smallest volume ratio of a frame: muscle and skin grow to three times at most."""
 CODES = 10.0
 """Most of a code's number; people are drawn within 2.5."""
 COUNT = 2**31
@@ -153,7 +157,7 @@ class Statics:
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
     residual: Singles = column(np.float32)
-    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=FARTHEST)
+    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=LEAST_GROWN)
     inverted: Numbers = column(np.int64)
     crossings: Numbers = column(np.int64)
 
@@ -177,7 +181,7 @@ class Sequences:
     status: Texts = text_column()
     iterations: Numbers = column(np.int64, LENGTH)
     residual: Singles = column(np.float32, LENGTH)
-    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=FARTHEST)
+    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=LEAST_GROWN)
     inverted: Numbers = column(np.int64, LENGTH)
     crossings: Numbers = column(np.int64, LENGTH)
 
@@ -313,16 +317,14 @@ def seconds_path(path: Path) -> Path:
 def read_seconds(path: Path) -> dict[str, float]:
     """Read the processor seconds by phase that a shard took; empty if the file beside it is missing.
 
-    InputError for a file that cannot be read, or that holds anything but finite numbers by name.
+    InputError for a file that cannot be read, or that holds anything but numbers from 0 to SPENT by name.
     """
     beside = seconds_path(path)
     if not beside.exists():
         return {}
     try:
-        seconds = {str(phase): float(spent) for phase, spent in read_json(beside).items()}
-        if not all(spent >= 0.0 for spent in seconds.values()):
-            raise ValueError
-    except (ValueError, TypeError, AttributeError):
+        seconds = {phase: number(phase, spent, least=0.0, most=SPENT) for phase, spent in read_json(beside).items()}
+    except (InputError, AttributeError):
         raise InputError(
             f"seconds {beside}: expected JSON of seconds by phase; delete it, or make the shard anew"
         ) from None
@@ -394,7 +396,12 @@ def _array(file: h5py.File, name: str) -> NDArray[Any]:
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
     """Return one array of a file, of a plain type, whose bytes lie in the file in one run, as `write_shard` has it."""
-    data = file[name]
+    data: Any = file
+    for part in name.split("/"):
+        # Asked before anything is opened: a link leads to other arrays, or to files elsewhere.
+        if not isinstance(data, h5py.Group) or data.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
+            raise ValueError(f"{name} is a link, or lies in no group")
+        data = data[part]
     if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "biufS":
         raise ValueError(f"{name} is no array of numbers or texts")
     if not 0 <= data.nbytes <= file.id.get_filesize() or (data.nbytes and data.id.get_offset() is None):
@@ -431,7 +438,10 @@ class _opened:
 
 
 def _label(file: h5py.File) -> Label:
-    return Label(str(file.attrs["owner"]), int(file.attrs["format"]), str(file.attrs["version"]))
+    format = file.attrs["format"]
+    if not isinstance(format, np.integer):
+        raise ValueError(f"format: expected a whole number, got {quote(format)}")
+    return Label(str(file.attrs["owner"]), int(format), str(file.attrs["version"]))
 
 
 def _check_label(path: Path, label: Label, owner: str) -> None:
@@ -441,3 +451,5 @@ def _check_label(path: Path, label: Label, owner: str) -> None:
         raise InputError(
             f"shard {path}: of another corpus ({label.owner}, expected {owner}): its plan or template differs"
         )
+    if not owner.endswith(f"-{label.format}"):
+        raise InputError(f"shard {path}: of format {label.format}, its corpus of another; {_REMEDY}")

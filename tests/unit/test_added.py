@@ -240,6 +240,10 @@ WRONG = {
         "mixed_density, greatest at a pressure of .* kPa, at F = ",
     ),
     "square of mu": (lambda mu, lmbda: Own(mu**2, lmbda), r"of moduli \(0.4, 3.1\) kPa it has"),
+    "complex": (own(**by_invariants(psi=lambda psi, I1, J: psi + 0j)), "by_invariants: .* expected real numbers"),
+    "ends the process": (own(**by_invariants(gradient=lambda g: sys.exit(0))), "by_invariants: SystemExit"),
+    "ends the process at once": (lambda mu, lmbda: sys.exit(0), "of moduli .* SystemExit"),
+    "lame raises": (own(lame=property(lambda self: 1 / 0)), "of moduli .* ZeroDivisionError"),
     "no law": (lambda mu, lmbda: Own(-mu, lmbda), "of moduli .* SceneError: Own: mu must be positive"),
     "loose": (loose, "seen is no field of a frozen dataclass"),
     "list": (LISTED, "its parameters may change"),
@@ -282,6 +286,12 @@ def test_studies_tell_a_wrong_law_that_add_law_did_not(monkeypatch, tmp_path):
     ).passed
     (bent,) = (case for case in problems.added_hard_cases() if case.name == "block bent by its weight, own")
     assert not problems.run_hard(bent, "skfem").passed
+
+
+@pytest.mark.parametrize("posed", [5, "abc", [None], None])
+def test_problems_of_a_law_are_problems(posed):
+    with pytest.raises(InputError, match="law 'own': problems: expected a tuple of Problem"):
+        add_law("own", Own, posed)
 
 
 @pytest.mark.parametrize("name", ["neo-Hookean", "NeoHookean", "PD", "Strain + Volume", "", "a\nb", 3])

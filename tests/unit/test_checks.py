@@ -216,7 +216,13 @@ def test_a_file_is_read_within_its_bound(tmp_path):
 def test_a_bound_names_what_is_counted():
     bound = Bound("people", 1000, "a test", least=1)
     assert bound.check("--people", np.int64(7)) == 7
-    for count, words in ((0, "0 people; expected 1 to 1,000"), (10**30, "more than 10.18 people"), (1.5, "1.5 people")):
+    for count, words in (
+        (0, "0 people; expected 1 to 1,000"),
+        (10**30, "more than 10.18 people"),
+        (1.5, "expected a whole number, got 1.5"),
+        (True, "expected a whole"),
+        ("3", "expected .* got .3."),
+    ):
         refused(f"--people: {words}", bound.check, "--people", count)
 
 

@@ -1,8 +1,10 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -138,7 +140,16 @@ def test_seconds_lie_beside_a_shard(made, tmp_path):
     assert read_shard(path, made.owner).checksum == shard.checksum
     seconds_path(path).unlink()
     assert read_seconds(path) == {}
-    for damaged in ("[1]", '{"fit": "long"}', '{"fit": NaN}', '{"fit": -1}', "{"):
+    for damaged in (
+        "[1]",
+        '{"fit": "long"}',
+        '{"fit": NaN}',
+        '{"fit": -1}',
+        '{"fit": true}',
+        '{"fit": "1"}',
+        '{"fit": 1e300}',
+        "{",
+    ):
         seconds_path(path).write_text(damaged)
         with pytest.raises(InputError, match="person-00000.json: expected JSON of seconds by phase"):
             read_seconds(path)
@@ -410,13 +421,21 @@ def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
 def test_a_checksum_covers_owner_format_and_version(copied):
     path = copied / "person-00001.h5"
     whole = path.read_bytes()
-    for name, value in (("version", "0.1.1"), ("format", 2), ("checksum", "0"), ("checksum", None)):
+    for name, value in (("version", "0.1.1"), ("checksum", "0"), ("checksum", None)):
         path.write_bytes(whole)
         with h5py.File(path, "r+") as file:
             del file.attrs[name]
             file.attrs.update({} if value is None else {name: value})
         with pytest.raises(InputError, match=r"person-00001.h5: .*checksum"):
             verify_folder(copied)
+
+
+@pytest.mark.parametrize("format", [2, 3.7, 3.0, "3", [3], True], ids=repr)
+def test_a_shard_is_of_the_format_of_its_corpus(copied, format):
+    with h5py.File(copied / "person-00001.h5", "r+") as file:
+        file.attrs["format"] = format
+    with pytest.raises(InputError, match=r"person-00001.h5: .*format"):
+        verify_folder(copied)
 
 
 def test_a_corpus_of_the_format_before_is_read_and_not_gone_on_with(copied):
@@ -466,8 +485,15 @@ DAMAGES = {
     "a link to another file": replace_by(
         "groups/settled", lambda file: h5py.ExternalLink("other.h5", "/groups/settled")
     ),
+    "a soft link to the same numbers": lambda file: (
+        file.move("statics/frame", "kept"),
+        file.__setitem__("statics/frame", h5py.SoftLink("/kept")),
+    ),
+    "a table in another file": replace_by("groups", lambda file: h5py.ExternalLink("person-00000.h5", "/groups")),
+    "a link to a pipe": replace_by("groups/settled", lambda file: h5py.ExternalLink("pipe.h5", "/groups/settled")),
     "storage elsewhere": put("statics/weights", external=[("other.raw", 0, 10**4)]),
     "a group": lambda file: (file.__delitem__("statics/weights"), file.create_group("statics/weights")),
+    "seconds beside it": lambda file: seconds_path(Path(file.filename)).write_text('{"fit": "1"}'),
     "two persons": lambda file: put("persons/code", data=np.repeat(file["persons/code"][()], 2, axis=0))(file),
 }
 
@@ -475,10 +501,11 @@ DAMAGES = {
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_status_names_what_verify_names(copied, command, damage):
     (copied / "other.raw").write_bytes(bytes(10**4))
+    os.mkfifo(copied / "pipe.h5")
     with h5py.File(copied / "person-00001.h5", "r+") as file:
         damage(file)
     named = command("corpus", "verify", copied).refusal()
-    assert "person-00001.h5: " in named
+    assert "person-00001.h5: " in named or "person-00001.json: " in named
     ended = command("corpus", "status", copied)
     assert (
         ended.status == 1 and f"DAMAGED {named.partition('error: ')[2]}" in ended.out and "2 of 3 people" in ended.out
@@ -500,6 +527,9 @@ def put_at(place, value):
     return change
 
 
+TRAINED = PLAN.pools["train"]["conversation"][0]
+DRIVEN = PLAN.recordings[PLAN.sequence(2, 0)[0]].frames
+DEFAULT = next(name for name in NAMES if name not in parameters_of(2).names)
 MIRROR = np.diag([1.0, 1.0, -1.0])
 FORGED = {
     "rotations of zeros": ("sequences", "rotations", lambda a: 0 * a),
@@ -530,6 +560,18 @@ FORGED = {
     "a frame beyond the end": ("sequences", "frame", put_at(0, 10**5)),
     "a row of no group": ("statics", "group", put_at(0, 7)),
     "negative iterations": ("statics", "iterations", put_at(0, -1)),
+    "shapes in metres": ("persons", "shapes", lambda a: a / 1000),
+    "shapes of reversed vertices": ("persons", "shapes", lambda a: a[:, :, np.random.default_rng(0).permutation(42)]),
+    "a residual above the tolerance": ("statics", "residual", put_at(0, 2.0 * PLAN.tolerance)),
+    "a sequence's residual": ("sequences", "residual", put_at((0, 3), 2.0 * PLAN.tolerance)),
+    "more iterations than allowed": ("statics", "iterations", put_at(0, 2 * PLAN.max_iterations + 1)),
+    "inverted tets of positive volume": ("statics", "inverted", put_at(0, 3)),
+    "negative volume of no tet": ("sequences", "smallest_volume_ratio", put_at((0, 0), -0.1)),
+    "a volume of 100 times": ("statics", "smallest_volume_ratio", put_at(0, 100.0)),
+    "a sequence over the end": ("sequences", "frame", lambda a: 0 * a + DRIVEN - LENGTH + 1),
+    "a recording of training": ("statics", "recording", put_at(0, TRAINED.encode())),
+    "a group that did not settle": ("groups", "status", put_at(0, b"settling: lost")),
+    "a derivative by a default": ("parameter_responses", "name", put_at(0, DEFAULT.encode())),
     "a negative residual": ("statics", "residual", put_at(0, -1.0)),
     "a negative distance": ("statics", "moved", put_at((0, 0), -1.0)),
     "inverted tets, negative": ("sequences", "inverted", put_at((0, 0), -5)),
@@ -591,17 +633,43 @@ def test_files_that_vanish_while_a_corpus_is_made_end_it(tmp_path, gone):
     assert corpus.generate().identities_done == 3 and verify_folder(corpus.folder) == 3
 
 
+@pytest.mark.parametrize("name", ["corpus.json", "template.npz"])
+@pytest.mark.parametrize("content", [None, b"", b"{}"], ids=["removed", "empty", "replaced"])
+def test_files_that_change_while_a_corpus_is_made_end_it(copied, name, content):
+    path = copied / name
+
+    def damage(what, share):
+        if what == "check" and share == 1.0:
+            path.unlink() if content is None else path.write_bytes(content)
+
+    with pytest.raises(InputError, match=name) as refused:
+        Corpus(copied, PLAN, PEOPLE).generate(on_progress=damage)
+    assert "\n" not in str(refused.value)
+
+
+def test_another_description_while_a_corpus_is_made_ends_it(copied):
+    path = copied / "corpus.json"
+
+    def replace_people(what, share):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"people": "others"}))
+
+    with pytest.raises(InputError, match="corpus.json: it changed while the corpus was made"):
+        Corpus(copied, PLAN, PEOPLE).generate(on_progress=replace_people)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"content": None}, "content and made_with: expected objects"),
-        ({"people": None}, "people: expected a text"),
+        ({"people": None}, "people: expected a text, got None"),
         ({"tested": None}, "tested: None, expected 1"),
         ({"template": "0" * 16}, "not of the mesh that corpus.json names"),
         ({"format": None}, "format: expected a number, got None"),
         ({"format": 1}, "format: 1, this version reads 2 and 3"),
         ({"code_size": 0}, "code_size: 0"),
         ({"plan": "0" * 16}, "content: not that of plan 0000"),
+        ({"pools": None}, "pools: expected names of recordings"),
+        ({"pools": {"train": {"hard": ["a"]}, "test": {"hard": ["a"]}}}, "recording a is in train and in test"),
         ({"parameters": []}, "parameters: others than this version has"),
     ],
 )

@@ -90,7 +90,12 @@ def test_plans_from_files(tmp_path):
     assert (plan.identities, plan.seed, plan.groups) == (5, 3, 1) and plan.kinds["effects"] == 1.0
     for text, message in (
         ("identities = 1", "identities: 1 people; expected 2 to 99,999"),
-        ("identities = 2.5", "identities"),
+        ("identities = 2.5", "identities: expected a whole number, got 2.5"),
+        ('identities = "3"', "identities: expected a whole number, got '3'"),
+        ("identities = 3.0", "identities: expected a whole number, got 3.0"),
+        ("identities = true", "identities: expected a whole number, got True"),
+        ("frames = 1.0", "frames: expected a whole number, got 1.0"),
+        ("seed = -1", "seed: -1 as a seed; expected 0 to 9,223"),
         ("colour = 3", "unknown option 'colour'"),
         ('preset = "huge"', "there are tiny, study, fresh, small, neutral, paper"),
         ("[kinds]\nzombies = 1.0", "kinds: expected shares in"),

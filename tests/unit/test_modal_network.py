@@ -386,6 +386,7 @@ def test_baked_targets_lose_less_the_more_there_are(surrogate):
     assert np.abs(most.frame(weights) - rig.frame(weights)).max() < 5e-3
     by_hand = most.neutral + np.tensordot(most.target_weights(weights), most.targets, axes=1)
     assert np.abs(most.frame(weights) - by_hand).max() < 1e-3
+    assert np.array_equal(rig.bake(np.int64(8)).targets, few.targets)
     for rank in (0, 2.5, True):
         with pytest.raises(InputError, match="bake rank: expected a whole number from 1 on"):
             rig.bake(rank)
@@ -444,6 +445,22 @@ def test_weights_outside_their_range_are_clipped_and_counted(surrogate):
     with pytest.warns(UserWarning, match="2 of 52"):
         outside = rig.frame(np.r_[1.5, -0.1, np.full(50, 0.5)])
     assert np.array_equal(inside, outside)
+    baked = rig.bake(4)
+    for outside in (1e39, -1e300, 1.5):
+        with pytest.warns(UserWarning, match="1 of 52 weights outside") as told:
+            found = baked.target_weights(np.r_[outside, np.full(51, 0.5)])
+        assert len(told) == 1
+        assert np.array_equal(found, baked.target_weights(np.r_[float(outside > 0.0), np.full(51, 0.5)]))
+
+
+@pytest.mark.parametrize("size", [1e6, 1e30, -1e30])
+def test_weights_whose_frames_leave_the_head_are_refused(weights, size):
+    with np.errstate(over="ignore"):
+        network = {
+            name: size * array if name.startswith("remainder") else array for name, array in weights.network.items()
+        }
+    with pytest.raises(InputError, match="weights: .* damaged"):
+        bound(Surrogate(replace(weights, network=network)))
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
     (tmp_path / "a.json").write_text('{"rate": 30, "frames": [{"jawOpen": 0.2}, {}, {}]}')
     refused("'real/a.json': 5 frames at 60 Hz, not 3", pool["real/a.json"].take)
     refused("none: no such folder", recordings, tmp_path / "none")
-    refused("conversations: -1 recordings; expected at most 10,000", recordings, conversations=-1)
+    refused("conversations: -1 recordings; expected 0 to 10,000", recordings, conversations=-1)
 
 
 def test_sequences_are_not_drawn_across_a_gap():
