@@ -74,6 +74,8 @@ OTHER_COLUMNS = {
     "blendshapecount",
     *(f"{of}{angle}".lower() for of in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
 }
+FULL_TURN = 6.3
+"""[rad] Of an angle in a file: a little more than 2 pi."""
 MIRRORED = (-1.0, 1.0, -1.0)
 """From the file's yaw, pitch and roll to ours. In real takes the eyes' yaw falls with eyeLookOutLeft and their pitch
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
@@ -119,6 +121,12 @@ def read_livelink(text: str) -> Take:
     weights = values(list(columns))
     angles = [place[key] for key in (f"head{angle}".lower() for angle in ANGLES) if key in place]
     head = values(angles) if len(angles) == len(ANGLES) else np.zeros((1, 3))
+    if np.abs(head).max() > FULL_TURN:
+        frame, angle = np.argwhere(np.abs(head) > FULL_TURN)[0]
+        raise InputError(
+            f"line {frames[frame][0]}, column {header[angles[angle]]}: {head[frame, angle]:g} is more than a full "
+            f"turn [rad]; is it in degrees?"
+        )
     return take_from_columns(
         weights,
         list(columns.values()),
