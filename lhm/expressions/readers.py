@@ -119,6 +119,7 @@ def read_livelink(text: str) -> Take:
         )
 
     weights = values(list(columns))
+    _refuse_partial([f"Head{angle}" for angle in ANGLES], place)
     angles = [place[key] for key in (f"head{angle}".lower() for angle in ANGLES) if key in place]
     head = values(angles) if len(angles) == len(ANGLES) else np.zeros((1, 3))
     if np.abs(head).max() > FULL_TURN:
@@ -238,6 +239,7 @@ def read_recorder(text: str) -> Take:
     }
     names = [name for name in ARKIT if name in values]
     rate, times = _times_from_stamps(values.get(TIME), max(counts) - 1)
+    _refuse_partial(HEAD, values)
     head = None
     if all(name in values for name in HEAD):
         quaternions = np.stack([values[name] for name in HEAD], axis=1)
@@ -392,6 +394,14 @@ def _refuse_misspelt(unknown: Sequence[tuple[int, str]], present: Any, kind: str
         near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
         if near:
             raise InputError(f"line {line}: unknown {kind} {quote(name)!r}; did you mean {lacking[near[0]]}?")
+
+
+def _refuse_partial(wanted: Sequence[str], present: Any) -> None:
+    """Raise InputError where some of the head's angles are there and others are not; `present` in small letters."""
+    lacking = [name for name in wanted if name.lower() not in present]
+    if lacking and len(lacking) < len(wanted):
+        there = ", ".join(name for name in wanted if name not in lacking)
+        raise InputError(f"{there} without {', '.join(lacking)}: expected all of the head's angles, or none")
 
 
 class Reader(NamedTuple):

@@ -13,7 +13,7 @@ from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resample, ro
 from ..refusals import refused
 
 NAMES = [name[0].upper() + name[1:] for name in ARKIT]
-HEADER = ["Timecode", "BlendShapeCount", *NAMES, "HeadYaw"]
+HEADER = ["Timecode", "BlendShapeCount", *NAMES, "LeftEyeYaw"]
 
 
 def timecodes(frames, *, rate=60, step=1, start=0):
@@ -65,7 +65,7 @@ def test_columns_are_found_in_any_order_and_case(write):
 
 def test_missing_columns_are_zero_and_named(write):
     kept = [k for k in range(52) if ARKIT[k] not in ("tongueOut", "jawLeft")]
-    header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "HeadYaw"]
+    header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "LeftEyeYaw"]
     take = read_take(write("\ufeff" + csv_text(ramp(4)[:, kept], timecodes(4), header)))
     assert take.missing == ("jawLeft", "tongueOut")
     assert not take.weights[:, [index("jawLeft"), index("tongueOut")]].any()
@@ -139,7 +139,7 @@ def test_only_what_is_used_is_counted(write):
 
 def test_the_head_is_kept_where_it_was_tracked(write):
     """Yaw of the file turns to the subject's right, ours to the left; a resampled take has it too."""
-    header = [*HEADER, "HeadPitch", "HeadRoll"]
+    header = [*HEADER[:-1], "HeadYaw", "HeadPitch", "HeadRoll"]
     angles = np.linspace(-0.4, 0.4, 30)[:, None] * [1.0, 0.5, -0.25]
     lines = [",".join(header)]
     for code, row, angle in zip(timecodes(30), ramp(30), angles, strict=True):
@@ -195,6 +195,7 @@ def milliseconds(text):
         (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
         (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
         (lambda t: t.replace("head w,1.0", "head w,1e200"), "head, by frame: quaternion 0 has length inf; expected 1"),
+        (lambda t: t.replace("head w", "neck w"), "head x, head y, head z without head w"),
         (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,1_0,"), "jawOpen, frame 0: '1_0' is no number"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,\u0661,"), "is no number"),
@@ -234,6 +235,9 @@ def broken_csv():
     yield third(lambda row: row.__setitem__(column, "1_0")), "line 3, column JawOpen: '1_0' is no number"
     beyond = csv_text(ramp(240), timecodes(240)).replace("10:00:01:59.250", "10:00:01:90.250")
     yield beyond, "line 121, column Timecode: frame 90, but most seconds end before it"
+    yield "\n".join(good).replace("LeftEyeYaw", "HeadYaw"), "HeadYaw without HeadPitch, HeadRoll"
+    degrees = "\n".join([good[0] + ",HeadYaw,HeadPitch,HeadRoll", good[1] + ",0,0,0", good[2] + ",5,-30,1"])
+    yield degrees, "line 3, column HeadPitch: -30 is more than a full turn [rad]; is it in degrees?"
     yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
     yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
