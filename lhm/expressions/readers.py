@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arkit import ARKIT, index
+from ..arkit import ARKIT, arkit_name, index
 from ..base.checks import check_arguments, rotations_from_quaternions
 from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as load_json
@@ -388,10 +388,11 @@ def _number(cell: str, where: str) -> float:
 
 
 def _refuse_misspelt(unknown: Sequence[tuple[int, str]], present: Any, kind: str) -> None:
-    """Raise InputError for an unknown name that is nearly one of the 52 that the file lacks."""
+    """Raise InputError for an unknown name that is nearly one of the 52 that the file lacks, or another spelling."""
     lacking = {name.lower(): name for name in ARKIT if name not in present}
     for line, name in unknown:
-        near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
+        meant = (arkit_name(name) or "").lower()
+        near = [meant] if meant in lacking else difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
         if near:
             raise InputError(f"line {line}: unknown {kind} {quote(name)!r}; did you mean {lacking[near[0]]}?")
 

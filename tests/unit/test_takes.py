@@ -242,6 +242,7 @@ def broken_csv():
     yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
+    yield "\n".join(good).replace("MouthSmileLeft", "MouthSmile_L"), "'MouthSmile_L'; did you mean mouthSmileLeft"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
     yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
