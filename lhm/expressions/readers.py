@@ -157,7 +157,8 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     """The rate [Hz] and times [s], the first at 0, of lines with timecodes HH:MM:SS:FF.fff.
 
     FF.fff are frames since the second, at a rate that the file does not say: it is read as the least usual one above
-    the largest FF; in a take without a whole second, whose FF say little, as 60.
+    the largest FF; in a take without a whole second, whose FF say little, as 60, unless it goes from the last frame of
+    such a rate to frame 0.
     """
     parts = np.empty((len(timecodes), 4))
     for number, (line, timecode) in enumerate(timecodes):
@@ -168,7 +169,10 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     seconds = parts[:, :3] @ [3600, 60, 1]
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     largest = int(parts[:, 3].max())
-    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= USUAL_RATE or np.ptp(seconds) > 1)]
+    frame = np.floor(parts[:, 3])
+    rolls_over = ((frame[:-1] == largest) & (frame[1:] == 0) & (np.diff(seconds) == 1)).any()
+    whole = np.ptp(seconds) > 1 or (rolls_over and largest + 1 in TIMECODE_RATES)
+    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= USUAL_RATE or whole)]
     if not usual:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, expected below {TIMECODE_RATES[-1]}")

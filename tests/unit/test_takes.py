@@ -89,6 +89,13 @@ def test_rate_is_that_of_the_timecodes(write, rate, step, expected):
     np.testing.assert_allclose(take.times, np.arange(150) / expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("rate", [24, 25, 30, 50, 60])
+def test_a_short_take_over_the_end_of_a_second_has_that_rate(write, rate):
+    take = read_take(write(csv_text(ramp(6), timecodes(6, rate=rate, start=rate - 3))))
+    assert take.rate == rate
+    np.testing.assert_allclose(take.times, np.arange(6) / rate, atol=1e-12)
+
+
 def test_times_go_on_over_midnight_and_over_lines_without_a_face(write):
     codes = ["23:59:59:57.000", "23:59:59:58.000", "23:59:59:59.000", "00:00:00:00.000", "00:00:00:01.000"]
     lines = csv_text(ramp(5), codes).splitlines()
