@@ -101,9 +101,12 @@ def read_livelink(text: str) -> Take:
     if "timecode" not in place:
         raise InputError("line 1: no column Timecode, so its times are not known")
     counted = place.get("blendshapecount")
-    has_face = np.array(
-        [not (counted is not None and counted < len(row) and row[counted].strip() == "0") for _, row in rows[1:]], bool
-    )
+
+    def has_count(line: int, row: list[str]) -> bool:
+        cell = row[counted].strip() if counted is not None and counted < len(row) else ""
+        return not cell or _number(cell, f"line {line}, column BlendShapeCount") != 0
+
+    has_face = np.array([has_count(line, row) for line, row in rows[1:]], bool)
     frames = [row for row, kept in zip(rows[1:], has_face, strict=True) if kept]
     for line, row in frames:
         if len(row) != len(header):
@@ -185,7 +188,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     if len(across) >= SECONDS_SEEN and np.median(across) > 3.0 * step + 1.0:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
-    return usual[0] / max(step, 0.01), (at - at[0]) / usual[0]
+    return _check_rate(usual[0] / max(step, 0.01)), (at - at[0]) / usual[0]
 
 
 # A recorder's weights.csv: a row per quantity, a column per frame.
@@ -221,6 +224,9 @@ def read_recorder(text: str) -> Take:
         if numbered.total() > len(numbered):
             frame, often = numbered.most_common(1)[0]
             raise InputError(f"line {line}: frame {quote(frame)} stands there {often} times")
+        frames = [int(cell) for cell in numbered if cell.isascii() and cell.isdecimal()]
+        if frames != sorted(frames):
+            raise InputError(f"line {line}: expected frames whose numbers rise")
     for line, row in rows:
         name = row[0].strip()
         known = BY_LOWER.get(name.lower(), name.lower())
@@ -292,6 +298,10 @@ def read_json_take(text: str) -> Take:
         names, values = _values_by_name(frames)
     else:
         names = _listed_names(content.get("names"))
+        for number, frame in enumerate(frames):
+            beside = [name for name in frame if name.lower() in BY_LOWER] if isinstance(frame, dict) else []
+            if beside:
+                raise InputError(f"frame {number}: {beside[0]} stands there beside weights")
         values = _values_in_order(
             [f["weights"] if isinstance(f, dict) and "weights" in f else f for f in frames], names
         )
@@ -376,7 +386,7 @@ def _finite_number(value: Any, where: str) -> float:
 def _rows(text: str) -> list[Row]:
     """The lines of a CSV that hold anything."""
     try:
-        return [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1) if any(row)]
+        return [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text, newline=None)), start=1) if any(row)]
     except csv.Error as error:
         raise InputError(f"not a take ({error})") from None
 

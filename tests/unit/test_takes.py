@@ -109,7 +109,7 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     """As the app writes them: the timecode and a 0. Nothing moves in time; where they were, a gap stands."""
     lines = csv_text(ramp(12), timecodes(12)).splitlines()
     for frame in (0, 4, 5, 6, 7, 8, 9, 11):
-        lines[1 + frame] = lines[1 + frame].split(",")[0] + ",0"
+        lines[1 + frame] = lines[1 + frame].split(",")[0] + (",0" if frame % 2 else ",0.0")
     take = read_take(write("\n".join(lines)))
     kept = np.array([1, 2, 3, 10])
     assert take.lost == 8 and take.rate == 60
@@ -121,6 +121,7 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     assert even.remarks() == ("8 frames without a face left out; the weights between are read off a line",)
     assert even.part(slice(0, 2)).lost == 0 and even.part(slice(0, 2)).remarks() == ()
     refused("no frames with a face", read_take, write("\n".join([lines[0], lines[1]])))
+    np.testing.assert_array_equal(read_take(write("\r".join(lines))).weights, take.weights)
 
 
 def test_a_real_take_with_lost_faces_is_read(data):
@@ -202,6 +203,7 @@ def milliseconds(text):
         (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
         (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
         (lambda t: t.replace("head w,1.0", "head w,1e200"), "head, by frame: quaternion 0 has length inf; expected 1"),
+        (lambda t: t.replace(",0,1,2,", ",2,1,0,"), "line 1: expected frames whose numbers rise"),
         (lambda t: t.replace("head w", "neck w"), "head x, head y, head z without head w"),
         (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,1_0,"), "jawOpen, frame 0: '1_0' is no number"),
@@ -252,6 +254,9 @@ def broken_csv():
     yield "\n".join(good).replace("MouthSmileLeft", "MouthSmile_L"), "'MouthSmile_L'; did you mean mouthSmileLeft"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
+    yield "\n".join(good).replace(",61,", ",x,"), "line 2, column BlendShapeCount: 'x' is no number"
+    rare = csv_text(ramp(3), ["10:00:00:00.0", "10:00:10:00.0", "10:00:20:00.0"])
+    yield rare, "rate: 0.1 Hz, expected 1 to 1,000"
     yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
     yield b"Timecode,JawOpen\n1\x00,2\n", "."
 
@@ -333,6 +338,7 @@ def timed(*times):
         ('{"rate": 60000, "frames": [{"jawOpen": 1}]}', "are its times milliseconds?"),
         (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
         (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
+        (timed(0, 0.1).replace("1],", '1], "JawOpen": 0.9,'), "frame 0: JawOpen stands there beside weights"),
         (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
         (timed(0.0, None, 0.2), "frame 1, time: None is no finite number"),
         (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),
