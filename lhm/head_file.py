@@ -28,6 +28,7 @@ from .check import HeadReport, check_layers, check_regions, measure_face
 from .head import LayeredHead
 from .identities.space import EXTENT
 from .rig import Rig
+from .skin import check_outward
 
 FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
@@ -144,6 +145,7 @@ def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) ->
     """
     if not len(skin.triangles):
         raise InputError("skin: it has no triangles")
+    check_outward(skin)
     n, skin_n = len(wrap.vertices), len(skin.vertices)
     ties = read_weights(arrays, "wrap_from_skin", n, skin_n), read_weights(arrays, "skin_from_wrap", skin_n, n)
     edge = float(np.linalg.norm(np.diff(wrap.vertices[wrap.triangles], axis=1), axis=2).mean())

@@ -76,6 +76,7 @@ HEADS = {
     "cranium for free": (other("bone", lambda a: np.where(a == 0, 1, a)), "bone: the face's cranium reaches"),
     "no lips": (other("region_lips", lambda a: a & False), "region 'lips': no vertex of the wrap"),
     "ears everywhere": (other("region_ears", lambda a: a | True), "region 'ears': 100 % of the wrap.*at most 40 %"),
+    "skin inside out": (other("skin_triangles", lambda a: a[:, ::-1]), "skin: its triangles face inwards"),
     "skin of a head aside": (other("skin_vertices", lambda a: a + 500.0), "skin_wrap: it lies .* mm from the skin"),
     "three times as large": (times(*POINTS, by=3.0), "skin_wrap is 752.* mm across, a head 100 to 600 mm"),
     "column out of range": (at("skin_from_wrap_indices", 5, 10**9), "skin_from_wrap_indices: 1000000000 at 5"),
