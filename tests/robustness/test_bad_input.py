@@ -206,6 +206,7 @@ def test_a_weight_outside_0_to_1_is_named(weight):
         (lambda v: v[:, [1, 0, 2]], "its triangles face inwards"),
         (lambda v: np.roll(v, 1, axis=0), "its edges are 3.* times as long as .*in the template's order"),
         (lambda v: np.vstack([v[:999][::-1], v[999:]]), "its edges are .* times as long as"),
+        (lambda v: v + 1000.0 * (np.arange(len(v)) == 100)[:, None], "an edge at vertex 100 is .* times as long as"),
     ],
 )
 def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):
