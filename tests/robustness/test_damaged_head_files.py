@@ -95,6 +95,7 @@ HEADS = {
     "rig moves vertex -1": (at("rig_moved", 0, -1), "rig_moved: -1 at 0; expected 0..4462"),
     "rig NaN": (at("rig_deltas", (3, 0, 0), np.nan), "rig_deltas: 1 values are not finite"),
     "rig a thousandfold": (times("rig_deltas", by=1000), "rig_deltas: 3.43e\\+04 is too large"),
+    "rig in metres": (times("rig_deltas", by=1e-3), "rig_deltas: they move no vertex farther than .*are they in m"),
     "rig of no expression": (
         lambda arrays: {"rig_about": np.array(json.dumps({"source": "", "missing": ["smirk"], "doubtful": {}}))},
         "rig_about: smirk is none of ARKit's expressions",
@@ -142,6 +143,20 @@ TOLD = {
     "nearly half as large": (times(*POINTS, by=0.45), "mm (at least 30 mm)"),
     "skull a point": (other("skull_wrap", lambda a: 0 * a + a.mean(axis=0)), "inverted tets: "),
     "wrap of equal vertices": (at("skin_wrap", slice(0, 50), 0.0), "inverted tets: "),
+    "rig negated": (times("rig_deltas", by=np.float32(-1)), "jaw drop: -"),
+    "rig reversed": (other("rig_deltas", lambda a: a[::-1]), "own side: "),
+    "rig of expressions in another order": (
+        other("rig_deltas", lambda a: np.random.default_rng(0).permutation(a)),
+        "own side: ",
+    ),
+    "rig mirrored": (times("rig_deltas", by=np.float32([-1, 1, 1])), "sideways: -"),
+    "rig turned": (other("rig_deltas", lambda a: a[:, :, [0, 2, 1]] * np.float32([1, -1, 1])), "jaw drop: "),
+    "lips anywhere": (other("region_lips", lambda a: np.random.default_rng(0).permutation(a)), "lips off mouth: "),
+    "lids anywhere": (other("region_lids", lambda a: np.random.default_rng(0).permutation(a)), "lids off eyes: "),
+    "lips and lids exchanged": (
+        lambda arrays: {"region_lips": arrays["region_lids"], "region_lids": arrays["region_lips"]},
+        "lids off eyes: ",
+    ),
     "bones exchanged": (HEADS["cranium and mandible exchanged"][0], "mandible over eyes: "),
     "cranium for free": (HEADS["cranium for free"][0], "cranium under mouth: "),
 }
