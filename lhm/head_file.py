@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from .arkit import ARKIT
 from .base import checks
 from .base.checks import check_arguments
-from .base.errors import InputError, MeshError, escape, quote
+from .base.errors import InputError, MeshError, escape, one_line, quote
 from .base.files.atomic import replaced
 from .base.files.npz import read_arrays, write_arrays
 from .base.files.tet_file import TaggedTets
@@ -259,7 +259,7 @@ def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
         raise InputError(f"{path}: not {of}, array {error.args[0]!r} is missing") from None
     except ValueError as error:  # a SoftdecaError too
         said = str(error)
-        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: damaged, {said}") from None
+        raise InputError(said if said.startswith(one_line(f"{path}:")) else f"{path}: damaged, {said}") from None
 
 
 def _read_parts(path: str | os.PathLike[str]) -> HeadParts:
@@ -348,8 +348,8 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
     farthest = float(np.abs(given).max(initial=0.0))
     if 0.0 < farthest < LEAST_MOVED:
         raise InputError(
-            f"rig_deltas: they move no vertex farther than {farthest:.3g} mm, expected {LEAST_MOVED:g} or more; are they "
-            f"in m?"
+            f"rig_deltas: they move no vertex farther than {farthest:.3g} mm, expected {LEAST_MOVED:g} or more; "
+            f"are they in m?"
         )
     about = parse_json(checks.text("rig_about", arrays["rig_about"]))
     deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)

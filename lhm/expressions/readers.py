@@ -386,7 +386,9 @@ def _finite_number(value: Any, where: str) -> float:
 def _rows(text: str) -> list[Row]:
     """The lines of a CSV that hold anything."""
     try:
-        return [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text, newline=None)), start=1) if any(row)]
+        return [
+            (number, row) for number, row in enumerate(csv.reader(io.StringIO(text, newline=None)), start=1) if any(row)
+        ]
     except csv.Error as error:
         raise InputError(f"not a take ({error})") from None
 

@@ -72,6 +72,8 @@ WRONG = [
     ("head show head.npz --expression jawOpn", "did you mean jawOpen"),
     ("head show head.npz --expression jawOpen", "not the triangles of 'anny'"),
     ("head mesh head.npz --layers 2", "layers '2': expected two counts"),
+    ("head mesh head.npz --layers 1_0,1", "layers '1_0,1': expected two counts"),
+    ("head mesh head.npz --layers \u0661,1", "layers '\u0661,1': expected two counts"),
     ("head mesh head.npz --layers 0,1", "from 1 to 32"),
     ("head mesh head.npz --layers 1000000,1", "from 1 to 32"),
     ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),

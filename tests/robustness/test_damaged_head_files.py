@@ -238,6 +238,12 @@ def test_a_head_whose_bits_flip_is_refused_or_the_same(tmp_path, sphere_head):
         assert np.array_equal(again.vertices, sphere_head.vertices), (place, bit)
 
 
+def test_a_name_of_two_lines_is_told_once(tmp_path, command):
+    (tmp_path / "a\nb.npz").write_text("no head")
+    (line,) = command("head", "check", tmp_path / "a\nb.npz").errors
+    assert line.count("a b.npz") == 1 and "not a layered head, or damaged" in line
+
+
 def test_notes_cannot_steer_the_terminal(tmp_path, whole, command):
     path = tmp_path / "noted.npz"
     about = {"source": "a\x1b[2J", "missing": [], "doubtful": {"jawOpen": "torn\x9b31m\u202e"}}
