@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm.base.errors import InputError
+from ..lhm.base.errors import InputError, quote
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
 from ..lhm.head_file import export_vtk, load_head
@@ -109,11 +109,10 @@ class WriteMesh:
 
 def parse_layers(text: str) -> tuple[int, int]:
     """Read the counts of layers of soft tissue and muscle, as 2,2; InputError for another text."""
-    try:
-        soft, muscle = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"layers {text!r}: expected two counts, as 2,2") from None
-    return soft, muscle
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() and len(part) < 9 for part in parts):
+        raise InputError(f"layers {quote(text)!r}: expected two counts, as 2,2")
+    return int(parts[0]), int(parts[1])
 
 
 @as_command(head, "import")

@@ -37,26 +37,42 @@ def arkit_name(name: str) -> str | None:
     Letters' case, underscores, what stands before a dot or colon, and _L, _R for Left, Right make no difference. The
     halves of browInnerUp and cheekPuff, which some rigs have, stand for the whole.
     """
+    return _name_and_half(name)[0]
+
+
+def _name_and_half(name: str) -> tuple[str | None, str]:
+    """Find the expression that a name stands for, or None, and "left" or "right" where it is half of one."""
     for text in (name, re.split(r"[.:|]", name)[-1] if not re.search(r"[.][lrLR]$", name) else name):
         text = text.strip().lower()
         if text[-2:] in _SIDES:
             text = text[:-2] + _SIDES[text[-2:]]
         text = re.sub(r"[\s_.-]", "", text)
         if text in _KNOWN:
-            return _KNOWN[text]
+            return _KNOWN[text], ""
         for side in ("left", "right"):
             if text.removesuffix(side) in _HALVED:
-                return _KNOWN[text.removesuffix(side)]
-    return None
+                return _KNOWN[text.removesuffix(side)], side
+    return None, ""
 
 
 def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Name morph targets (n, 3) by ARKit's names, halves added; unknown ones, and those that are zero, are left out."""
+    """Name morph targets (n, 3) by ARKit's names, halves added; unknown ones, and those that are zero, are left out.
+
+    Targets of one name that move different vertices, as of face and teeth, are added too. Raises InputError for two
+    that move the same.
+    """
     named: dict[str, Floats] = {}
+    before: dict[str, list[tuple[str, str]]] = {}
     for name, delta in morphs.items():
-        known = arkit_name(name)
-        if known is not None and np.any(delta):
-            named[known] = named[known] + delta if known in named else delta
+        known, half = _name_and_half(name)
+        if known is None or not np.any(delta):
+            continue
+        for other, other_half in before.setdefault(known, []):
+            halves = {half, other_half} == {"left", "right"}
+            if not halves and np.any(np.logical_and(morphs[other], delta)):
+                raise InputError(f"morph targets {quote(other)!r} and {quote(name)!r} are both {known}")
+        before[known].append((name, half))
+        named[known] = named[known] + delta if known in named else delta
     return named
 
 

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
-from .arkit import weights_of
+from .arkit import ARKIT, weights_of
 from .base.checks import check_arguments
 from .base.errors import MeshError
 from .base.geometry.bvh import TriangleTree
@@ -107,6 +108,11 @@ class HeadReport:
     `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
     sealed lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
     of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
+    `jaw_drop`: how far jawOpen lowers the skin of the lower lip, on average. `sideways`: how far jawLeft, jawRight,
+    mouthLeft and mouthRight move the lips to their own side, on average; the least of the four. `own_side`: share of
+    the other Left and Right expressions' motion that is on their own side of the face, on average.
+    `lips_off_mouth`, `lids_off_eyes`: distance of the lips' farthest vertex from the mouth's lining, and of the lids'
+    from the sockets.
     `turned`: angle between the axes of the face, by its mouth and eyes, and those of the file: +y up, +z the front.
     `eyes_across`: extent of both eye sockets, `eyes_to_mouth`: height of their middle over the mouth's.
     `mandible_over_eyes`: height of the highest vertex of the mandible over the eyes' middle, `cranium_under_mouth`:
@@ -162,6 +168,13 @@ class HeadReport:
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
+    # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.87 to 0.94.
+    jaw_drop: float | None = _figure("mm", "at least", 1.0)
+    sideways: float | None = _figure("mm", "above", 0.0)
+    own_side: float | None = _figure("", "at least", 0.7)
+    # Random identities and scans: 9 to 17 mm, and 7 to 22 mm.
+    lips_off_mouth: float | None = _figure("mm", "at most", 40.0)
+    lids_off_eyes: float | None = _figure("mm", "at most", 40.0)
     # Fits are refused from 45 degrees on; a face's own axes lie up to 10 degrees beside the template's.
     turned: float | None = _figure("°", "at most", 60.0)
     # Random identities and scans: 75 to 104 mm, and 50 to 79 mm.
@@ -258,6 +271,8 @@ def check_layers(
         lid_path=lids,
         lid_detour=detour,
         **_parted(skin, rigged, regions),
+        **_moved_sideways(skin, rigged, wraps[0].vertices, regions),
+        **_off(wraps[0].vertices, regions),
         **measure_face(wraps[0].vertices, wraps[2].vertices, bone, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
         regions_unknown=sum(not np.any(regions.get(name, False)) for name in LARGEST_SHARE),
@@ -391,6 +406,52 @@ def _parted(
                 torn = measure_torn(skin, rig, triangles, shapes)
                 folded = measure_folded(skin, rig, triangles, shapes)
         values |= {f"{name}_torn": torn, f"{name}_folded": folded}
+    return values
+
+
+SIDEWAYS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
+SIDED = tuple(name for name in ARKIT if name.endswith(("Left", "Right")) and name not in SIDEWAYS)
+
+
+def _moved_sideways(
+    skin: Surface, rigged: tuple[Rig, csr_matrix] | None, wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, Any]:
+    """Where the rig moves lips and face; None where the head lacks rig, regions or shapes, or these do nothing."""
+    values: dict[str, Any] = dict.fromkeys(("jaw_drop", "sideways", "own_side"))
+    found = find_face_axes(wrap, regions)
+    if rigged is None or found is None:
+        return values
+    (rig, weights), (middle, axes) = rigged, found
+    still = {*rig.missing, *(name for name in rig.doubtful if not rig.deltas[ARKIT.index(name)].any())}
+    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in still}
+    x = (skin.vertices - middle) @ axes
+    lips = weights @ np.asarray(regions.get("lips", np.zeros(len(wrap))), dtype=np.float64) > 0.5
+    lower = lips & (x[:, 1] < ((wrap[regions["mouth"]] - middle) @ axes)[:, 1].mean())
+    if lower.any():
+        if "jawOpen" in moved:
+            values["jaw_drop"] = float(-moved["jawOpen"][lower, 1].mean())
+        shifts = [_side(name) * float(moved[name][lower, 0].mean()) for name in SIDEWAYS if name in moved]
+        values["sideways"] = min(shifts, default=None)
+    shares = []
+    for name in moved.keys() & set(SIDED):
+        length = np.linalg.norm(moved[name], axis=1)
+        shares.append(length[_side(name) * x[:, 0] > 0].sum() / max(length.sum(), 1e-30))
+    values["own_side"] = float(np.mean(shares)) if shares else None
+    return values
+
+
+def _side(name: str) -> float:
+    """The sign of x on an expression's side: the subject's left is +x."""
+    return 1.0 if name.endswith("Left") else -1.0
+
+
+def _off(wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for rim, inside in (MOUTH, EYES):
+        far = None
+        if np.any(regions.get(rim, False)) and np.any(regions.get(inside, False)):
+            far = float(cKDTree(wrap[regions[inside]]).query(wrap[regions[rim]])[0].max())
+        values[f"{rim}_off_{inside}"] = far
     return values
 
 

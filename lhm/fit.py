@@ -37,6 +37,8 @@ LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 45.0
 """Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
 MOST_LONGER = 1.5
 """Of a skin's edges over the template's, scaled: identities have up to 1.1, vertices in another order 1.6 and more."""
+MOST_EDGE = 10.0
+"""Of a single edge over the template's, or over 1 mm: random identities and scans have up to 3.3."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
 LEADERS = 400
@@ -176,12 +178,21 @@ def _check_place(template: Surface, skin: Surface) -> None:
     check_outward(skin)
     if turned > MOST_TURNED:
         raise InputError(f"skin: turned by {turned:.0f} degrees from the template, which looks along +z with +y up")
-    before, after = (np.diff(each.vertices[each.triangles], axis=1) for each in (template, skin))
-    longer = np.linalg.norm(after, axis=2).mean() / (size * np.linalg.norm(before, axis=2).mean())
+    corners = template.triangles[:, [0, 1, 2, 0]]
+    before, after = (np.linalg.norm(np.diff(each.vertices[corners], axis=1), axis=2) for each in (template, skin))
+    longer = after.mean() / (size * before.mean())
     if longer > MOST_LONGER:
         raise InputError(
             f"skin: its edges are {longer:.2g} times as long as the template's, at its size, expected at most "
             f"{MOST_LONGER:g}; are its vertices in the template's order?"
+        )
+    stretched = after / (size * np.maximum(before, 1.0))
+    if stretched.max() > MOST_EDGE:
+        triangle, edge = np.nonzero(stretched > MOST_EDGE)
+        vertex = np.bincount(np.concatenate([corners[triangle, edge], corners[triangle, edge + 1]])).argmax()
+        raise InputError(
+            f"skin: an edge at vertex {vertex} is {stretched.max():.3g} times as long as the template's, at its size, "
+            f"expected at most {MOST_EDGE:g}; is it damaged?"
         )
 
 

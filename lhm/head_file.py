@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from .arkit import ARKIT
 from .base import checks
 from .base.checks import check_arguments
-from .base.errors import InputError, MeshError, escape, quote
+from .base.errors import InputError, MeshError, escape, one_line, quote
 from .base.files.atomic import replaced
 from .base.files.npz import read_arrays, write_arrays
 from .base.files.tet_file import TaggedTets
@@ -28,12 +28,15 @@ from .check import HeadReport, check_layers, check_regions, measure_face
 from .head import LayeredHead
 from .identities.space import EXTENT
 from .rig import Rig
+from .skin import check_outward
 
 FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
 _INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
 UNITS = {"m": 1e3, "cm": 10.0, "km": 1e6, "in": 25.4, "ft": 304.8, "µm": 1e-3, "nm": 1e-6}
+LEAST_MOVED = 1.0
+"""[mm] What a rig moves most: 36 to 45 in random identities and scans."""
 FARTHEST = 10.0
 """Extents of the skin wrap within which a head's other surfaces lie: a whole body's skin is seven heads tall."""
 LARGEST = 1e9
@@ -144,6 +147,7 @@ def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) ->
     """
     if not len(skin.triangles):
         raise InputError("skin: it has no triangles")
+    check_outward(skin)
     n, skin_n = len(wrap.vertices), len(skin.vertices)
     ties = read_weights(arrays, "wrap_from_skin", n, skin_n), read_weights(arrays, "skin_from_wrap", skin_n, n)
     edge = float(np.linalg.norm(np.diff(wrap.vertices[wrap.triangles], axis=1), axis=2).mean())
@@ -255,7 +259,7 @@ def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
         raise InputError(f"{path}: not {of}, array {error.args[0]!r} is missing") from None
     except ValueError as error:  # a SoftdecaError too
         said = str(error)
-        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: damaged, {said}") from None
+        raise InputError(said if said.startswith(one_line(f"{path}:")) else f"{path}: damaged, {said}") from None
 
 
 def _read_parts(path: str | os.PathLike[str]) -> HeadParts:
@@ -341,6 +345,12 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
     if (np.diff(moved) <= 0).any():
         raise InputError("rig_moved: expected vertices in rising order, each once")
     given = checks.real("rig_deltas", arrays["rig_deltas"], (len(ARKIT), len(moved), 3), most=extent)
+    farthest = float(np.abs(given).max(initial=0.0))
+    if 0.0 < farthest < LEAST_MOVED:
+        raise InputError(
+            f"rig_deltas: they move no vertex farther than {farthest:.3g} mm, expected {LEAST_MOVED:g} or more; "
+            f"are they in m?"
+        )
     about = parse_json(checks.text("rig_about", arrays["rig_about"]))
     deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)
     deltas[:, moved] = given

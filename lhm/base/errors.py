@@ -13,12 +13,17 @@ def escape(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
+def one_line(text: str) -> str:
+    """Make one line of a text: spaces and line ends become one space, control characters are escaped."""
+    return escape(" ".join(text.split()))
+
+
 class SoftdecaError(ValueError):
     """Base of every error that softdeca raises on purpose; it is one line, whatever it quotes."""
 
     def __str__(self) -> str:
-        """Return the message in one line: spaces and line ends become one space, control characters are escaped."""
-        return escape(" ".join(super().__str__().split()))
+        """Return the message in one line, see `one_line`."""
+        return one_line(super().__str__())
 
 
 class MeshError(SoftdecaError):

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arkit import ARKIT, index
+from ..arkit import ARKIT, arkit_name, index
 from ..base.checks import check_arguments, rotations_from_quaternions
 from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as load_json
@@ -74,6 +74,8 @@ OTHER_COLUMNS = {
     "blendshapecount",
     *(f"{of}{angle}".lower() for of in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
 }
+FULL_TURN = 6.3
+"""[rad] Of an angle in a file: a little more than 2 pi."""
 MIRRORED = (-1.0, 1.0, -1.0)
 """From the file's yaw, pitch and roll to ours. In real takes the eyes' yaw falls with eyeLookOutLeft and their pitch
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
@@ -99,9 +101,12 @@ def read_livelink(text: str) -> Take:
     if "timecode" not in place:
         raise InputError("line 1: no column Timecode, so its times are not known")
     counted = place.get("blendshapecount")
-    has_face = np.array(
-        [not (counted is not None and counted < len(row) and row[counted].strip() == "0") for _, row in rows[1:]], bool
-    )
+
+    def has_count(line: int, row: list[str]) -> bool:
+        cell = row[counted].strip() if counted is not None and counted < len(row) else ""
+        return not cell or _number(cell, f"line {line}, column BlendShapeCount") != 0
+
+    has_face = np.array([has_count(line, row) for line, row in rows[1:]], bool)
     frames = [row for row, kept in zip(rows[1:], has_face, strict=True) if kept]
     for line, row in frames:
         if len(row) != len(header):
@@ -117,8 +122,15 @@ def read_livelink(text: str) -> Take:
         )
 
     weights = values(list(columns))
+    _refuse_partial([f"Head{angle}" for angle in ANGLES], place)
     angles = [place[key] for key in (f"head{angle}".lower() for angle in ANGLES) if key in place]
     head = values(angles) if len(angles) == len(ANGLES) else np.zeros((1, 3))
+    if np.abs(head).max() > FULL_TURN:
+        frame, angle = np.argwhere(np.abs(head) > FULL_TURN)[0]
+        raise InputError(
+            f"line {frames[frame][0]}, column {header[angles[angle]]}: {head[frame, angle]:g} is more than a full "
+            f"turn [rad]; is it in degrees?"
+        )
     return take_from_columns(
         weights,
         list(columns.values()),
@@ -148,7 +160,8 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     """The rate [Hz] and times [s], the first at 0, of lines with timecodes HH:MM:SS:FF.fff.
 
     FF.fff are frames since the second, at a rate that the file does not say: it is read as the least usual one above
-    the largest FF; in a take without a whole second, whose FF say little, as 60.
+    the largest FF; in a take without a whole second, whose FF say little, as 60, unless it goes from the last frame of
+    such a rate to frame 0.
     """
     parts = np.empty((len(timecodes), 4))
     for number, (line, timecode) in enumerate(timecodes):
@@ -159,7 +172,10 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     seconds = parts[:, :3] @ [3600, 60, 1]
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     largest = int(parts[:, 3].max())
-    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= USUAL_RATE or np.ptp(seconds) > 1)]
+    frame = np.floor(parts[:, 3])
+    rolls_over = ((frame[:-1] == largest) & (frame[1:] == 0) & (np.diff(seconds) == 1)).any()
+    whole = np.ptp(seconds) > 1 or (rolls_over and largest + 1 in TIMECODE_RATES)
+    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= USUAL_RATE or whole)]
     if not usual:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, expected below {TIMECODE_RATES[-1]}")
@@ -172,7 +188,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     if len(across) >= SECONDS_SEEN and np.median(across) > 3.0 * step + 1.0:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
-    return usual[0] / max(step, 0.01), (at - at[0]) / usual[0]
+    return _check_rate(usual[0] / max(step, 0.01)), (at - at[0]) / usual[0]
 
 
 # A recorder's weights.csv: a row per quantity, a column per frame.
@@ -208,6 +224,9 @@ def read_recorder(text: str) -> Take:
         if numbered.total() > len(numbered):
             frame, often = numbered.most_common(1)[0]
             raise InputError(f"line {line}: frame {quote(frame)} stands there {often} times")
+        frames = [int(cell) for cell in numbered if cell.isascii() and cell.isdecimal()]
+        if frames != sorted(frames):
+            raise InputError(f"line {line}: expected frames whose numbers rise")
     for line, row in rows:
         name = row[0].strip()
         known = BY_LOWER.get(name.lower(), name.lower())
@@ -230,6 +249,7 @@ def read_recorder(text: str) -> Take:
     }
     names = [name for name in ARKIT if name in values]
     rate, times = _times_from_stamps(values.get(TIME), max(counts) - 1)
+    _refuse_partial(HEAD, values)
     head = None
     if all(name in values for name in HEAD):
         quaternions = np.stack([values[name] for name in HEAD], axis=1)
@@ -278,6 +298,10 @@ def read_json_take(text: str) -> Take:
         names, values = _values_by_name(frames)
     else:
         names = _listed_names(content.get("names"))
+        for number, frame in enumerate(frames):
+            beside = [name for name in frame if name.lower() in BY_LOWER] if isinstance(frame, dict) else []
+            if beside:
+                raise InputError(f"frame {number}: {beside[0]} stands there beside weights")
         values = _values_in_order(
             [f["weights"] if isinstance(f, dict) and "weights" in f else f for f in frames], names
         )
@@ -362,7 +386,9 @@ def _finite_number(value: Any, where: str) -> float:
 def _rows(text: str) -> list[Row]:
     """The lines of a CSV that hold anything."""
     try:
-        return [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1) if any(row)]
+        return [
+            (number, row) for number, row in enumerate(csv.reader(io.StringIO(text, newline=None)), start=1) if any(row)
+        ]
     except csv.Error as error:
         raise InputError(f"not a take ({error})") from None
 
@@ -378,12 +404,21 @@ def _number(cell: str, where: str) -> float:
 
 
 def _refuse_misspelt(unknown: Sequence[tuple[int, str]], present: Any, kind: str) -> None:
-    """Raise InputError for an unknown name that is nearly one of the 52 that the file lacks."""
+    """Raise InputError for an unknown name that is nearly one of the 52 that the file lacks, or another spelling."""
     lacking = {name.lower(): name for name in ARKIT if name not in present}
     for line, name in unknown:
-        near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
+        meant = (arkit_name(name) or "").lower()
+        near = [meant] if meant in lacking else difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
         if near:
             raise InputError(f"line {line}: unknown {kind} {quote(name)!r}; did you mean {lacking[near[0]]}?")
+
+
+def _refuse_partial(wanted: Sequence[str], present: Any) -> None:
+    """Raise InputError where some of the head's angles are there and others are not; `present` in small letters."""
+    lacking = [name for name in wanted if name.lower() not in present]
+    if lacking and len(lacking) < len(wanted):
+        there = ", ".join(name for name in wanted if name not in lacking)
+        raise InputError(f"{there} without {', '.join(lacking)}: expected all of the head's angles, or none")
 
 
 class Reader(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..arkit import find_arkit_morphs
-from ..base.errors import InputError, MeshError, SoftdecaError
+from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
@@ -81,7 +81,7 @@ def read_head_scan(
         done = repair_scan(scan) if repair else Repaired.of(scan)
         return _upright(done, template, hints, progress)
     except SoftdecaError as error:
-        raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
+        raise InputError(str(error) if one_line(str(path)) in str(error) else f"{Path(path)}: {error}") from None
 
 
 def read_same_topology(

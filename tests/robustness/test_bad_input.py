@@ -72,6 +72,8 @@ WRONG = [
     ("head show head.npz --expression jawOpn", "did you mean jawOpen"),
     ("head show head.npz --expression jawOpen", "not the triangles of 'anny'"),
     ("head mesh head.npz --layers 2", "layers '2': expected two counts"),
+    ("head mesh head.npz --layers 1_0,1", "layers '1_0,1': expected two counts"),
+    ("head mesh head.npz --layers \u0661,1", "layers '\u0661,1': expected two counts"),
     ("head mesh head.npz --layers 0,1", "from 1 to 32"),
     ("head mesh head.npz --layers 1000000,1", "from 1 to 32"),
     ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),
@@ -206,6 +208,7 @@ def test_a_weight_outside_0_to_1_is_named(weight):
         (lambda v: v[:, [1, 0, 2]], "its triangles face inwards"),
         (lambda v: np.roll(v, 1, axis=0), "its edges are 3.* times as long as .*in the template's order"),
         (lambda v: np.vstack([v[:999][::-1], v[999:]]), "its edges are .* times as long as"),
+        (lambda v: v + 1000.0 * (np.arange(len(v)) == 100)[:, None], "an edge at vertex 100 is .* times as long as"),
     ],
 )
 def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):

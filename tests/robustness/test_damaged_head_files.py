@@ -76,6 +76,7 @@ HEADS = {
     "cranium for free": (other("bone", lambda a: np.where(a == 0, 1, a)), "bone: the face's cranium reaches"),
     "no lips": (other("region_lips", lambda a: a & False), "region 'lips': no vertex of the wrap"),
     "ears everywhere": (other("region_ears", lambda a: a | True), "region 'ears': 100 % of the wrap.*at most 40 %"),
+    "skin inside out": (other("skin_triangles", lambda a: a[:, ::-1]), "skin: its triangles face inwards"),
     "skin of a head aside": (other("skin_vertices", lambda a: a + 500.0), "skin_wrap: it lies .* mm from the skin"),
     "three times as large": (times(*POINTS, by=3.0), "skin_wrap is 752.* mm across, a head 100 to 600 mm"),
     "column out of range": (at("skin_from_wrap_indices", 5, 10**9), "skin_from_wrap_indices: 1000000000 at 5"),
@@ -94,6 +95,7 @@ HEADS = {
     "rig moves vertex -1": (at("rig_moved", 0, -1), "rig_moved: -1 at 0; expected 0..4462"),
     "rig NaN": (at("rig_deltas", (3, 0, 0), np.nan), "rig_deltas: 1 values are not finite"),
     "rig a thousandfold": (times("rig_deltas", by=1000), "rig_deltas: 3.43e\\+04 is too large"),
+    "rig in metres": (times("rig_deltas", by=1e-3), "rig_deltas: they move no vertex farther than .*are they in m"),
     "rig of no expression": (
         lambda arrays: {"rig_about": np.array(json.dumps({"source": "", "missing": ["smirk"], "doubtful": {}}))},
         "rig_about: smirk is none of ARKit's expressions",
@@ -141,6 +143,20 @@ TOLD = {
     "nearly half as large": (times(*POINTS, by=0.45), "mm (at least 30 mm)"),
     "skull a point": (other("skull_wrap", lambda a: 0 * a + a.mean(axis=0)), "inverted tets: "),
     "wrap of equal vertices": (at("skin_wrap", slice(0, 50), 0.0), "inverted tets: "),
+    "rig negated": (times("rig_deltas", by=np.float32(-1)), "jaw drop: -"),
+    "rig reversed": (other("rig_deltas", lambda a: a[::-1]), "own side: "),
+    "rig of expressions in another order": (
+        other("rig_deltas", lambda a: np.random.default_rng(0).permutation(a)),
+        "own side: ",
+    ),
+    "rig mirrored": (times("rig_deltas", by=np.float32([-1, 1, 1])), "sideways: -"),
+    "rig turned": (other("rig_deltas", lambda a: a[:, :, [0, 2, 1]] * np.float32([1, -1, 1])), "jaw drop: "),
+    "lips anywhere": (other("region_lips", lambda a: np.random.default_rng(0).permutation(a)), "lips off mouth: "),
+    "lids anywhere": (other("region_lids", lambda a: np.random.default_rng(0).permutation(a)), "lids off eyes: "),
+    "lips and lids exchanged": (
+        lambda arrays: {"region_lips": arrays["region_lids"], "region_lids": arrays["region_lips"]},
+        "lids off eyes: ",
+    ),
     "bones exchanged": (HEADS["cranium and mandible exchanged"][0], "mandible over eyes: "),
     "cranium for free": (HEADS["cranium for free"][0], "cranium under mouth: "),
 }
@@ -220,6 +236,12 @@ def test_a_head_whose_bits_flip_is_refused_or_the_same(tmp_path, sphere_head):
             continue
         assert again.notes == ("a note",) and again.skull is not None and again.registered is not None, (place, bit)
         assert np.array_equal(again.vertices, sphere_head.vertices), (place, bit)
+
+
+def test_a_name_of_two_lines_is_told_once(tmp_path, command):
+    (tmp_path / "a\nb.npz").write_text("no head")
+    (line,) = command("head", "check", tmp_path / "a\nb.npz").errors
+    assert line.count("a b.npz") == 1 and "not a layered head, or damaged" in line
 
 
 def test_notes_cannot_steer_the_terminal(tmp_path, whole, command):

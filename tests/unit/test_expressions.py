@@ -84,3 +84,11 @@ def test_halves_are_added():
         {"browInnerUp_L": np.ones((2, 3)), "browInnerUp_R": 2 * np.ones((2, 3)), "x": np.ones((2, 3))}
     )
     assert list(found) == ["browInnerUp"] and (found["browInnerUp"] == 3).all()
+
+
+def test_morph_targets_of_one_expression_are_told():
+    face, teeth = np.eye(3)[:1], np.eye(3)[1:2]
+    assert (find_arkit_morphs({"a.jawOpen": face, "b.jawOpen": teeth})["jawOpen"] == face + teeth).all()
+    for one, other in (("jawOpen", "JawOpen"), ("browInnerUp", "browInnerUp_L"), ("cheekPuff_L", "cheekPuffLeft")):
+        words = f"morph targets '{one}' and '{other}' are both {arkit_name(one)}"
+        refused(words, find_arkit_morphs, {one: face, other: 2 * face})

@@ -13,7 +13,7 @@ from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resample, ro
 from ..refusals import refused
 
 NAMES = [name[0].upper() + name[1:] for name in ARKIT]
-HEADER = ["Timecode", "BlendShapeCount", *NAMES, "HeadYaw"]
+HEADER = ["Timecode", "BlendShapeCount", *NAMES, "LeftEyeYaw"]
 
 
 def timecodes(frames, *, rate=60, step=1, start=0):
@@ -65,7 +65,7 @@ def test_columns_are_found_in_any_order_and_case(write):
 
 def test_missing_columns_are_zero_and_named(write):
     kept = [k for k in range(52) if ARKIT[k] not in ("tongueOut", "jawLeft")]
-    header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "HeadYaw"]
+    header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "LeftEyeYaw"]
     take = read_take(write("\ufeff" + csv_text(ramp(4)[:, kept], timecodes(4), header)))
     assert take.missing == ("jawLeft", "tongueOut")
     assert not take.weights[:, [index("jawLeft"), index("tongueOut")]].any()
@@ -89,6 +89,13 @@ def test_rate_is_that_of_the_timecodes(write, rate, step, expected):
     np.testing.assert_allclose(take.times, np.arange(150) / expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("rate", [24, 25, 30, 50, 60])
+def test_a_short_take_over_the_end_of_a_second_has_that_rate(write, rate):
+    take = read_take(write(csv_text(ramp(6), timecodes(6, rate=rate, start=rate - 3))))
+    assert take.rate == rate
+    np.testing.assert_allclose(take.times, np.arange(6) / rate, atol=1e-12)
+
+
 def test_times_go_on_over_midnight_and_over_lines_without_a_face(write):
     codes = ["23:59:59:57.000", "23:59:59:58.000", "23:59:59:59.000", "00:00:00:00.000", "00:00:00:01.000"]
     lines = csv_text(ramp(5), codes).splitlines()
@@ -102,7 +109,7 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     """As the app writes them: the timecode and a 0. Nothing moves in time; where they were, a gap stands."""
     lines = csv_text(ramp(12), timecodes(12)).splitlines()
     for frame in (0, 4, 5, 6, 7, 8, 9, 11):
-        lines[1 + frame] = lines[1 + frame].split(",")[0] + ",0"
+        lines[1 + frame] = lines[1 + frame].split(",")[0] + (",0" if frame % 2 else ",0.0")
     take = read_take(write("\n".join(lines)))
     kept = np.array([1, 2, 3, 10])
     assert take.lost == 8 and take.rate == 60
@@ -114,6 +121,7 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     assert even.remarks() == ("8 frames without a face left out; the weights between are read off a line",)
     assert even.part(slice(0, 2)).lost == 0 and even.part(slice(0, 2)).remarks() == ()
     refused("no frames with a face", read_take, write("\n".join([lines[0], lines[1]])))
+    np.testing.assert_array_equal(read_take(write("\r".join(lines))).weights, take.weights)
 
 
 def test_a_real_take_with_lost_faces_is_read(data):
@@ -139,7 +147,7 @@ def test_only_what_is_used_is_counted(write):
 
 def test_the_head_is_kept_where_it_was_tracked(write):
     """Yaw of the file turns to the subject's right, ours to the left; a resampled take has it too."""
-    header = [*HEADER, "HeadPitch", "HeadRoll"]
+    header = [*HEADER[:-1], "HeadYaw", "HeadPitch", "HeadRoll"]
     angles = np.linspace(-0.4, 0.4, 30)[:, None] * [1.0, 0.5, -0.25]
     lines = [",".join(header)]
     for code, row, angle in zip(timecodes(30), ramp(30), angles, strict=True):
@@ -195,6 +203,8 @@ def milliseconds(text):
         (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
         (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
         (lambda t: t.replace("head w,1.0", "head w,1e200"), "head, by frame: quaternion 0 has length inf; expected 1"),
+        (lambda t: t.replace(",0,1,2,", ",2,1,0,"), "line 1: expected frames whose numbers rise"),
+        (lambda t: t.replace("head w", "neck w"), "head x, head y, head z without head w"),
         (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,1_0,"), "jawOpen, frame 0: '1_0' is no number"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,\u0661,"), "is no number"),
@@ -234,12 +244,19 @@ def broken_csv():
     yield third(lambda row: row.__setitem__(column, "1_0")), "line 3, column JawOpen: '1_0' is no number"
     beyond = csv_text(ramp(240), timecodes(240)).replace("10:00:01:59.250", "10:00:01:90.250")
     yield beyond, "line 121, column Timecode: frame 90, but most seconds end before it"
+    yield "\n".join(good).replace("LeftEyeYaw", "HeadYaw"), "HeadYaw without HeadPitch, HeadRoll"
+    degrees = "\n".join([good[0] + ",HeadYaw,HeadPitch,HeadRoll", good[1] + ",0,0,0", good[2] + ",5,-30,1"])
+    yield degrees, "line 3, column HeadPitch: -30 is more than a full turn [rad]; is it in degrees?"
     yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
     yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
+    yield "\n".join(good).replace("MouthSmileLeft", "MouthSmile_L"), "'MouthSmile_L'; did you mean mouthSmileLeft"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
+    yield "\n".join(good).replace(",61,", ",x,"), "line 2, column BlendShapeCount: 'x' is no number"
+    rare = csv_text(ramp(3), ["10:00:00:00.0", "10:00:10:00.0", "10:00:20:00.0"])
+    yield rare, "rate: 0.1 Hz, expected 1 to 1,000"
     yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
     yield b"Timecode,JawOpen\n1\x00,2\n", "."
 
@@ -321,6 +338,7 @@ def timed(*times):
         ('{"rate": 60000, "frames": [{"jawOpen": 1}]}', "are its times milliseconds?"),
         (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
         (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
+        (timed(0, 0.1).replace("1],", '1], "JawOpen": 0.9,'), "frame 0: JawOpen stands there beside weights"),
         (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
         (timed(0.0, None, 0.2), "frame 1, time: None is no finite number"),
         (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),

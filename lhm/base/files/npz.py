@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 
-from ..errors import InputError, quote
+from ..errors import InputError, one_line, quote
 from ..limits import ARRAYS, UNPACKED_BYTES
 from .atomic import write_whole
 from .text import check_file, read_bytes
@@ -56,7 +56,7 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
                     arrays[name] = _parse(file, part.file_size, part.filename)
                     file.read(1)  # at the end the checksum is compared
     except Exception as error:  # zipfile, zlib and numpy raise whatever the damage makes them raise
-        if isinstance(error, InputError) and str(error).startswith(str(path)):
+        if isinstance(error, InputError) and str(error).startswith(one_line(str(path))):
             raise
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(f"{path}: not {of}, or damaged ({reason})") from None

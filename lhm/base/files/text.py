@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MeshError, MissingDependencyError, escape, quote
+from ..errors import InputError, MeshError, MissingDependencyError, escape, one_line, quote
 from ..limits import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, TOML_BYTES, Bound
 
 
@@ -75,7 +75,7 @@ def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
         yield
     except (InputError, MeshError) as error:
         said = str(error)
-        raise InputError(said if str(path) in said else f"{path}: {said}") from None
+        raise InputError(said if one_line(str(path)) in said else f"{path}: {said}") from None
 
 
 def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES, *, first: int | None = None) -> bytes:
