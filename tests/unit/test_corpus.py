@@ -499,7 +499,8 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_status_names_what_verify_names(copied, command, damage):
+def test_status_names_what_verify_names(copied, command, monkeypatch, damage):
+    monkeypatch.chdir(copied)  # where storage elsewhere is made
     (copied / "other.raw").write_bytes(bytes(10**4))
     os.mkfifo(copied / "pipe.h5")
     with h5py.File(copied / "person-00001.h5", "r+") as file:

@@ -13,11 +13,11 @@ FLOOR, TOP = 1e-9, 100.0
 WIDE = 3
 """Panels side by side."""
 COLOURS = {
-    "FElupe": "#d62728",
+    "FElupe": "#444444",
     "sfepy": "#ff9896",
     "torch-fem": "#e377c2",
     "JAX-FEM": "#f7b6d2",
-    "MuJoCo flex": "#2ca02c",
+    "MuJoCo flex": "#0b5d1e",
     "Newton VBD": "#ff7f0e",
     "Newton semi-implicit": "#bcbd22",
     "Newton XPBD": "#7f7f7f",
