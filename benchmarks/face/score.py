@@ -311,7 +311,7 @@ def _check_description(description: Any, arrays: Mapping[str, Floats]) -> None:
         _check(f"{problem}, quantities", set(asked["quantities"]) == set(lengths))
         largest = dict.fromkeys(("mm", "kPa", "mN"), 0.0)
         for name, quantity in asked["quantities"].items():
-            unit = {"stress": "kPa", "force": "mN"}.get(name.split()[0], "mm")
+            unit = find_unit(name)
             _check(f"{problem}, {name}: unit", quantity["unit"] == unit)
             value = _numbers(f"{problem}, {name}", quantity["value"], (lengths[name],))
             largest[unit] = max(largest[unit], float(np.linalg.norm(value)))
@@ -448,6 +448,11 @@ def measure(
     if reactions is not None:
         values |= {f"force on {bone}": share @ reactions for bone, share in shares.items()}
     return {name: [float(number) for number in value] for name, value in values.items()}
+
+
+def find_unit(name: str) -> str:
+    """Return the unit of a quantity by its name: kPa of stresses, mN of forces, mm of everything else."""
+    return {"stress": "kPa", "force": "mN"}.get(name.split()[0], "mm")
 
 
 def _find_problem(path: Path, archive: Archive, problem: str) -> str:

@@ -252,7 +252,7 @@ GLTF = [
     (changed("accessors", 0, count=10**6), "reaches beyond its buffer"),
     (changed("accessors", 0, count=10**13), "10,000,000,000,000 vertices; expected at"),
     (zeros, "vertices; expected at most"),
-    (changed("accessors", 0, count=162.5), "162.5 vertices"),
+    (changed("accessors", 0, count=162.5), "expected a whole number, got 162.5"),
     (lambda words: primitive(words).update(indices=-1), "accessors: -1 is none of its 3"),
     (changed("accessors", 0, count=100), "triangles: .*expected 0..99"),
     (changed("accessors", 0, type="VEC4"), "of type VEC4, expected VEC3"),

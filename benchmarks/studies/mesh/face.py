@@ -18,7 +18,7 @@ from ....lhm import fit_head, identities, load_template
 from ....lhm.base.mesh import Floats
 from ....reference import Scene, Solution, solve
 from ...face.problems import MESHES, PROBLEMS, Body, body_of, describe_measures
-from ...face.score import measure
+from ...face.score import find_unit, measure
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from ..measures import count_work
 
@@ -197,11 +197,6 @@ def quantities_of(coarse: Body, body: Body, scene: Scene, solution: Solution) ->
     )
 
 
-def unit_of(quantity: str) -> str:
-    """Give the unit of a quantity by its name."""
-    return "kPa" if quantity.startswith("stress") else "mN" if quantity.startswith("force") else "mm"
-
-
 def extrapolate(coarse: Floats, medium: Floats) -> Floats:
     """Extrapolate answers of quadratic tets on two meshes."""
     limit: Floats = medium + (medium - coarse) / (2.0**ORDER - 1.0)
@@ -222,7 +217,7 @@ def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
         lines.append(
             {
                 "name": quantity,
-                "unit": unit_of(quantity),
+                "unit": find_unit(quantity),
                 "value": value.tolist(),
                 "size": size,
                 "band": band,
