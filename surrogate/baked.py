@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numbers
-import warnings
 from dataclasses import dataclass, replace
 from functools import cache
 from os import PathLike
@@ -18,7 +17,7 @@ from ..lhm.base.mesh import Floats32, Ints, Surface
 from ..lhm.expressions import Take, conversation
 from ..lhm.expressions.made_up import combinations
 from .dynamics import DynamicRig, Swings, dynamic_rig
-from .rig import WEIGHTS, FaceModes, Remainder, add_combination, check_out, check_weights
+from .rig import WEIGHTS, FaceModes, Remainder, add_combination, check_out, check_weights, clip_weights
 
 APART = 8
 """Frames of a conversation: those in a row hardly differ."""
@@ -91,9 +90,7 @@ class BakedRig:
             weights = real("weights", weights).astype(np.float32)
         if weights.shape[-1:] != (WEIGHTS,):
             raise InputError(f"weights: expected the {WEIGHTS} of ARKit, got shape {weights.shape}")
-        inside = np.clip(weights, 0.0, 1.0)
-        if outside := np.count_nonzero(inside != weights):
-            warnings.warn(f"{outside} of {weights.size} weights outside [0, 1] were clipped", stacklevel=2)
+        inside = clip_weights(weights)
         return np.concatenate([inside, self.remainder_of(inside)], axis=-1) @ self.mixing
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:

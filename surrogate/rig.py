@@ -114,9 +114,15 @@ def check_weights(weights) -> Floats32:
         return weights
     if not np.isfinite(weights).all():
         raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    warnings.warn(f"{outside} of {WEIGHTS} weights outside [0, 1] were clipped", stacklevel=3)
-    return np.clip(weights, 0.0, 1.0)
+    return clip_weights(weights)
+
+
+def clip_weights(weights: Floats32) -> Floats32:
+    """Return weights clipped to [0, 1], with a warning that counts those outside."""
+    inside = np.clip(weights, 0.0, 1.0)
+    if outside := np.count_nonzero(inside != weights):
+        warnings.warn(f"{outside} of {weights.size} weights outside [0, 1] were clipped", stacklevel=4)
+    return inside
 
 
 @numba.njit(cache=True)

@@ -125,15 +125,15 @@ def _tell_losses(rows: Rows) -> str:
         rival = min(rivals, key=lambda name: rivals[name])
         if rivals[rival] <= (mine := of[NETWORK]["mean"]):
             lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
-    for effect, (rival, share, own) in _find_lost_effects(rows.get("split", ())).items():
+    for effect, (rival, share, own) in find_lost_effects(rows.get("split", ())).items():
         lost.append(f"{effect} ({rival} leaves {100 * share:.0f} % of the motion, network {100 * own:.0f} %)")
     if lost:
         return f"The network loses to a simple rival on these kinds of frames: {', '.join(lost)}."
     return f"The network beats the simple rivals on all {compared} kinds of frames." if compared else ""
 
 
-def _find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]]:
-    """Find effects of the study `split` on which a simple rival leaves less than the network: rival, both shares."""
+def find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]]:
+    """Find effects of the study `split` on which the nearer rival leaves less than the network: rival, both shares."""
     lost = {}
     frames = [row for row in rows if "share" in row.values]
     for effect in dict.fromkeys(row.case for row in frames):

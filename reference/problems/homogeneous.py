@@ -323,13 +323,13 @@ def problems_of(name: str, law: EnergyLaw) -> list[Problem]:
         held_energy(crushed, EIGHT_DIGITS, _psi(law, [crushed.stretch] + 2 * [crushed.free_stretch]), BY_PSI),
     ]
 
-    def sheared(amount: float) -> Floats:
+    def shear(amount: float) -> Floats:
         return np.eye(3) + amount * np.outer([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 
     def psi(amount: float) -> float:
-        return _psi(law, np.linalg.svd(sheared(amount), compute_uv=False).tolist())
+        return _psi(law, np.linalg.svd(shear(amount), compute_uv=False).tolist())
 
-    A = sheared(SHEAR)
+    A = shear(SHEAR)
     for what, quantity, value in (
         ("energy", energy, psi(SHEAR)),
         ("shear stress", lambda _, solution: solution.first_piola[:, 0, 1].mean(), _slope(psi, SHEAR)),

@@ -155,7 +155,7 @@ class Corpus:
                 rate.add(seconds)
             status = self.status(on_progress=on_progress)
             if status.identities_done + len(status.damaged) < status.identities:
-                raise self._removed(status.identities_done)
+                raise self._describe_removal(status.identities_done)
             self._check_kept()
         return status
 
@@ -169,7 +169,7 @@ class Corpus:
         if not is_kept:
             raise InputError(f"{self.folder / MANIFEST}: it changed while the corpus was made; run again")
 
-    def _removed(self, done: int) -> InputError:
+    def _describe_removal(self, done: int) -> InputError:
         return InputError(
             f"{self.folder}: files were removed while the corpus was made, {done} of {self.plan.identities} people are "
             "there; run again"
@@ -189,7 +189,7 @@ class Corpus:
     def make(self, identity: int) -> float:
         """Simulate one person and write the shard; returns the processor seconds that it took."""
         if not (self.folder / MANIFEST).exists():
-            raise self._removed(len(self.people_there()))
+            raise self._describe_removal(len(self.people_there()))
         begin = time.process_time()
         velocities = self._velocities() if self.plan.sequences else None
         shard = simulate_person(self.plan, self.people, identity, velocities)

@@ -45,8 +45,10 @@ class Answer:
 def settle_neutral(people: People, head: LayeredHead, parameters: ParameterSet) -> SettledFace:
     """Settle the neutral face under a parameter set; SceneError where it does not come to rest."""
     neutral = settle(head, parameters.parameters(head, people.mean), **TARGET_OPTIONS)
-    if not neutral.converged or reject_moved(neutral.displacement):
-        raise SceneError(reject_moved(neutral.displacement) if neutral.converged else str(neutral.reason))
+    if not neutral.converged:
+        raise SceneError(str(neutral.reason))
+    if reason := reject_moved(neutral.displacement):
+        raise SceneError(reason)
     return neutral
 
 

@@ -60,7 +60,7 @@ START, LEAST = 60.0, 5.0
 """Seconds that a process may take to begin, and that it fuzzes at least."""
 
 
-def kept(folder: Path) -> Iterator[tuple[str, bytes]]:
+def read_kept(folder: Path) -> Iterator[tuple[str, bytes]]:
     """Return the files in a folder by name, those that end in .xz unpacked."""
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):
         name, content = str(file.relative_to(folder)), file.read_bytes()
@@ -74,8 +74,8 @@ def as_folder(name: str) -> str:
 
 def inputs_of(name: str) -> dict[str, bytes]:
     """Return the kept inputs of a format: whole files, also that which others are read with, and found ones."""
-    beside = [("beside", content) for place, content in kept(BESIDE) if place == name]
-    return dict([*beside, *kept(KEPT / as_folder(name))])
+    beside = [("beside", content) for place, content in read_kept(BESIDE) if place == name]
+    return dict([*beside, *read_kept(KEPT / as_folder(name))])
 
 
 def note_opened(event: str, arguments: tuple) -> None:
@@ -135,7 +135,7 @@ def prepare(folder: Path, names: list[str]) -> list[Target]:
     warnings.simplefilter("ignore", DeprecationWarning)
     if os.environ.get("NUMBA_DISABLE_JIT") == "1":
         warnings.filterwarnings("ignore", ".*encountered in scalar", RuntimeWarning)  # compiled loops say nothing
-    for name, content in kept(BESIDE):
+    for name, content in read_kept(BESIDE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     targets = [Target(each, folder) for each in all_formats() if not names or each.name in names]

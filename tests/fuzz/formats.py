@@ -87,8 +87,10 @@ def all_formats() -> Iterator[Format]:
     yield Format("weights.safetensors", read_weights, mutations.of_safetensors, ("weights: ", "anchors: "))
     yield Format("results.json", read_results, tree, ("mixed",))
     # An archive's error may name a part of it, an answer's what it is about.
-    yield Format("benchmark.zip", lambda path: scored(path.with_name("gravity.vtu"), path), mutations.of_zip, ("",))
-    yield Format("gravity.vtu", lambda path: scored(path, path.with_name("benchmark.zip")), text, ("",))
+    yield Format(
+        "benchmark.zip", lambda path: score_answer(path.with_name("gravity.vtu"), path), mutations.of_zip, ("",)
+    )
+    yield Format("gravity.vtu", lambda path: score_answer(path, path.with_name("benchmark.zip")), text, ("",))
     yield Format("change.json", read_message, tree, ("",))  # a message of the live page has no name
 
 
@@ -208,7 +210,7 @@ def read_results(path: Path) -> list[np.ndarray]:
     return [np.array([change.is_beyond_noise for change in compare_results(path, path, kind).changes], dtype=float)]
 
 
-def scored(answer: Path, archive: Path) -> list[np.ndarray]:
+def score_answer(answer: Path, archive: Path) -> list[np.ndarray]:
     """The numbers of an answer to the face benchmark's problem "gravity"."""
     try:
         found = score(answer, Archive(archive), "gravity")

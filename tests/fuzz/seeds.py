@@ -41,7 +41,7 @@ from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
 
 from ..robustness import whole_files
 from ..robustness.whole_files import big_endian_ply, binary_strips_ply, exported, glb_words, obj, stl, strips_ply
-from .__main__ import BESIDE, KEPT, as_folder, kept
+from .__main__ import BESIDE, KEPT, as_folder, read_kept
 from .formats import SPACE
 
 PLAN = CorpusPlan(
@@ -224,7 +224,7 @@ def main() -> None:
     for name, content in beside.items():
         write(BESIDE / name, content)
     sizes = [file.stat().st_size for file in KEPT.rglob("*") if file.is_file()]
-    print(f"{len(sizes)} files, {sum(sizes):,} bytes; {len([*kept(KEPT)])} inputs")
+    print(f"{len(sizes)} files, {sum(sizes):,} bytes; {len([*read_kept(KEPT)])} inputs")
 
 
 if __name__ == "__main__":

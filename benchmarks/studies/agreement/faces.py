@@ -12,7 +12,7 @@ from ....lhm.base.mesh import Floats
 from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ....reference.face.facial import apply_law
 from ....surrogate import Surrogate
-from ....surrogate.methods import FENICSX, NETWORK, PD, PD_PLAIN, SKFEM, SKFEM_NEO_HOOKEAN
+from ....surrogate.methods import BLENDSHAPES, FENICSX, NETWORK, PD, PD_PLAIN, SKFEM, SKFEM_NEO_HOOKEAN
 from ..measures import ACCURACY, TIGHT, Trace, difference, distances, trace_solve, trace_to_itself
 from ..person import Person
 from .insides import compare_insides
@@ -147,7 +147,7 @@ class SceneFace:
         top = max(0.05, float(np.percentile(apart, 99.5)))
         panels = [
             Panel("at rest", skin),
-            Panel("simulated (PD)", skin.with_vertices(simulated)),
+            Panel(f"simulated ({PD})", skin.with_vertices(simulated)),
             Panel(f"{LAW} law", skin.with_vertices(law)),
             Panel(f"{LAW} - PD", skin.with_vertices(simulated), apart, top),
         ]
@@ -220,10 +220,10 @@ class Face(SceneFace):
         """Draw target, simulated, and the distances of blendshapes, neo-Hookean law and surrogate: PNG."""
         pd, head = self.skin(self.pd[0]), self.of.head
         simulated = head.skin.with_vertices(pd)
-        others = {"blendshapes - PD": self.shape, "neo-Hookean - PD": self.law_skin(self.neo[0])}
+        others = {f"{BLENDSHAPES} - {PD}": self.shape, f"{LAW} - {PD}": self.law_skin(self.neo[0])}
         others |= {} if self._network is None else {f"{NETWORK} - PD": self.learned}
         errors = {text: distances(skin, pd) for text, skin in others.items()}
-        top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
-        panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
+        top = max(0.05, float(np.percentile(errors[f"{BLENDSHAPES} - {PD}"], 99.5)))
+        panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel(f"simulated ({PD})", simulated)]
         panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
         return draw_strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)

@@ -27,6 +27,7 @@ from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import CorpusPlan
 from ....surrogate.methods import CARRIED, DERIVATIVES, SETTLED
 from ....surrogate.ruler import measure
+from ...harness.first_screen import find_lost_effects
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import distances, limit_of_two, solve_to_end
 from ..person import OfPerson, check_known
@@ -201,7 +202,8 @@ class Split(OfPerson):
         sentences.append(f"Parts: {', '.join(parts)}. Most is {PARTS[largest]}.")
         if not ratios:
             sentences.append(f"On level {COARSE} alone linear tets are {coarse:.3f} mm from quadratic ones.")
-        sentences += [f"{effect}: the network loses to {RIVALS[key]}." for effect, key in _find_losses(frames)]
+        lost = find_lost_effects(frames)
+        sentences += [f"{effect}: the network loses to {rival}." for effect, (rival, _, _) in lost.items()]
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
@@ -263,17 +265,6 @@ def _select_frames(rows: Sequence[Row]) -> list[Row]:
 def _find_ratios(rows: Sequence[Row]) -> list[float]:
     """Ratios of fine to coarse parts of the mesh, of all rows that measured both."""
     return [row.values["mesh"] / row.values["mesh_coarse"] for row in rows if row.method.endswith(FINE)]
-
-
-def _find_losses(frames: Sequence[Row]) -> list[tuple[str, str]]:
-    """Effects and rivals to which the network loses, by mean share."""
-    lost = []
-    for effect in dict.fromkeys(row.case for row in frames):
-        own = [row.values for row in frames if row.case == effect]
-        for key in RIVALS:
-            if np.mean([v[f"share_{key}"] for v in own]) <= np.mean([v["share"] for v in own]):
-                lost.append((effect, key))
-    return lost
 
 
 @lru_cache(maxsize=1)
