@@ -29,7 +29,6 @@ from ..reference.face.bones import Bones
 from ..reference.face.dynamics import extrapolate_turns, find_pivot
 from ..surrogate import BoundRig, CertifiedFace, Surrogate, derivatives_rig
 from ..surrogate.certified import ACCURACY
-from ..surrogate.codes import nearest_code
 from ..surrogate.local import on_wraps
 from ..surrogate.methods import DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES
 from ..surrogate.runtime import Beyond
@@ -37,9 +36,6 @@ from .frames import CertifiedFrames, SimulatedFrames, TakeFrames
 from .play import Output, PlayedTake
 from .preview import check_preview
 from .store import TakeStore, digest
-
-KNOWN = 0.5
-"""[mm] Mean distance to the nearest person of the network's space up to which a head is one of these people."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,20 +113,21 @@ def bind_head(
     By the network where the head is one of its people; with the simulator's derivatives besides where it has their
     triangles; by these alone where it has others.
     """
-    begin, mean = time.perf_counter(), surrogate.weights.mean
-    same = surrogate.space == "anny" and np.array_equal(head.skin.triangles, mean.triangles)
-    method = DERIVATIVES
-    if same:
-        space = identities.Anny()
-        code = nearest_code(space, head.skin, ridge=1e-6)
-        away = np.linalg.norm(space.skin(code).vertices - head.skin.vertices, axis=1).mean()
-        exact = exact or bool(away > KNOWN)
-        rig = surrogate.bind(
-            head.skin, code, parameters, expressions=deltas, exact=exact, head=head if exact else None, beyond=beyond
-        )
-        method = NETWORK_AND_DERIVATIVES if exact else NETWORK
-    else:
-        rig = derivatives_rig(head, deltas, parameters)
+    begin, nearest = time.perf_counter(), surrogate.find_nearest(head.skin)
+    if nearest is None:
+        rig: BoundRig = derivatives_rig(head, deltas, parameters)
+        return BoundHead(rig, DERIVATIVES, time.perf_counter() - begin, deltas)
+    exact = exact or not nearest.is_same
+    rig = surrogate.bind(
+        head.skin,
+        nearest.code,
+        parameters,
+        expressions=deltas,
+        exact=exact,
+        head=head if exact else None,
+        beyond=beyond,
+    )
+    method = NETWORK_AND_DERIVATIVES if exact else NETWORK
     return BoundHead(rig, method, time.perf_counter() - begin, deltas)
 
 

@@ -3,14 +3,13 @@
 
 const REGIONS = { brow: "Brows", eye: "Eyes", jaw: "Jaw", mouth: "Mouth", cheek: "Cheeks, nose, tongue", nose: "Cheeks, nose, tongue", tongue: "Cheeks, nose, tongue" };
 const COLOURS = { skin: "skin", distance: "distance to blendshapes", error: "estimated error" };
-const METHODS = ["network", "derivatives", "simulator"];
 const PAUSE = 10; // [ms] between two changes; the server refuses more than 240 in a second
 const STEPS = 200; // of a slider
 const FINEST = 0.001; // [mm] errors are told no finer
 const MEANINGS = [
   [(frame) => frame.mean === null, "how far off blendshapes are, the simulator will tell"],
   [(frame) => frame.last, "mean error: the simulator has converged"],
-  [(frame) => frame.method === "network", "mean error, as the network usually has"],
+  [(frame) => frame.place === 0, "mean error, as the network usually has"],
   [(frame) => frame.certain, "mean error, estimated"],
   [() => true, "mean error, roughly estimated"],
 ];
@@ -238,12 +237,12 @@ class Panel {
 function start([content, arrays]) {
   const stage = new Stage(byId("canvas"), content, arrays, arrays[content.neutral]);
   const panel = new Panel(content, () => line.changed());
-  const methods = content.network ? METHODS : ["blendshapes", ...METHODS.slice(1)];
-  const rungs = new Map(methods.map((name) => {
+  // The second answer goes without the network where p is beyond what it has seen, and then says so.
+  const placeOf = (method) => content.methods.includes(method) ? content.methods.indexOf(method) : 1;
+  const rungs = content.methods.map((textContent) => {
     const rung = addElement("li", byId("ladder"));
-    addElement("span", rung, { textContent: name });
-    return [name, { rung, told: addElement("small", rung) }];
-  }));
+    return { rung, name: addElement("span", rung, { textContent }), told: addElement("small", rung) };
+  });
   const shown = { frame: null, frames: new Map(), errors: [], colour: "skin", top: 1, latencies: [], notes: [], weights: panel.values };
 
   function draw() {
@@ -268,10 +267,11 @@ function start([content, arrays]) {
     const { frame, frames } = shown;
     byId("error").textContent = frame.mean === null ? "not known" : `${frame.last ? "" : "≈ "}${inMillimetres(frame.mean)}`;
     byId("meaning").textContent = MEANINGS.find(([holds]) => holds(frame))[1];
-    for (const [name, { rung, told }] of rungs) {
-      const its = frames.get(name);
-      rung.className = name === frame.method ? "now" : its ? "done" : "";
-      if (!its) told.textContent = methods.indexOf(name) < methods.indexOf(frame.method) ? "not needed" : "";
+    for (const [place, { rung, name, told }] of rungs.entries()) {
+      const its = frames.get(place);
+      rung.className = place === frame.place ? "now" : its ? "done" : "";
+      name.textContent = its ? its.method : content.methods[place];
+      if (!its) told.textContent = place < frame.place ? "not needed" : "";
       else if (frame.last && its !== frame) told.textContent = inMillimetres(meanDistance(its.positions, frame.positions));
       else told.textContent = its.mean === null ? "?" : inMillimetres(its.mean);
       if (its) addElement("small", told, { textContent: `after ${its.elapsed < 1 ? its.elapsed.toFixed(2) : its.elapsed.toFixed(1)} s` });
@@ -294,9 +294,9 @@ function start([content, arrays]) {
         shown.latencies.push(milliseconds);
         say("");
       }
-      frame.elapsed = milliseconds / 1000;
+      Object.assign(frame, { elapsed: milliseconds / 1000, place: placeOf(frame.method) });
       shown.frame = frame;
-      shown.frames.set(frame.method, frame);
+      shown.frames.set(frame.place, frame);
       shown.errors.push({ method: frame.method, mean: frame.mean, elapsed: frame.elapsed });
       stage.positions.set(frame.positions);
       draw();
@@ -331,7 +331,7 @@ function start([content, arrays]) {
       return { ...header, isAnswered: !line.isDirty && !line.waits };
     },
     /** An array of the last answer by a method to this change. */
-    arrayOf(method, name) { return Array.from(shown.frames.get(method)[name]); },
+    arrayOf(method, name) { return Array.from(shown.frames.get(placeOf(method))[name]); },
     positions() { return Array.from(stage.positions); },
     within() { return stage.organs ? Array.from(stage.organs.geometry.attributes.position.array) : []; },
     /** How the error of the answers to this change fell. */

@@ -4,7 +4,6 @@ import webbrowser
 from pathlib import Path
 
 import click
-import numpy as np
 
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.limits import PORT, SEED
@@ -83,7 +82,7 @@ def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, o
     with show_progress() as progress:
         head, shapes = which.head(progress)
         rigs, surrogate = [], Surrogate.load()
-        if np.array_equal(head.skin.triangles, surrogate.weights.mean.triangles):
+        if surrogate.find_nearest(head.skin) is not None:
             served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
             rigs.append(Rig.baked(served.method, served.rig))
         progress("page", 0.3)

@@ -23,14 +23,12 @@ from ..lhm.base.checks import check_arguments, finite, number
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.identities import Anny
 from ..reference import Parameters
 from ..reference.face.correction import Correction, FaceFrames
 from ..reference.face.derivatives import Analysis, differentiate_head
 from ..reference.face.settle import carry_skin
 from ..reference.projective.newton_step import NewtonStep
 from ..reference.solution import OnIteration
-from .codes import nearest_code
 from .local import on_wraps
 from .methods import DERIVATIVES, NETWORK_AND_DERIVATIVES
 from .rig import FaceModes, check_shapes, check_weights
@@ -60,8 +58,6 @@ MOST_SOLVES = 2000
 """Solves of a frame before it is given up, as where lids that are pressed into each other find no rest."""
 DOUBT = 3.0
 """What is not certain is off by at most this factor, but for some in a hundred."""
-RIDGE = 1e-6
-"""[mm²] Of the code that is fitted to a skin for the network."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,13 +272,10 @@ def find_counted(skin: Floats, carried: Floats) -> np.ndarray:
 
 def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:
     """Bind a network that knows the head's triangles and the parameters; None where there is none."""
-    weights = surrogate.weights
-    if weights.kind != "modal" or surrogate.space != "anny":
+    nearest = surrogate.find_nearest(head.skin)
+    if nearest is None or surrogate.weights.kind != "modal":
         return None
-    if not np.array_equal(head.skin.triangles, weights.mean.triangles):
-        return None
-    code = nearest_code(Anny(), head.skin, ridge=RIDGE)
     try:
-        return surrogate.bind(head.skin, code, parameters, expressions=shapes)  # type: ignore
+        return surrogate.bind(head.skin, nearest.code, parameters, expressions=shapes)  # type: ignore
     except InputError:  # parameters beyond what it has seen
         return None

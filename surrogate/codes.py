@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..lhm.base.errors import InputError
@@ -11,8 +13,29 @@ from ..lhm.identities.space import CLIP, LinearSpace
 
 RIDGE = 1.0
 """[mm²] Of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
+TIGHT = 1e-6
+"""[mm²] The same for a skin that is to be met as well as a code can."""
 SAME = 0.5
 """[mm] Mean distance within which a skin is that of its code."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPerson:
+    """The person of a space who is nearest to a skin: the code (c,), and the mean distance of vertices [mm]."""
+
+    code: Floats
+    distance: float
+
+    @classmethod
+    def from_skin(cls, space: LinearSpace, skin: Surface) -> NearestPerson:
+        """Find who is nearest to a skin in the space's triangles, as it lies there."""
+        code = nearest_code(space, skin, ridge=TIGHT)
+        return cls(code, float(np.linalg.norm(space.skin(code).vertices - skin.vertices, axis=1).mean()))
+
+    @property
+    def is_same(self) -> bool:
+        """Whether the skin is this person's: an error that was measured on people of the space holds for it."""
+        return self.distance <= SAME
 
 
 def nearest_code(space: LinearSpace, skin: Surface, *, ridge: float = RIDGE) -> Floats:

@@ -23,7 +23,7 @@ from ..lhm.identities import LinearSpace
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
-from .codes import SAME, check_belonging
+from .codes import SAME, NearestPerson, check_belonging
 from .corpus.face import MOVED, Face
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
@@ -73,6 +73,15 @@ class Surrogate:
     def parameter_names(self) -> tuple[str, ...]:
         """The parameters that a static frame follows, in the order of the columns of an array of them."""
         return STATIC
+
+    def find_nearest(self, skin: Surface) -> NearestPerson | None:
+        """Find the person of the default space nearest to a skin [mm].
+
+        None for a skin in other triangles and for weights of another space: no network knows these.
+        """
+        if self.space != "anny" or not np.array_equal(skin.triangles, self.weights.mean.triangles):
+            return None
+        return NearestPerson.from_skin(self._people, skin)
 
     @check_arguments
     def bind(

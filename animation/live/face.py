@@ -9,43 +9,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm import identities
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.head import LayeredHead
 from ...reference import Parameters
 from ...reference.face.settle import carry_skin
 from ...surrogate import BoundRig, Surrogate
-from ...surrogate.codes import nearest_code
+from ...surrogate.codes import NearestPerson
+from ...surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES, PD
 from ...surrogate.rig import FaceModes, check_shapes
 from ...surrogate.ruler import MOVES
 from ...surrogate.runtime import BoundSurrogate
-from .messages import Change, DerivativesFound, Frame, Method
+from .messages import Change, DerivativesFound, Frame
 
 NETWORK_SHARE, DERIVATIVES_SHARE = 0.21, 0.04
 """Typical errors of network and derivatives, as shares of the motion beyond scaled bones: see the model card."""
+ELSEWHERE_SHARE = 0.45
+"""The network's on heads that are none of its people, as ICT-FaceKit's in their triangles: see the model card."""
 KEPT = 4
 """Parameter sets whose rigs are kept, of some 15 MB each."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiveFace:
-    """A head, what the 52 weights add to its skin (52, n, 3) [mm], p as the page begins, and its code.
+    """A head, what the 52 weights add to its skin (52, n, 3) [mm], p as the page begins, and who is nearest.
 
-    The code is the nearest of the network's people; None for a head with other triangles, which no network knows.
+    `nearest` is one of the network's people; None for a head with other triangles, which no network knows.
     """
 
     head: LayeredHead
     shapes: Floats
     start: Parameters
-    code: Floats | None
+    nearest: NearestPerson | None
 
     @classmethod
     def from_head(cls, head: LayeredHead, shapes: Floats, start: Parameters) -> LiveFace:
-        """Find the code of a head that has the triangles of the network's people."""
-        network = Surrogate.load()
-        known = network.space == "anny" and np.array_equal(head.skin.triangles, network.weights.mean.triangles)
-        code = nearest_code(identities.Anny(), head.skin, ridge=1e-6) if known else None
-        return cls(head, check_shapes(shapes, head.skin).astype(np.float64), start, code)
+        """Find who is nearest to a head that has the triangles of the network's people."""
+        nearest = Surrogate.load().find_nearest(head.skin)
+        return cls(head, check_shapes(shapes, head.skin).astype(np.float64), start, nearest)
+
+    @property
+    def methods(self) -> tuple[str, str, str]:
+        """The methods of its answers, each better than the one before."""
+        return (BLENDSHAPES, DERIVATIVES, PD) if self.nearest is None else (NETWORK, NETWORK_AND_DERIVATIVES, PD)
 
     def blend(self, weights: Floats | Floats32) -> Floats:
         """Blend the shapes [mm], shape (n, 3), without p."""
@@ -58,16 +63,16 @@ class RigBinder:
 
     def __init__(self, face: LiveFace):
         self._face = face
-        self._network = None if face.code is None else Surrogate.load()
+        self._network = None if face.nearest is None else Surrogate.load()
 
     def bind(self, parameters: Parameters) -> BoundRig | None:
         """Bind the network, in some 20 ms; None where it does not know the face."""
-        if self._network is None or self._face.code is None:
+        if self._network is None or self._face.nearest is None:
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of p a little beyond what it has seen: the nearest will do at first
             return self._network.bind(
-                self._face.head.skin, self._face.code, parameters, expressions=self._face.shapes, beyond="clamp"
+                self._face.head.skin, self._face.nearest.code, parameters, expressions=self._face.shapes, beyond="clamp"
             )
 
     def bind_derivatives(self, found: DerivativesFound) -> BoundSurrogate:
@@ -83,7 +88,7 @@ class RigBinder:
 class _Bound:
     """A rig under one p, the typical share of the motion that it leaves, and what bones carry the skin by."""
 
-    method: Method
+    method: str
     rig: BoundRig | None
     share: float | None
     carried: Floats
@@ -118,12 +123,16 @@ class FirstAnswer:
         """Answer by these derivatives from now on, under their p."""
         carried = carry_skin(self._face.head, found.parameters)
         rig = self._binder.bind_derivatives(found)
-        self._keep(found.parameters, _Bound("derivatives", rig, DERIVATIVES_SHARE, carried))
+        self._keep(found.parameters, _Bound(self._face.methods[1], rig, DERIVATIVES_SHARE, carried))
 
     def _bind(self, parameters: Parameters) -> _Bound:
-        rig, carried = self._binder.bind(parameters), carry_skin(self._face.head, parameters)
-        by_network = _Bound("network", rig, NETWORK_SHARE, carried)
-        return self._keep(parameters, by_network if rig is not None else _Bound("blendshapes", None, None, carried))
+        rig, carried, nearest = (
+            self._binder.bind(parameters),
+            carry_skin(self._face.head, parameters),
+            self._face.nearest,
+        )
+        share = None if nearest is None else NETWORK_SHARE if nearest.is_same else ELSEWHERE_SHARE
+        return self._keep(parameters, _Bound(self._face.methods[0], rig, share, carried))
 
     def _keep(self, parameters: Parameters, bound: _Bound) -> _Bound:
         self._bound[parameters] = bound

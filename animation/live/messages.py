@@ -24,7 +24,6 @@ from ...lhm.base.mesh import Floats, Floats32
 from ...reference import Parameters
 from .controls import BY_NAME, check_within
 
-Method = Literal["blendshapes", "network", "derivatives", "simulator"]
 LARGEST_NUMBER = 2**53
 """Of changes: what a page's numbers count to."""
 _COLUMNS = {name: k for k, name in enumerate(ARKIT)}
@@ -43,13 +42,13 @@ class Change:
 class Frame:
     """An answer to a change: skin [mm] (n, 3), and how far the simulator is estimated to be.
 
-    error [mm], shape (n,): of each vertex; mean_error [mm]: over those that physics moves. Both are None where nothing
-    is known. An estimate that is not `certain` may be off by a factor of three. `is_last` says that nothing better will
-    come; `seconds` is the time since the work on the change began.
+    method: a label of `surrogate.methods`. error [mm], shape (n,): of each vertex; mean_error [mm]: over those that
+    physics moves. Both are None where nothing is known. An estimate that is not `certain` may be off by a factor of
+    three. `is_last` says that nothing better will come; `seconds` is the time since the work on the change began.
     """
 
     change: int
-    method: Method
+    method: str
     skin: Floats32
     error: Floats32 | None
     mean_error: float | None

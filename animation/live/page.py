@@ -18,6 +18,6 @@ def render_live_page(title: str, face: LiveFace, socket: str) -> str:
         "controls": describe_controls(face.start),
         "effects": PRESETS,
         "poses": POSES,
-        "network": face.code is not None,
+        "methods": face.methods,
     }
     return fill_page("live.html", packed, content, app="live.js", title=title)

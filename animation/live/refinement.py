@@ -12,7 +12,7 @@ from ...lhm.base.errors import SceneError
 from ...reference import Parameters
 from ...reference.face.derivatives import Analysis
 from ...surrogate import CertifiedFace, Surrogate
-from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES
+from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES, PD
 from .face import LiveFace
 from .messages import Change, DerivativesFound, Frame
 
@@ -31,7 +31,7 @@ class Refinement:
 
     def __init__(self, face: LiveFace):
         self._face = face
-        self._network = None if face.code is None else Surrogate.load()
+        self._network = None if face.nearest is None else Surrogate.load()
         self._now: tuple[Parameters, CertifiedFace] | None = None
         self._analysis: Analysis | None = None
 
@@ -69,7 +69,7 @@ class Refinement:
             has_converged = frame.method == "converged" or frame.bound <= ENOUGH
             yield Frame(
                 change.number,
-                "derivatives" if frame.method in (DERIVATIVES, NETWORK_AND_DERIVATIVES) else "simulator",
+                frame.method if frame.method in (DERIVATIVES, NETWORK_AND_DERIVATIVES) else PD,
                 frame.skin,
                 frame.errors,
                 frame.error,

@@ -22,6 +22,7 @@ from softdeca.reference import Parameters
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY, differentiate_head
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.codes import nearest_code
+from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
 
 pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
@@ -156,19 +157,19 @@ def test_each_answer_is_pythons_own(tab, head_file):
     solution = linear.solve(expression, accuracy=TIGHT_ACCURACY)
     assert solution.converged
     simulated = linear.face.skin_after(expression, solution.positions)
-    for method, skin in (("network", by_network), ("derivatives", by_both), ("simulator", simulated)):
+    for method, skin in ((NETWORK, by_network), (NETWORK_AND_DERIVATIVES, by_both), (PD, simulated)):
         assert np.abs(tab.answer(method) - skin).max() < 0.01, method
     assert np.abs(np.array(tab.page.evaluate("viewer.positions()")).reshape(-1, 3) - simulated).max() < 0.01
-    distance = np.array(tab.page.evaluate("viewer.arrayOf('simulator', 'distance')"))
+    distance = np.array(tab.page.evaluate("viewer.arrayOf('PD', 'distance')"))
     assert np.abs(distance - np.linalg.norm(simulated - expression, axis=1)).max() < 0.01
     told = tab.page.evaluate("viewer.errors")
-    assert [each["method"] for each in told][:2] == ["network", "derivatives"] and len(told) > 3
+    assert [each["method"] for each in told][:2] == [NETWORK, NETWORK_AND_DERIVATIVES] and len(told) > 3
     assert told[-1]["mean"] < 0.01 * told[1]["mean"], "the error falls"
     assert told[-1]["mean"] <= told[2]["mean"]
     shown = tab.page.locator("#ladder li").all_inner_texts()
-    assert [text.split()[0] for text in shown] == ["network", "derivatives", "simulator"]
+    assert [text.partition("\n")[0] for text in shown] == [NETWORK, NETWORK_AND_DERIVATIVES, PD]
     true = np.linalg.norm(by_both - simulated, axis=1).mean()
-    assert abs(float(shown[1].split()[1]) - true) < 6e-3
+    assert abs(float(shown[1].splitlines()[1].split()[0]) - true) < 6e-3
     assert tab.frame()["mean"] < 1e-4
     assert tab.page.locator("#error").inner_text() == "< 0.001 mm"
 
@@ -349,7 +350,7 @@ def test_a_refining_process_that_dies_is_replaced(served):
         assert said["text"] == "the refining process has ended; the next change starts another"
         socket.send(CHANGE)
         method = ""
-        while method != "simulator":
+        while method != PD:
             message = socket.recv(timeout=LONGEST)
             if isinstance(message, bytes):
                 length = int.from_bytes(message[:4], "little")

@@ -12,9 +12,10 @@ from softdeca.animation.live.messages import Change, DerivativesFound, Frame, No
 from softdeca.animation.live.refinement import Refinement, SupersededError
 from softdeca.animation.live.server import serve_face
 from softdeca.animation.live.worker import Newest, refine_newest
-from softdeca.lhm import InputError
+from softdeca.lhm import InputError, fit_head, identities, load_template
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Parameters
+from softdeca.surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, PD
 from softdeca.surrogate.sphere import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
@@ -40,7 +41,7 @@ def test_answers_come_better_and_better(face):
     refinement, asked = Refinement(face), change()
     refinement.prepare(asked.parameters, never)
     frames = list(refinement.frames(asked, never))
-    assert [frame.method for frame in frames] == ["derivatives"] + ["simulator"] * (len(frames) - 1)
+    assert [frame.method for frame in frames] == [DERIVATIVES] + [PD] * (len(frames) - 1)
     assert [frame.is_last for frame in frames] == [False] * (len(frames) - 1) + [True]
     assert frames[-1].mean_error < 1e-4 and frames[-1].error.max() < 0.01
     last = frames[-1].skin
@@ -52,15 +53,29 @@ def test_answers_come_better_and_better(face):
 def test_the_first_answer_is_the_best_that_is_known_of_p(face):
     first, asked = FirstAnswer(face), change()
     frame = first.frame(asked)
-    assert frame.method == "blendshapes" and frame.error is None and not frame.is_last
+    assert frame.method == BLENDSHAPES and frame.error is None and not frame.is_last
     assert np.abs(frame.skin - face.blend(asked.weights)).max() < 1e-4
     refinement = Refinement(face)
     found = refinement.prepare(asked.parameters, never)
     first.learn(found)
     again = first.frame(asked)
-    assert again.method == "derivatives" and not again.certain and again.error.mean() > 0.0
+    assert again.method == DERIVATIVES and not again.certain and again.error.mean() > 0.0
     assert np.abs(again.skin - next(refinement.frames(asked, never)).skin).max() < 1e-4
-    assert first.frame(change(volume=1.1)).method == "blendshapes"
+    assert first.frame(change(volume=1.1)).method == BLENDSHAPES
+
+
+def test_the_network_tells_more_error_on_a_head_that_is_none_of_its_people():
+    space, template, asked = identities.Anny(), load_template(level=1), change()
+    code, skin = space.sample(np.random.default_rng(4))
+    wavy = skin.vertices + 4.0 * np.sin(skin.vertices[:, 1:2] / 20.0) * [1.0, 0.0, 0.0]
+    told = []
+    for each in (skin, skin.with_vertices(wavy)):
+        face = LiveFace.from_head(fit_head(template, each), space.expression_deltas(code), Parameters())
+        frame = FirstAnswer(face).frame(asked)
+        assert frame.method == NETWORK
+        moved = np.linalg.norm(frame.skin - face.blend(asked.weights), axis=1)
+        told.append(float((frame.error / np.maximum(moved, 1e-6)).max()))
+    assert told == pytest.approx([0.21, 0.45], abs=0.01)
 
 
 def test_a_newer_change_ends_the_work_on_one_before(face):
