@@ -7,27 +7,25 @@ from pathlib import Path
 
 import click
 
-from ..benchmarks.studies import COMMANDS, list_commands, list_studies, load_study
+from ..benchmarks.studies import group_studies, list_studies, load_study
 from ..lhm.base.errors import InputError, quote
 from ..lhm.base.limits import WORKERS
 from .options import FILE, argument, as_command, option
-from .study_command import command_of_cases, command_of_study, print_results
+from .study_command import command_of_study, print_results
 from .terminal import show_progress
 from .written_file import FOLDER, ZIP
 
 
 class Studies(click.Group):
-    """A group with a command for each study or subject, made when it is asked for."""
+    """A group with a command for each study, made when it is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Name subjects, studies and the other commands."""
-        return sorted({*list_commands(), *super().list_commands(ctx)})
+        """Name studies and the other commands."""
+        return sorted({*list_studies(), *super().list_commands(ctx)})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Give the command of a subject, of a study, or another."""
-        if name in COMMANDS:
-            return command_of_cases(name)
-        return command_of_study(load_study(name)) if name in list_commands() else super().get_command(ctx, name)
+        """Give the command of a study, or another."""
+        return command_of_study(load_study(name)) if name in list_studies() else super().get_command(ctx, name)
 
 
 def add_files(context: click.Context, parameter: click.Parameter, files: tuple[Path, ...]) -> None:
@@ -55,17 +53,15 @@ def bench() -> None:
 @as_command(bench, "list")
 @dataclass(frozen=True)
 class ListStudies:
-    """List the studies with their questions; those of one subject are its --cases."""
+    """List the studies under the questions that they answer, as the report has them."""
 
     def run(self) -> int:
         """Print them."""
-        for name in list_commands():
-            question, cases = COMMANDS.get(name, ("", {"": name}))
-            if question:
-                click.echo(f"{name:<16} {question}")
-            for case, study in cases.items():
-                kind = load_study(study)
-                click.echo(f"{f'  {case}' if question else name:<16} {kind.heading or kind.question}")
+        for question, names in group_studies(list_studies()).items():
+            click.echo(question)
+            for name in names:
+                kind = load_study(name)
+                click.echo(f"  {name:<16} {kind.heading or kind.question}")
         return 0
 
 
@@ -131,7 +127,7 @@ class WriteReport:
 class ExportFaceBenchmark:
     """Write the archive of the open face benchmark: meshes, materials, loads and converged answers with their bands.
 
-    Solves what RESULTS lacks of `softdeca bench mesh --cases face`, and resumes. All of it takes half an hour of one
+    Solves what RESULTS lacks of `softdeca bench face-benchmark`, and resumes. All of it takes half an hour of one
     core. Exit status 1 if a gate is missed.
     """
 

@@ -23,10 +23,8 @@ __all__ = [
     "list_given",
     "make_command",
     "make_option",
-    "name_option",
     "option",
     "refuse_given",
-    "type_option",
 ]
 
 FILE = click.Path(path_type=Path)
@@ -73,7 +71,7 @@ def make_command(name: str, kind: type[Request]) -> click.Command:
     return click.Command(name, params=params, callback=run, help=kind.__doc__)
 
 
-def make_option(field: Field, *, repeats: bool = False, **more: Any) -> click.Parameter:
+def make_option(field: Field, **more: Any) -> click.Parameter:
     """Make the option or argument of a dataclass' field; `more` words go before those of the field."""
     words = {key: value for key, value in field.metadata.items() if key not in _OURS} | more
     shown = field.metadata.get("argument")
@@ -86,7 +84,7 @@ def make_option(field: Field, *, repeats: bool = False, **more: Any) -> click.Pa
         words.setdefault("default", field.default)
     if field.default is False:
         return click.Option(names, is_flag=True, **words)
-    if repeats or isinstance(field.default, tuple):
+    if isinstance(field.default, tuple):
         return click.Option(names, multiple=True, **words)
     return click.Option(names, **words | {"type": type_option(field)})
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import Field, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..benchmarks.studies import COMMANDS, load_study
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import WORKERS
 from ..reference import ranks
-from .options import check_needs, list_given, make_option, name_option, option, type_option
+from .options import check_needs, list_given, make_option, option
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -71,10 +70,13 @@ def command_of_study(kind: type[Study], *, out: str = "", argument: str = "", ju
         asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
         return asked.run_study(make_study(kind, values), asked.out or Path(out), judged=judged)
 
+    # Where seconds are compared one task runs at a time, so that --workers would do nothing.
+    of_run = [field for field in fields(RunOptions) if not (kind.timed and field.name == "workers")]
     params = [
         click.Argument([field.name]) if field.name == argument else make_option(field)
         for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
     ]
+    params += [make_option(field, **({"default": out} if field.name == "out" else {})) for field in of_run]
     text = f"""{kind.question}
 
     {WRITES}
@@ -82,96 +84,11 @@ def command_of_study(kind: type[Study], *, out: str = "", argument: str = "", ju
     # Click's own first sentence would end at "Eq."
     return click.Command(
         kind.name,
-        params=[*params, *run_options([kind], default=out)],
+        params=params,
         callback=run,
         help=text,
         short_help=kind.question,
     )
-
-
-def run_options(kinds: Iterable[type[Study]], **out: Any) -> list[click.Parameter]:
-    """Make the options of every run of these studies; `out` are words of the option --out.
-
-    Where seconds are compared one task runs at a time, so that --workers would do nothing.
-    """
-    unread = {"workers"} if all(kind.timed for kind in kinds) else set()
-    asked = [field for field in fields(RunOptions) if field.name not in unread]
-    return [make_option(field, **(out if field.name == "out" else {})) for field in asked]
-
-
-def command_of_cases(subject: str) -> click.Command:
-    """Make the command of several studies of one subject; --cases says which, and each takes the options it has."""
-    question, cases = COMMANDS[subject]
-    kinds = {case: load_study(name) for case, name in cases.items()}
-    first = next(iter(kinds))
-    having: dict[str, dict[str, Field]] = {}
-    for case, kind in kinds.items():
-        for field in fields(kind):  # type: ignore[arg-type]  # every study is a dataclass
-            having.setdefault(name_option(field), {})[case] = field
-    own = {name: make_shared_option(of, len(kinds)) for name, of in having.items()}
-
-    def run(cases: str, **values: Any) -> int:
-        given = list_given()
-        asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
-        chosen = list(kinds) if cases == "all" else cases.split(",")
-        for case in chosen:
-            if case not in kinds:
-                raise click.UsageError(f"--cases {case}: expected all, or some of {', '.join(kinds)}")
-        if asked.json and len(chosen) > 1:
-            raise click.UsageError("--json: results of one case only")
-        if "workers" in given and all(kinds[case].timed for case in chosen):
-            raise click.UsageError(
-                f"--workers: one task at a time where seconds are compared, as by {', '.join(chosen)}"
-            )
-        for name, param in own.items():
-            if param.name in given and not having[name].keys() & set(chosen):
-                raise click.UsageError(f"{name}: an option of --cases {','.join(having[name])}")
-        studies = {}
-        for case in chosen:
-            options = {}
-            of_case = [(name, own[name], of[case]) for name, of in having.items() if case in of]
-            for name, param, field in of_case:
-                if param.name in given:
-                    value = values[param.name]
-                    if isinstance(value, tuple) and not isinstance(field.default, tuple):
-                        value = value[-1]  # another case takes several; this one takes the last
-                    if not isinstance(value, tuple):
-                        value = click.types.convert_type(type_option(field)).convert(value, param, None)
-                    options[field.name] = value
-                elif field.metadata.get("required"):
-                    raise click.UsageError(f"--cases {case}: {name} is missing")
-            check_needs([field for _, _, field in of_case], options)
-            studies[case] = make_study(kinds[case], options)
-        folders = {
-            case: Path("out") / study.name if asked.out is None else asked.out / (case if len(studies) > 1 else "")
-            for case, study in studies.items()
-        }
-        return max([asked.run_study(study, folders[case]) for case, study in studies.items()])
-
-    lines = "\n".join(f"    {case}: {kind.heading or kind.question}\n" for case, kind in kinds.items())
-    text = f"""{question}
-
-{lines}
-    {WRITES} Several cases: OUT/CASE.
-    """
-    which = f"all, or some of {','.join(kinds)}; default: {first}"
-    cases_option = click.Option(["--cases"], default=first, show_default=False, help=which)
-    params = [cases_option, *own.values(), *run_options(kinds.values())]
-    return click.Command(subject, params=params, callback=run, help=text, short_help=question)
-
-
-def make_shared_option(of: Mapping[str, Field], count: int) -> click.Parameter:
-    """Make an option of some cases, without a value where it is not given: each case has its own default."""
-    several = list(of.values())
-    first, default = several[0], several[0].default
-    repeats = any(isinstance(field.default, tuple) for field in several)
-    words = str(first.metadata.get("help", "")) + ("" if len(of) == count else f" ({', '.join(of)})")
-    if default is False:
-        return make_option(first, help=words)
-    if len({field.default for field in several}) == 1 and default not in ("", ()):
-        words += f"  [{', '.join(default) if isinstance(default, tuple) else default}]"
-    more = {"default": () if repeats else None, "required": False, "show_default": False, "help": words}
-    return make_option(first, repeats=repeats, **more)
 
 
 def make_study(kind: type[Study], options: Mapping[str, Any]) -> Study:

@@ -12,7 +12,7 @@ from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
-from ..studies import describe_command
+from ..studies import group_studies
 from . import first_screen
 from .page import (
     collect_content,
@@ -27,20 +27,6 @@ from .page import (
 from .results import read_results, refuse_other_versions
 from .study import Results, Row, Study, Table
 
-QUESTIONS: Mapping[str, tuple[str, ...]] = {
-    "Is the fast simulator right?": ("agreement", "verification", "effects", "dynamics", "contact"),
-    "Where is it wrong?": ("hard", "material", "convergence", "locking", "face-benchmark", "shapes"),
-    "How far is the network from it?": ("surrogate", "split", "dial", "table-1"),
-    "What does each method cost?": (
-        "work-precision", "arena", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed", "timing",
-        "corotated",
-    ),
-    "What can a scene leave out?": ("minimal",),
-    "Which heads work?": ("heads", "registration", "depth", "closures"),
-}  # fmt: skip
-"""A reader's questions, and the studies that answer each, in the report's order: each of ours answers one."""
-OTHER = "What else was measured?"
-"""Studies of a user's own files."""
 PICTURED = ("agreement", "effects", "heads")
 """Studies whose first picture may stand on the first screen."""
 PROVENANCE = (
@@ -104,15 +90,13 @@ def write_report(
     named = {part.results.study: part for part in parts}
     if not parts or len(named) < len(parts):
         raise InputError("report: results of one study or more are needed, and of each study once")
-    groups = {question: [name for name in names if name in named] for question, names in QUESTIONS.items()}
-    groups[OTHER] = [name for name in named if not any(name in names for names in QUESTIONS.values())]
-    groups = {question: names for question, names in groups.items() if names}
+    groups = group_studies(named)
     ordered = {name: named[name] for names in groups.values() for name in names}
     sections = {}
     for name, part in ordered.items():
         with refuse_other_versions(f"report, {name}"):
             sections[name] = collect_content(part.study, part.results, part.folder)
-            sections[name]["command"] = describe_command(name)
+            sections[name]["command"] = f"softdeca bench {name}"
     with refuse_other_versions(f"report of {quote(', '.join(ordered), 200)}"):
         content: dict[str, Any] = {
             "title": title,

@@ -1,7 +1,8 @@
-"""The studies by name, and the commands under which several share a subject."""
+"""The studies by name, under the questions that they answer."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -10,76 +11,57 @@ from ...lhm.base.errors import InputError, quote
 if TYPE_CHECKING:
     from ..harness.study import Study
 
-STUDIES = {
-    "agreement": "agreement.study:Agreement",
-    "verification": "verification:Verification",
-    "hard": "verification:Hard",
-    "mixed": "scaling.mixed:Mixed",
-    "split": "surrogate.split:Split",
-    "dial": "surrogate.dial:Dial",
-    "table-1": "surrogate.table_1:Table1",
-    "surrogate": "surrogate.study:SurrogateOnCorpus",
-    "work-precision": "work_precision.study:WorkPrecision",
-    "arena": "arena.study:Arena",
-    "throughput": "scaling.throughput:Throughput",
-    "scaling": "scaling.iterations:Scaling",
-    "minimal": "scaling.minimal:Minimal",
-    "unknowns": "scaling.unknowns:Unknowns",
-    "convergence": "mesh.convergence:Convergence",
-    "locking": "mesh.locking:Locking",
-    "face-benchmark": "mesh.face:FaceBenchmark",
-    "effects": "agreement.effects:Effects",
-    "contact": "agreement.contact:Contact",
-    "dynamics": "agreement.dynamics:Dynamics",
-    "ranks": "scaling.ranks:Ranks",
-    "parts": "scaling.parts:Parts",
-    "timing": "scaling.timing:Timing",
-    "corotated": "scaling.corotated:OperatorSplitting",
-    "material": "agreement.material:Material",
-    "shapes": "heads.shapes:Shapes",
-    "heads": "heads.fit:Heads",
-    "registration": "heads.registration:Registrations",
-    "depth": "heads.depth:Depth",
-    "closures": "heads.closures:Closures",
+QUESTIONS: Mapping[str, Mapping[str, str]] = {
+    "Is the fast simulator right?": {
+        "agreement": "agreement.study:Agreement",
+        "verification": "verification:Verification",
+        "effects": "agreement.effects:Effects",
+        "dynamics": "agreement.dynamics:Dynamics",
+        "contact": "agreement.contact:Contact",
+    },
+    "Where is it wrong?": {
+        "hard": "verification:Hard",
+        "material": "agreement.material:Material",
+        "convergence": "mesh.convergence:Convergence",
+        "locking": "mesh.locking:Locking",
+        "face-benchmark": "mesh.face:FaceBenchmark",
+        "shapes": "heads.shapes:Shapes",
+    },
+    "How far is the network from it?": {
+        "surrogate": "surrogate.study:SurrogateOnCorpus",
+        "split": "surrogate.split:Split",
+        "dial": "surrogate.dial:Dial",
+        "table-1": "surrogate.table_1:Table1",
+    },
+    "What does each method cost?": {
+        "work-precision": "work_precision.study:WorkPrecision",
+        "arena": "arena.study:Arena",
+        "throughput": "scaling.throughput:Throughput",
+        "scaling": "scaling.iterations:Scaling",
+        "unknowns": "scaling.unknowns:Unknowns",
+        "ranks": "scaling.ranks:Ranks",
+        "parts": "scaling.parts:Parts",
+        "mixed": "scaling.mixed:Mixed",
+        "timing": "scaling.timing:Timing",
+        "corotated": "scaling.corotated:OperatorSplitting",
+    },
+    "What can a scene leave out?": {
+        "minimal": "scaling.minimal:Minimal",
+    },
+    "Which heads work?": {
+        "heads": "heads.fit:Heads",
+        "registration": "heads.registration:Registrations",
+        "depth": "heads.depth:Depth",
+        "closures": "heads.closures:Closures",
+    },
 }
-"""Module and class, so that none is loaded before it is asked for."""
-COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
-    "agreement": (
-        "How far apart are solvers, laws, network and rules: faces, effects, motion, a cube of tissue, contact?",
-        {"faces": "agreement", "effects": "effects", "motion": "dynamics", "cube": "material", "contact": "contact"},
-    ),
-    "verification": (
-        "Does every solver meet closed forms, published values and hard cases?",
-        {"values": "verification", "hard": "hard"},
-    ),
-    "surrogate": (
-        "How far is the network from the simulator on people it has not seen, and where does its error come from?",
-        {"people": "surrogate", "split": "split", "dial": "dial", "table-1": "table-1"},
-    ),
-    "heads": (
-        "Does every person get a valid head, and how near is it to what is known?",
-        {"fit": "heads", "shapes": "shapes", "registration": "registration", "depth": "depth", "closures": "closures"},
-    ),
-    "scaling": (
-        "What do time and memory cost by size, processes, incompressibility and pieces of the scene?",
-        {
-            "size": "scaling",
-            "unknowns": "unknowns",
-            "ranks": "ranks",
-            "parts": "parts",
-            "throughput": "throughput",
-            "mixed": "mixed",
-            "pieces": "minimal",
-            "timing": "timing",
-            "corotated": "corotated",
-        },
-    ),
-    "mesh": (
-        "How large are the errors of the mesh?",
-        {"convergence": "convergence", "locking": "locking", "face": "face-benchmark"},
-    ),
-}
-"""Commands of several studies, with their question, and the study of each case; the first case is the default."""
+"""A reader's questions, and the studies that answer each, in the order of lists and reports.
+
+A study is a module and a class, so that none is loaded before it is asked for.
+"""
+OTHER = "What else was measured?"
+"""Studies of a user's own files."""
+STUDIES = {name: place for studies in QUESTIONS.values() for name, place in studies.items()}
 
 _added: dict[str, type[Study]] = {}
 
@@ -97,19 +79,11 @@ def list_studies() -> tuple[str, ...]:
     return (*STUDIES, *_added)
 
 
-def list_commands() -> tuple[str, ...]:
-    """Name the commands: subjects, and studies that are no case of one."""
-    cases = {name for _, of in COMMANDS.values() for name in of.values()}
-    return (*COMMANDS, *(name for name in list_studies() if name not in cases))
-
-
-def describe_command(study: str) -> str:
-    """Give the words that run a study, as `softdeca bench verification --cases hard`."""
-    for subject, (_, cases) in COMMANDS.items():
-        for number, (case, name) in enumerate(cases.items()):
-            if name == study:
-                return f"softdeca bench {subject}" + (f" --cases {case}" if number else "")
-    return f"softdeca bench {study}"
+def group_studies(names: Collection[str]) -> dict[str, list[str]]:
+    """Group names of studies by the questions that they answer, in the order of QUESTIONS; own ones come last."""
+    groups = {question: [name for name in ours if name in names] for question, ours in QUESTIONS.items()}
+    groups[OTHER] = [name for name in names if name not in STUDIES]
+    return {question: found for question, found in groups.items() if found}
 
 
 def load_study(name: str) -> type[Study]:

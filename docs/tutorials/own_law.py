@@ -90,7 +90,7 @@ assert face.converged
 # %%
 for command, study in (
     ("verification", Verification()),
-    ("verification --cases hard", Hard()),
+    ("hard", Hard()),
     ("work-precision", WorkPrecision(slow=True)),
 ):
     tasks = [task for task in study.tasks() if "Gent" in str(task)]

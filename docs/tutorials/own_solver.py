@@ -101,7 +101,7 @@ figure.tight_layout()
 # %%
 for command, study in (
     ("verification", Verification()),
-    ("verification --cases hard", Hard()),
+    ("hard", Hard()),
     ("work-precision", WorkPrecision()),
 ):
     tasks = [task for task in study.tasks() if NAME in str(task)]

@@ -480,7 +480,7 @@ def test_a_heads_file_is_served(command, tmp_path):
 def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):
     # Frames in which conversation 0 blinks.
     ended = command(
-        *("bench", "heads", "--cases", "closures", "--frames", "20:27", "--level", 1, "--dynamic"),
+        *("bench", "closures", "--frames", "20:27", "--level", 1, "--dynamic"),
         *("--out", tmp_path, "--json"),
     )
     assert ended.status == 0

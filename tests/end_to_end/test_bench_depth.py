@@ -53,9 +53,7 @@ def test_a_skull_deeper_than_predicted_by_so_much_gives_that_error(command, spac
     half = bones[corners[:, 0], 0] > 0
     left, right = (write(tmp_path / f"{n}.npz", bones, corners[m]) for n, m in (("left", half), ("right", ~half)))
     out = tmp_path / "out"
-    ended = command(
-        "bench", "heads", "--cases", "depth", "--skin", skin, "--skull", left, "--skull", right, "--out", out, "--json"
-    )
+    ended = command("bench", "depth", "--skin", skin, "--skull", left, "--skull", right, "--out", out, "--json")
     results = json.loads(ended.out)
     # On such a skull one depth everywhere is as good, which is what the gate is for.
     assert ended.status == 1 and ended.errors == [] and missed(results) == [BEATS]
@@ -82,7 +80,7 @@ def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person
     skull = write(tmp_path / "skull.npz", fitted.vertices / 10, fitted.triangles)
     skin_cm = write(tmp_path / "skin_cm.npz", person.vertices / 10, person.triangles)
     arguments = ("--regressor", tmp_path / "regressor.npz", "--unit", "cm", "--out", tmp_path / "out")
-    ended = command("bench", "heads", "--cases", "depth", "--skin", skin_cm, "--skull", skull, *arguments)
+    ended = command("bench", "depth", "--skin", skin_cm, "--skull", skull, *arguments)
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert ended.errors == [] and set(missed(results)) <= {BEATS}
     (row,) = results["rows"]
@@ -107,7 +105,7 @@ def _skull(folder, name, change):
 )
 def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command, skin, tmp_path, change, message):
     skull = _skull(tmp_path, "skull.npz", change)
-    ended = command("bench", "heads", "--cases", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
     assert ended.status == 1 and len(ended.errors) == 1, ended
     assert ended.errors[0].startswith("softdeca: error: ")
     assert re.search(message, ended.errors[0]), ended.errors[0]
@@ -123,7 +121,7 @@ def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command,
 )
 def test_a_skull_that_is_not_this_skins_is_a_failure_with_its_reason(command, skin, tmp_path, change, message):
     skull = _skull(tmp_path, "skull.npz", change)
-    ended = command("bench", "heads", "--cases", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
     assert ended.status == 1 and re.search(f"FAILED skin.npz, default: {message}", ended.out), ended
     assert "Nothing could be measured." in ended.out
 
@@ -157,6 +155,6 @@ def test_a_skin_without_a_face_is_a_failure_with_its_reason(command, tmp_path):
     ball = trimesh.creation.icosphere(3, radius=100.0)
     sphere = write(tmp_path / "sphere.npz", ball.vertices, ball.faces)
     skull = _skull(tmp_path, "skull.npz", lambda x: x)
-    ended = command("bench", "heads", "--cases", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
+    ended = command("bench", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
     assert ended.status == 1 and "FAILED sphere.npz, default: " in ended.out
     assert "sphere.npz: skin: no face found" in ended.out

@@ -1,4 +1,4 @@
-"""softdeca bench agreement --cases motion: a small sphere, its report, and what its configuration refuses."""
+"""softdeca bench dynamics: a small sphere, its report, and what its configuration refuses."""
 
 import numpy as np
 import pytest

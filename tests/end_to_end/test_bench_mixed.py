@@ -1,4 +1,4 @@
-"""softdeca bench scaling --cases mixed: a small sphere of incompressible tissue, and what its options refuse."""
+"""softdeca bench mixed: a small sphere of incompressible tissue, and what its options refuse."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""softdeca bench surrogate --cases split: the parts of a frame's error, and that PD and FEniCSx agree beneath."""
+"""softdeca bench split: the parts of a frame's error, and that PD and FEniCSx agree beneath."""
 
 from dataclasses import replace
 

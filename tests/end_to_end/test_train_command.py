@@ -117,7 +117,7 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
 
 def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_path):
     assert command("train", corpus, "--steps", "2", "--out", tmp_path).status == 0
-    given = ("bench", "surrogate", "--cases", "table-1", "--corpus", corpus, "--match", "SoftDECA as printed", "--json")
+    given = ("bench", "table-1", "--corpus", corpus, "--match", "SoftDECA as printed", "--json")
     given += ("--surrogate", tmp_path / "modal.safetensors", "--trained", tmp_path / "kept", "--batch", "4")
     ended = command(*given, "--steps", "3", "--out", tmp_path / "once")
     (row,) = json.loads(ended.out)["rows"]
@@ -127,7 +127,7 @@ def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_
     own, kept = (each["values"]["rows"][0]["everywhere"] for each in (row, loaded))
     assert loaded["values"]["steps"] == 3 and kept == pytest.approx(own, rel=1e-2)  # kept to half precision
     assert "numbers beside ours" in (tmp_path / "once" / "index.html").read_text()
-    assert "--corpus" in command("bench", "surrogate", "--cases", "table-1", "--out", tmp_path / "none").refusal()
+    assert "--corpus" in command("bench", "table-1", "--out", tmp_path / "none").refusal()
 
 
 def test_what_cannot_be_is_one_line(command, corpus, tmp_path):

@@ -296,14 +296,14 @@ GIVEN = {
     "bench agreement --jaw 0 --push 0 --volume 1 --expression jawOpen": {
         "jaw": 0.0, "push": 0.0, "volume": 1.0, "expressions": ("jawOpen",), "gravity": 3.0,
     },
-    "bench agreement --cases effects --fan 0": {"fan": 0, "reference": "fenicsx"},
+    "bench effects --fan 0": {"fan": 0, "reference": "fenicsx"},
     "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
-    "bench surrogate --cases dial --seed 0": {"seed": 0, "faces": 6},
-    "bench surrogate --cases table-1 --recurrence-steps 0 --steps 0 --external ''": {
+    "bench dial --seed 0": {"seed": 0, "faces": 6},
+    "bench table-1 --recurrence-steps 0 --steps 0 --external ''": {
         "recurrence_steps": 0, "steps": 0, "external": "", "energy_steps": 1000,
     },
     "bench work-precision --slow --repeats 1 --seed 0": {"slow": True, "repeats": 1, "seed": 0},
-    "bench scaling --cases throughput --frames 20 --frames 30": {"frames": 30},
+    "bench throughput --frames 20 --frames 30": {"frames": 30},
     "evaluate corpus --simulated 0 --generalisation 0": {"corpus": "corpus", "simulated": 0, "generalisation": 0},
 }  # fmt: skip
 
