@@ -17,9 +17,9 @@ import numpy as np
 from ..lhm.base.errors import InputError, SoftdecaError
 from ..lhm.base.files.resumable import RowStore, lock_folder
 from ..lhm.base.progress import OnProgress, silent
-from .corpus.face import Derivatives, Face
+from .corpus.face import Derivatives, Face, Person
 from .corpus.folder import describe_simulation
-from .corpus.people import People, Person
+from .corpus.people import People
 from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
 from .corpus.shard import ACCEPTED
 from .corpus.simulator import FaceSimulator

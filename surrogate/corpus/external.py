@@ -23,7 +23,7 @@ from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.registration import register
 from ..codes import nearest_code
-from .people import Person
+from .face import Person
 
 SCANS = 24
 """Expressions of one person that the rig is made of; the paper's heads have 20 to 35."""

@@ -7,12 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32, Surface
 from .mixture import ParameterSet
-from .people import Person
 
 MOVED = 500.0
 """[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """Identity code (c,), neutral skin [mm], and what each of the person's shapes adds to it [mm], shape (52, n, 3)."""
+
+    code: Floats
+    skin: Surface
+    shapes: Floats
 
 
 @dataclass(frozen=True, eq=False)

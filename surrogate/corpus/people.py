@@ -1,4 +1,4 @@
-"""People whom a corpus simulates: one person, the protocol of all, and people by name, as a command line has them."""
+"""People whom a corpus simulates: the protocol of all, and people by name, as a command line has them."""
 
 from __future__ import annotations
 
@@ -10,21 +10,14 @@ import numpy as np
 
 from ...lhm import fit_head, identities, load_template
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Surface
+from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.head import LayeredHead
 from ...lhm.identities import IdentitySpace
 from ...lhm.template import DEFAULT_LEVEL
 from ..sphere import Spheres
-
-
-@dataclass(frozen=True, eq=False)
-class Person:
-    """Identity code (c,), neutral skin [mm], and what each of the person's shapes adds to it [mm], shape (52, n, 3)."""
-
-    code: Floats
-    skin: Surface
-    shapes: Floats
+from .external import External
+from .face import Person
 
 
 class People(Protocol):
@@ -103,8 +96,6 @@ def people_from_text(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnPr
         spheres = Spheres(int(other))
         return OfSpace(spheres, spheres.mean, spheres.fit)
     if kind == "external":
-        from .external import External
-
         if not other:
             raise InputError(f"identities {text!r}: expected 'external:' and a space, as 'external:ict:FILE'")
         return External.of(identities.from_text(other), level=level, on_progress=on_progress)

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Ints, Surface
-from .face import Derivatives, Face, Frames
+from .face import Derivatives, Face, Frames, Person
 from .intact import check_intact
 from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
-from .people import Person
 from .plan import SPLITS, Split
 from .shard import ACCEPTED, TABLES, Place, columns_of, places_of, read_arrays_of
 

@@ -18,7 +18,8 @@ from ...lhm.head import LayeredHead
 from ...reference import Parameters, Sequence, settle
 from ...reference.face.dynamics import extrapolate_turns
 from ...reference.face.sequence import Velocities, is_plausible
-from .people import People, Person
+from .face import Person
+from .people import People
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
 from .simulator import Answer, FaceSimulator, reject_moved

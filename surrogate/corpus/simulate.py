@@ -16,8 +16,9 @@ import numpy as np
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.head import LayeredHead
 from ...reference.face.sequence import Velocities
+from .face import Person
 from .mixture import ParameterSet
-from .people import People, Person
+from .people import People
 from .plan import IDENTITY, VELOCITIES, CorpusPlan
 from .references import references
 from .sequences import SequenceAnswer, simulate_sequence

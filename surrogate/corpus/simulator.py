@@ -14,9 +14,9 @@ from ...lhm.head import LayeredHead
 from ...reference import Scene, SettledFace, Solution, settle
 from ...reference.face.derivatives import QUICK_ACCURACY, Analysis, FaceDerivatives, differentiate, spring_norm
 from ...reference.face.settle import TARGET_OPTIONS
-from .face import MOVED, Derivatives, Face
+from .face import MOVED, Derivatives, Face, Person
 from .mixture import INFOS, ParameterSet
-from .people import People, Person
+from .people import People
 from .plan import CorpusPlan
 from .shard import ACCEPTED
 

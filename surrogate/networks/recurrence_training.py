@@ -12,9 +12,8 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import extrapolate_turns, find_pivot
-from ..corpus.face import Face
+from ..corpus.face import Face, Person
 from ..corpus.mixture import basis
-from ..corpus.people import Person
 from ..corpus.reading import Table
 from ..heads import Heads
 from ..runtime import Surrogate

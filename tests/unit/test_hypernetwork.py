@@ -11,10 +11,10 @@ from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.face import Frames
+from softdeca.surrogate.corpus.face import Frames, Person
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC
-from softdeca.surrogate.corpus.people import OfSpace, Person
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness

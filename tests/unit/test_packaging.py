@@ -5,7 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grimp
+import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from softdeca.lhm.base.files.text import read_toml
 
@@ -68,3 +72,17 @@ def test_light_imports_load_no_heavy_package(module):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_no_modules_import_one_another():
+    """Imports inside functions count, too; those for type checkers alone do not."""
+    graph = grimp.build_graph(*(f"softdeca.{name}" for name in PORTIONS), exclude_type_checking_imports=True)
+    modules = sorted(graph.modules)
+    number = {module: k for k, module in enumerate(modules)}
+    pairs = [(number[m], number[n]) for m in modules for n in graph.find_modules_directly_imported_by(m)]
+    assert len(modules) > 300 and len(pairs) > 1000
+    rows, columns = np.array(pairs).T
+    joined = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(modules),) * 2)
+    count, circle = connected_components(joined, connection="strong")
+    circles = [[m for m, which in zip(modules, circle, strict=True) if which == k] for k in range(count)]
+    assert [each for each in circles if len(each) > 1] == []
