@@ -237,6 +237,8 @@ def read_recorder(text: str) -> Take:
         else:
             named[known] = line, row
     _refuse_misspelt(unknown, named, "quantity")
+    if not any(name in ARKIT for name in named):
+        raise InputError("not a take: no line begins with one of ARKit's 52 expressions")
     counts = {len(row) for _, row in named.values()}
     if len(counts) > 1:
         line, row = next(row for row in named.values() if len(row[1]) != max(counts))

@@ -449,7 +449,8 @@ def _check_label(path: Path, label: Label, owner: str) -> None:
         raise InputError(f"shard {path}: of format {label.format}, this version reads {READ}; {_REMEDY}")
     if label.owner != owner:
         raise InputError(
-            f"shard {path}: of another corpus ({label.owner}, expected {owner}): its plan or template differs"
+            f"shard {path}: of another corpus ({quote(label.owner, 80)}, expected {quote(owner, 80)}): its plan or "
+            "template differs"
         )
     if not owner.endswith(f"-{label.format}"):
         raise InputError(f"shard {path}: of format {label.format}, its corpus of another; {_REMEDY}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ..errors import InputError
+from ..errors import InputError, quote
 
 _SHORT = "its meshopt data are damaged or cut short"
 
@@ -25,7 +25,7 @@ def decode_meshopt(content: bytes, count: int, stride: int, mode: str, applied: 
             raise InputError(_SHORT)
         return _filtered(out, stride, applied).tobytes()
     if mode not in ("TRIANGLES", "INDICES") or stride not in (2, 4):
-        raise InputError(f"its meshopt data are of an unknown mode ({mode})")
+        raise InputError(f"its meshopt data are of an unknown mode ({quote(mode)})")
     ids = np.zeros(count, dtype=np.uint32)
     decode = _corners if mode == "TRIANGLES" else _sequence
     least = 17 + count // 3 if mode == "TRIANGLES" else 1
