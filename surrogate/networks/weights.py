@@ -150,11 +150,12 @@ class Weights:
         )
         code_mean = finite("code_mean", arrays["code_mean"], (None,), most=FARTHEST)
         code_scale = in_range("code_scale", arrays["code_scale"], 1e-9, FARTHEST, code_mean.shape)
-        network = {
-            name.removeprefix("network."): value.astype(np.float32)
-            for name, value in arrays.items()
-            if name.startswith("network.")
-        }
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused
+            network = {
+                name.removeprefix("network."): value.astype(np.float32)
+                for name, value in arrays.items()
+                if name.startswith("network.")
+            }
         CHECKS[kind](network, mean, len(code_mean))
         looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
         space, note = text("space", about["space"]), _read_note(about["note"])
