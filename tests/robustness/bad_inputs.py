@@ -329,7 +329,7 @@ def commands() -> Iterator[Case]:
 
 
 NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "those that are shipped"}
-"""Texts that may be empty, and what that means: the work would begin, and is not tried."""
+"""Texts that may be empty, and what that means: the work would begin, and is not tried. Nor is a default that is."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)
 """What is part of no name; others may be, as "nan" is of another word."""
 
@@ -342,7 +342,7 @@ def _words_of(parameter: click.Parameter) -> Iterator[list[str]]:
         return
     written = isinstance(parameter.type, (WrittenFile, WrittenFolder))
     for word in NO_PLACES if written else MATCHING if parameter.name == "match" else WORDS:
-        if word or parameter.name not in NOTHING:
+        if word or (parameter.name not in NOTHING and parameter.default != ""):
             yield [word] if isinstance(parameter, click.Argument) else [parameter.opts[-1], word]
 
 

@@ -51,16 +51,19 @@ class Closures(Study):
     dynamic: bool = option(False, "with inertia, simulated and by the surrogate")
 
     def tasks(self) -> Sequence[Task]:
-        """List the take; InputError for one that cannot be read."""
+        """List the take; InputError for one that cannot be read, and for parameters likewise."""
         check_person(0, self.level)
+        self._read_parameters()
         take = read_frames(self.take, self.frames)
         return [Task(f"{self.take}, {len(take.times)} frames", "lids and lips")]
+
+    def _read_parameters(self) -> Parameters:
+        return read_parameters(Path(self.parameters)) if self.parameters else Parameters()
 
     def measure(self, task: Task) -> Values:
         """Play the take by all methods, some minutes a hundred frames; differences, and all widths."""
         take = read_frames(self.take, self.frames)
-        p = read_parameters(Path(self.parameters)) if self.parameters else Parameters()
-        openings, widths = self._measure_widths(take, p)
+        openings, widths = self._measure_widths(take, self._read_parameters())
         lines = [
             {
                 "gap": gap.name,

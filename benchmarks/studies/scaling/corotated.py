@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ....lhm.base.errors import MissingDependencyError, SoftdecaError
+from ....lhm.base.errors import InputError, MissingDependencyError, SoftdecaError, quote
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, facial_scene, projective, terms
@@ -67,8 +67,10 @@ class OperatorSplitting(OfPerson):
     sources: str = option("", "folder of FastCorotatedFEM's repository; without it theirs is skipped", name="--sources")
 
     def tasks(self) -> Sequence[Task]:
-        """List both codes."""
+        """List both codes; InputError for sources that are not there."""
         self.check()
+        if self.sources and not Path(self.sources).is_dir():
+            raise InputError(f"sources {quote(self.sources)}: no such folder")
         return [Task("a smile with the jaw half open", code) for code in (OURS, THEIRS)]
 
     def measure(self, task: Task) -> Values:

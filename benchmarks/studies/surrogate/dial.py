@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
+from ....lhm import identities
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.limits import LEVEL, SEED, STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Floats32
@@ -77,9 +78,11 @@ class Dial(Study):
     level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
 
     def tasks(self) -> Sequence[Task]:
-        """List each person; InputError for none and for no frame."""
+        """List each person; InputError for none, for no frame, and for a space that cannot be read."""
         if self.faces < 1 or self.frames < 1:
             raise InputError("faces, frames: expected 1 or more")
+        if self.external:
+            identities.from_text(self.external)
         groups = (HELD_OUT, *((EXTERNAL,) if self.external else ()), BEYOND)
         return [Task(f"{group}, person {number}", DIAL) for group in groups for number in range(self.faces)]
 
