@@ -118,15 +118,7 @@ def bind_head(
         rig: BoundRig = derivatives_rig(head, deltas, parameters)
         return BoundHead(rig, DERIVATIVES, time.perf_counter() - begin, deltas)
     exact = exact or not nearest.is_same
-    rig = surrogate.bind(
-        head.skin,
-        nearest.code,
-        parameters,
-        expressions=deltas,
-        exact=exact,
-        head=head if exact else None,
-        beyond=beyond,
-    )
+    rig = surrogate.bind(head.skin, nearest.code, parameters, expressions=deltas, exact=exact, head=head, beyond=beyond)
     method = NETWORK_AND_DERIVATIVES if exact else NETWORK
     return BoundHead(rig, method, time.perf_counter() - begin, deltas)
 

@@ -82,7 +82,7 @@ def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, o
     with show_progress() as progress:
         head, shapes = which.head(progress)
         rigs, surrogate = [], Surrogate.load()
-        if surrogate.find_nearest(head.skin) is not None:
+        if surrogate.knows(head.skin):
             served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
             rigs.append(Rig.baked(served.method, served.rig))
         progress("page", 0.3)

@@ -1,4 +1,4 @@
-"""Laws and solvers that files of one's own add: studies then have them beside those of the package."""
+"""Laws, with problems that check them, and solvers that files of one's own add, beside those of the package."""
 
 from __future__ import annotations
 
@@ -7,21 +7,53 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from ..lhm.base.errors import InputError, SceneError, quote
+from ..lhm.base.mesh import Floats
 from .materials import LAWS, EnergyLaw
 from .materials.consistency import check_law
-
-if TYPE_CHECKING:
-    from .problems.problem import Problem
+from .scene import Scene
+from .solution import Reason, Solution
 
 SOLVERS = ("projective", "fenicsx", "skfem")
 HOUSE_LAWS = ("PD", "Strain + Volume", *(law.__name__ for law in LAWS))
 """Names that studies have for laws of their own."""
 STREAMS = ("stdout", "stderr")
+TOLERANCE = 1e-11
+"""The relative gradient norm that problems are solved to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A scene, a quantity of its solution, and the value that it must have.
+
+    `bounds` gives, for each solver that models the scene, the largest error that passes: relative to the reference,
+    or absolute where that is 0. `start` gives positions [mm] to start from, default rest; `options`
+    are the solver's, such as its element; `reason` is why the solver should stop.
+    """
+
+    name: str
+    source: str
+    scene: Callable[[], Scene]
+    quantity: Callable[[Scene, Solution], float]
+    reference: float
+    bounds: Mapping[str, float]
+    start: Callable[[Scene], Floats] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    tolerance: float = TOLERANCE
+    reason: Reason = Reason.CONVERGED
+
+    @property
+    def solvers(self) -> tuple[str, ...]:
+        """The solvers that model the problem, and those that files have added, which say themselves if they do not."""
+        return (*self.bounds, *(() if self.options else added_solvers()))
+
+    def bound(self, solver: str) -> float:
+        """The largest error that passes; of a solver that a file has added, the largest of any."""
+        return self.bounds.get(solver, max(self.bounds.values()))
 
 
 @dataclass(frozen=True)
@@ -124,7 +156,7 @@ def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems:
         raise InputError(f"law {name!r} was added already")
     if not (isinstance(name, str) and name.strip() and name.isprintable()):
         raise InputError(f"law {quote(name)}: expected a name of printable characters")
-    if not isinstance(problems, (tuple, list)) or not all(map(_is_problem, problems)):
+    if not isinstance(problems, (tuple, list)) or not all(isinstance(each, Problem) for each in problems):
         raise InputError(f"law {name!r}: problems: expected a tuple of Problem, got {quote(problems)}")
     if _plain(name) in map(_plain, HOUSE_LAWS):
         raise InputError(f"law {name!r}: a law of this name is there already")
@@ -144,11 +176,6 @@ def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems:
             raise InputError(f"law {name!r}: of moduli {moduli} kPa it has {quote(lame)} at rest")
         check_law(name, law)
     _laws[name] = AddedLaw(of_moduli, tuple(problems))
-
-
-def _is_problem(each: object) -> bool:
-    """Whether it has what a Problem has, whose module imports this one."""
-    return all(hasattr(each, name) for name in ("name", "scene", "quantity", "reference", "bounds"))
 
 
 def _plain(name: str) -> str:

@@ -90,7 +90,7 @@ class BakedRig:
             weights = real("weights", weights).astype(np.float32)
         if weights.shape[-1:] != (WEIGHTS,):
             raise InputError(f"weights: expected the {WEIGHTS} of ARKit, got shape {weights.shape}")
-        inside = clip_weights(weights)
+        inside = clip_weights(weights, stacklevel=3)
         return np.concatenate([inside, self.remainder_of(inside)], axis=-1) @ self.mixing
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:

@@ -272,8 +272,8 @@ def find_counted(skin: Floats, carried: Floats) -> np.ndarray:
 
 def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:
     """Bind a network that knows the head's triangles and the parameters; None where there is none."""
-    nearest = surrogate.find_nearest(head.skin)
-    if nearest is None or surrogate.weights.kind != "modal":
+    nearest = surrogate.find_nearest(head.skin) if surrogate.weights.kind == "modal" else None
+    if nearest is None:
         return None
     try:
         return surrogate.bind(head.skin, nearest.code, parameters, expressions=shapes)  # type: ignore

@@ -114,14 +114,14 @@ def check_weights(weights) -> Floats32:
         return weights
     if not np.isfinite(weights).all():
         raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    return clip_weights(weights)
+    return clip_weights(weights, stacklevel=4)
 
 
-def clip_weights(weights: Floats32) -> Floats32:
-    """Return weights clipped to [0, 1], with a warning that counts those outside."""
+def clip_weights(weights: Floats32, *, stacklevel: int) -> Floats32:
+    """Return weights clipped to [0, 1], with a warning that counts those outside; `stacklevel` is that of `warn`."""
     inside = np.clip(weights, 0.0, 1.0)
     if outside := np.count_nonzero(inside != weights):
-        warnings.warn(f"{outside} of {weights.size} weights outside [0, 1] were clipped", stacklevel=4)
+        warnings.warn(f"{outside} of {weights.size} weights outside [0, 1] were clipped", stacklevel=stacklevel)
     return inside
 
 

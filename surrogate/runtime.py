@@ -74,14 +74,13 @@ class Surrogate:
         """The parameters that a static frame follows, in the order of the columns of an array of them."""
         return STATIC
 
-    def find_nearest(self, skin: Surface) -> NearestPerson | None:
-        """Find the person of the default space nearest to a skin [mm].
+    def knows(self, skin: Surface) -> bool:
+        """Whether a skin is in the triangles of the default space, and the weights are of that space."""
+        return self.space == "anny" and np.array_equal(skin.triangles, self.weights.mean.triangles)
 
-        None for a skin in other triangles and for weights of another space: no network knows these.
-        """
-        if self.space != "anny" or not np.array_equal(skin.triangles, self.weights.mean.triangles):
-            return None
-        return NearestPerson.from_skin(self._people, skin)
+    def find_nearest(self, skin: Surface) -> NearestPerson | None:
+        """Find the person of the default space nearest to a skin [mm]; None for one that the weights do not know."""
+        return NearestPerson.from_skin(self._people, skin) if self.knows(skin) else None
 
     @check_arguments
     def bind(

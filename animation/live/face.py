@@ -126,11 +126,8 @@ class FirstAnswer:
         self._keep(found.parameters, _Bound(self._face.methods[1], rig, DERIVATIVES_SHARE, carried))
 
     def _bind(self, parameters: Parameters) -> _Bound:
-        rig, carried, nearest = (
-            self._binder.bind(parameters),
-            carry_skin(self._face.head, parameters),
-            self._face.nearest,
-        )
+        nearest, rig = self._face.nearest, self._binder.bind(parameters)
+        carried = carry_skin(self._face.head, parameters)
         share = None if nearest is None else NETWORK_SHARE if nearest.is_same else ELSEWHERE_SHARE
         return self._keep(parameters, _Bound(self._face.methods[0], rig, share, carried))
 

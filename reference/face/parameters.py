@@ -216,7 +216,7 @@ class Parameters:
         for info in cls.infos():
             if info.name == name:
                 return info
-        raise InputError(f"unknown parameter {quote(name)!r}; there are {', '.join(i.name for i in cls.infos())}")
+        raise InputError(f"unknown parameter {quote(name, 20)!r}; there are {', '.join(i.name for i in cls.infos())}")
 
     def vector(self, names: tuple[str, ...] | None = None) -> Floats:
         """The values as an array, of all parameters or of the named ones; InputError for one that varies."""

@@ -3,55 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ..added import added_solvers
+from ..added import Problem, added_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import Prepared, prepare, solve
 
 EVERY_SOLVER = ("projective", "fenicsx", "skfem")
-TOLERANCE = 1e-11
-"""The relative gradient norm that problems are solved to."""
 HARD_TOLERANCE = 1e-10
 """The relative gradient norm that hard cases are solved to, unless they say otherwise."""
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A scene, a quantity of its solution, and the value that it must have.
-
-    `bounds` gives, for each solver that models the scene, the largest error that passes: relative to the reference,
-    or absolute where that is 0. `start` gives positions [mm] to start from, default rest; `options`
-    are the solver's, such as its element; `reason` is why the solver should stop.
-    """
-
-    name: str
-    source: str
-    scene: Callable[[], Scene]
-    quantity: Callable[[Scene, Solution], float]
-    reference: float
-    bounds: Mapping[str, float]
-    start: Callable[[Scene], Floats] | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    tolerance: float = TOLERANCE
-    reason: Reason = Reason.CONVERGED
-
-    @property
-    def solvers(self) -> tuple[str, ...]:
-        """The solvers that model the problem, and those that files have added, which say themselves if they do not."""
-        return (*self.bounds, *(() if self.options else added_solvers()))
-
-    def bound(self, solver: str) -> float:
-        """The largest error that passes; of a solver that a file has added, the largest of any."""
-        return self.bounds.get(solver, max(self.bounds.values()))
 
 
 mixed_problem = partial(Problem, options={"element": "P2P1"}, tolerance=1e-9)

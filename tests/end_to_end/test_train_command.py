@@ -53,8 +53,8 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.
     network = told[NETWORK]
-    linearised, settled = methods["derivatives"], methods["settled + blendshapes"]
-    assert min(linearised["bind_ms"], settled["bind_ms"], network["bind_costs"]["derivatives"]) > 0.0
+    for method, taken in (("derivatives", "derivatives"), ("settled + blendshapes", "settled")):
+        assert methods[method]["bind_ms"] >= 1e3 * network["bind_costs"][taken] > 0.0
     assert [name for name in READY if methods[name]["head_ms"]] == [*READY][1:5]
     assert network["corpus"]["plan"] == PLAN.digest and network["corpus"]["seed"] == PLAN.seed
     assert network["breakeven"]["training"] > 0 and "the network has paid after" in kept["words"]

@@ -54,7 +54,7 @@ STRAYED: list[str] = []
 """Files outside that were opened since a content was tried."""
 BEGUN = "begun"
 """A file that says that a process has read the kept inputs."""
-LONGEST = 600
+LONGEST = 500
 """Letters of a refusal."""
 START, LEAST = 60.0, 5.0
 """Seconds that a process may take to begin, and that it fuzzes at least."""

@@ -319,7 +319,7 @@ def commands() -> Iterator[Case]:
 
     for names, command in _leaves(("softdeca",), app):
         for parameter in command.params:
-            for words in _words_of(parameter):
+            for words in _words_of(names[-1], parameter):
                 yield Case(
                     f"{' '.join(names)} {parameter.name} = {words[-1][:16]!r}",
                     lambda w=(*names[1:], *words): command_ends(w),
@@ -329,12 +329,19 @@ def commands() -> Iterator[Case]:
 
 
 NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "those that are shipped"}
-"""Texts that may be empty, and what that means: the work would begin, and is not tried. Nor is a default that is."""
+NOTHING |= {
+    "contact corpus": "the poses alone",
+    "dial external": "nobody",
+    "corotated sources": "theirs is skipped",
+    "closures frames": "the whole take",
+    "closures parameters": "the defaults",
+}
+"""Texts that may be empty, of any command or of one, and what that means: the work would begin, and is not tried."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)
 """What is part of no name; others may be, as "nan" is of another word."""
 
 
-def _words_of(parameter: click.Parameter) -> Iterator[list[str]]:
+def _words_of(command: str, parameter: click.Parameter) -> Iterator[list[str]]:
     """Words that give a parameter a bad value; those of a flag come with a value, and with an option of no name."""
     if isinstance(parameter, click.Option) and parameter.is_flag:
         yield [f"{parameter.opts[-1]}=7"]
@@ -342,7 +349,7 @@ def _words_of(parameter: click.Parameter) -> Iterator[list[str]]:
         return
     written = isinstance(parameter.type, (WrittenFile, WrittenFolder))
     for word in NO_PLACES if written else MATCHING if parameter.name == "match" else WORDS:
-        if word or (parameter.name not in NOTHING and parameter.default != ""):
+        if word or not {parameter.name, f"{command} {parameter.name}"} & NOTHING.keys():
             yield [word] if isinstance(parameter, click.Argument) else [parameter.opts[-1], word]
 
 
