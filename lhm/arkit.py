@@ -98,7 +98,7 @@ def weights_of(named: Mapping[str, float]) -> Floats:
     for name, weight in named.items():
         number = isinstance(weight, (int, float, np.number)) and not isinstance(weight, bool)
         if not (number and 0.0 <= weight <= 1.0):
-            raise InputError(f"the weight of {quote(name)} is {quote(weight)}, expected a number in [0, 1]")
+            raise InputError(f"the weight of {quote(name)} is {quote(repr(weight))}, expected a number in [0, 1]")
         weights[index(name)] = weight
     return weights
 
