@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,35 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.resumable import RowStore, lock_folder
-from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.mesh import Floats32
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
-from ..reference import Parameters, Reason, SettledFace, settle
+from ..reference import Face, Reason, SettledFace, settle
 from ..reference.face.bones import Bones
 from ..reference.face.dynamics import extrapolate_turns, find_pivot
-from ..surrogate import BoundRig, CertifiedFace, Surrogate, derivatives_rig
+from ..surrogate import BoundRig, Surrogate, certify
 from ..surrogate.certified import ACCURACY
-from ..surrogate.local import on_wraps
-from ..surrogate.methods import DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES
-from ..surrogate.runtime import Beyond
 from .frames import CertifiedFrames, SimulatedFrames, TakeFrames
 from .play import Output, PlayedTake
 from .preview import check_preview
 from .store import TakeStore, digest
-
-
-@dataclass(frozen=True, eq=False)
-class BoundHead:
-    """A bound rig, by which method and in how many seconds, and the head's shapes (52, n, 3) [mm]."""
-
-    rig: BoundRig
-    method: str
-    seconds: float
-    deltas: Floats
 
 
 @dataclass(frozen=True)
@@ -93,69 +79,29 @@ class AnimateResult:
     neutral: str = Reason.CONVERGED.name
 
 
-def bind_person(
-    surrogate: Surrogate, code: Floats, parameters: Parameters, *, exact: bool, level: int, beyond: Beyond
-) -> BoundHead:
-    """A rig of one of the network's own people, of the default space."""
-    space = identities.Anny()
-    skin, begin = space.skin(code), time.perf_counter()
-    head = fit_head(load_template(space, level=level), skin) if exact else None
-    rig = surrogate.bind(skin, code, parameters, exact=exact, head=head, beyond=beyond)
-    method = NETWORK_AND_DERIVATIVES if exact else NETWORK
-    return BoundHead(rig, method, time.perf_counter() - begin, space.expression_deltas(code))
-
-
-def bind_head(
-    surrogate: Surrogate, head: LayeredHead, deltas: Floats, parameters: Parameters, *, exact: bool, beyond: Beyond
-) -> BoundHead:
-    """A rig of any head with shapes (52, n, 3) [mm].
-
-    By the network where the head is one of its people; with the simulator's derivatives besides where it has their
-    triangles; by these alone where it has others.
-    """
-    begin, nearest = time.perf_counter(), surrogate.find_nearest(head.skin)
-    if nearest is None:
-        rig: BoundRig = derivatives_rig(head, deltas, parameters)
-        return BoundHead(rig, DERIVATIVES, time.perf_counter() - begin, deltas)
-    exact = exact or not nearest.is_same
-    rig = surrogate.bind(head.skin, nearest.code, parameters, expressions=deltas, exact=exact, head=head, beyond=beyond)
-    method = NETWORK_AND_DERIVATIVES if exact else NETWORK
-    return BoundHead(rig, method, time.perf_counter() - begin, deltas)
-
-
-def animate(
-    config: AnimateConfig,
-    head: LayeredHead,
-    deltas: Floats,
-    take: Take,
-    parameters: Parameters,
-    surrogate: Surrogate | None,
-    progress: OnProgress,
-) -> AnimateResult:
+def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate, progress: OnProgress) -> AnimateResult:
     """Make the frames that are missing, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
 
-    deltas: what each expression adds to the head's skin [mm], shape (52, n, 3); take: evenly spaced frames, `rate`
-    apart. parameters: local values are one per face of the skin; the neutral face settles under them first. With
-    dynamics, the take's head rotation shakes it where there is one. The surrogate helps where it knows the head and
-    parameters. A frame that is not within the accuracy keeps what was reached, one that cannot be simulated its
-    blendshapes; both are listed. InputError if another run works in the folder, if it holds another take, and for a
-    take without head rotation that is to be `turned`.
+    take: evenly spaced frames, `rate` apart. The neutral face settles under p first. With dynamics, the take's head
+    rotation shakes it where there is one. The surrogate helps where it knows the head and parameters. A frame that is
+    not within the accuracy keeps what was reached, one that cannot be simulated its blendshapes; both are listed.
+    InputError if another run works in the folder, if it holds another take, and for a take without head rotation that
+    is to be `turned`.
     """
     _check(config, take)
-    on_head, begin = on_wraps(parameters, head), time.perf_counter()
+    head, begin = face.head, time.perf_counter()
     with lock_folder(config.out, "animate"):
-        store = TakeStore(config.out, _manifest(config, head, deltas, take, on_head, surrogate))
+        store = TakeStore(config.out, _manifest(config, face, take, surrogate))
         reason = Reason.CONVERGED.name
         frames: TakeFrames
         if config.simulates:
-            neutral, reason = _settle(config, head, on_head, store, progress)
+            neutral, reason = _settle(config, face, store, progress)
             frames = SimulatedFrames(
-                neutral, deltas, take, config.accuracy, dynamic=config.dynamic, contact=bool(config.contact)
+                neutral, face.shapes, take, config.accuracy, dynamic=config.dynamic, contact=bool(config.contact)
             )
         else:
             progress("settling: neutral face", 0.0)
-            face = CertifiedFace.from_head(head, deltas, parameters, surrogate=surrogate)
-            frames = CertifiedFrames(face, take, config.accuracy)
+            frames = CertifiedFrames(certify(face, surrogate), take, config.accuracy)
             progress("settling: neutral face", 1.0)
         bound = time.perf_counter() - begin
         _make(frames, head, take, store, progress)
@@ -163,19 +109,24 @@ def animate(
         # The wrap ends below the neck: of a bust it is the head.
         framed = head.skin_wrap.vertices
         pivot = find_pivot(head)
-        played = PlayedTake(head.skin, deltas, pivot, framed, take, lambda numbers: map(store.moved, numbers))
+        played = PlayedTake(head.skin, face.shapes, pivot, framed, take, lambda numbers: map(store.moved, numbers))
         files, notes = _write(played, config, f"within {config.accuracy:g} mm", progress)
     return _result(log, (*files, config.out / "log.jsonl"), notes, bound, reason)
 
 
-def animate_rig(wanted: Output, served: BoundHead, take: Take, progress: OnProgress) -> AnimateResult:
+def animate_rig(
+    wanted: Output, face: Face, bind: Callable[[Face], tuple[str, BoundRig]], take: Take, progress: OnProgress
+) -> tuple[AnimateResult, BoundRig]:
     """Write wanted.out's files by a rig alone, whose frames tell no error: take.vtkhdf or take.glb, preview, log.jsonl.
 
-    With dynamics the take's head rotation shakes the face where there is one. InputError if another run works in the
-    folder, and for a take without head rotation that is to be `turned`.
+    bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes the
+    face where there is one. Returns the rig, too. InputError if another run works in the folder, and for a take without
+    head rotation that is to be `turned`.
     """
-    rig = served.rig
     _check(wanted, take)
+    begin = time.perf_counter()
+    method, rig = bind(face)
+    bind_seconds = time.perf_counter() - begin
     if wanted.turned and rig.swing is None:
         raise InputError(
             "turned: the weights do not tell what a head turns about; bind(exact=True) takes it of the head"
@@ -186,20 +137,20 @@ def animate_rig(wanted: Output, served: BoundHead, take: Take, progress: OnProgr
     def moved(numbers: Sequence[int]) -> Iterator[NDArray]:
         chosen = set(numbers)
         for number, (frame, seconds) in enumerate(_frames(rig, take, wanted.dynamic)):
-            told = {"method": served.method, "error": None, "certain": False, "reason": "", "seconds": seconds}
+            told = {"method": method, "error": None, "certain": False, "reason": "", "seconds": seconds}
             log.setdefault(number, {"frame": number, "time": float(take.times[number]), **told})
             if number in chosen:
                 yield frame - neutral.vertices
 
     middle = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     used = neutral.vertices[np.unique(neutral.triangles)]
-    played = PlayedTake(neutral, served.deltas, middle, used, take, moved)
+    played = PlayedTake(neutral, face.shapes, middle, used, take, moved)
     with lock_folder(wanted.out, "animate"):
         if (wanted.out / "take.json").exists():
             raise InputError(f"{wanted.out}: holds a take within an accuracy; use another folder or remove it")
-        files, notes = _write(played, wanted, served.method, progress)
+        files, notes = _write(played, wanted, method, progress)
         RowStore(wanted.out, file="log.jsonl").keep(log.values())
-    return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), notes, served.seconds)
+    return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), notes, bind_seconds), rig
 
 
 def _check(wanted: Output, take: Take) -> None:
@@ -241,20 +192,14 @@ def _result(
     )
 
 
-def _manifest(
-    config: AnimateConfig,
-    head: LayeredHead,
-    deltas: Floats,
-    take: Take,
-    parameters: Parameters,
-    surrogate: Surrogate | None,
-) -> dict[str, Any]:
+def _manifest(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate) -> dict[str, Any]:
     """Return what decides the frames: a folder whose manifest differs holds another take."""
+    head, parameters = face.head, face.on_wraps
     values = [np.asarray(getattr(parameters, f.name)) for f in fields(parameters)]
-    network = None if surrogate is None or config.simulates else surrogate.weights.network
+    network = None if config.simulates else surrogate.weights.network
     return {
         "head": digest(head.skin.vertices, head.skin.triangles, head.vertices, head.tets, head.bone),
-        "expressions": digest(deltas),
+        "expressions": digest(face.shapes),
         "weights": digest(take.weights),
         "first time": float(take.times[0]),
         "frames": len(take.times),
@@ -269,14 +214,12 @@ def _manifest(
     }
 
 
-def _settle(
-    config: AnimateConfig, head: LayeredHead, parameters: Parameters, store: TakeStore, progress: OnProgress
-) -> tuple[SettledFace, str]:
+def _settle(config: AnimateConfig, face: Face, store: TakeStore, progress: OnProgress) -> tuple[SettledFace, str]:
     """Return the neutral face settled under p, from the folder where it is there, and why settling stopped."""
     kept = store.neutral()
     if kept is None:
         progress("settling: neutral face", 0.0)
-        found = settle(head, parameters, **config.choices)
+        found = settle(face.head, face.on_wraps, **config.choices)
         kept = {
             "positions": found.positions,
             "displacement": found.displacement,
@@ -284,8 +227,8 @@ def _settle(
         }
         store.keep_neutral(kept)
         progress("settling: neutral face", 1.0)
-    face = SettledFace(head, parameters, kept["positions"], kept["displacement"], choices=config.choices)
-    return face, str(kept["reason"])
+    neutral = SettledFace(face.head, face.on_wraps, kept["positions"], kept["displacement"], choices=config.choices)
+    return neutral, str(kept["reason"])
 
 
 def _make(frames: TakeFrames, head: LayeredHead, take: Take, store: TakeStore, progress: OnProgress) -> None:

@@ -21,9 +21,7 @@ from ..lhm import expressions
 from ..lhm.arkit import ARKIT
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
-from ..lhm.head import LayeredHead
-from ..reference import Parameters
-from ..reference.face.derivatives import differentiate_head
+from ..reference import Face
 from ..surrogate import BoundRig
 from ..surrogate.methods import BLENDSHAPES, DERIVATIVES
 from ..surrogate.rig import Remainder
@@ -230,21 +228,16 @@ LAYERS = (("muscle", (0.66, 0.22, 0.2)), ("skull", (0.92, 0.89, 0.8)))
 def render_face_page(
     title: str,
     words: str,
-    head: LayeredHead,
-    parameters: Parameters,
-    shapes: Floats,
+    face: Face,
     rigs: Sequence[Rig] = (),
     poses: Sequence[Pose] = (),
 ) -> str:
-    """The page of a head under p, with what the 52 weights add to its skin [mm], shape (52, skin vertices, 3).
+    """The page of a face: its blendshapes, the simulator's derivatives (some seconds), and `rigs`.
 
-    Beside these blendshapes it has the simulator's derivatives (some seconds), and `rigs`. `poses` replace the
-    usual ones.
-    Raises InputError for a face that does not settle, and what the simulator raises.
+    `poses` replace the usual ones. Raises InputError for a face that does not settle, and what the simulator raises.
     """
-    linear, n = differentiate_head(head, parameters), len(head.bone)
-    moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(DERIVATIVES, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
+    head, shapes, moved, n = face.head, face.shapes, face.first_order, len(face.head.bone)
+    simulated = Rig(DERIVATIVES, head.skin.vertices + face.offset, shapes + face.responses)
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return render_page(
         title,
@@ -253,7 +246,7 @@ def render_face_page(
         [Rig(BLENDSHAPES, head.skin.vertices, shapes), simulated, *rigs],
         poses=poses or [Pose(name, expressions.weights_of(named)) for name, named in POSES.items()],
         layers=[
-            Layer(name, head.skin_wrap.triangles, linear.answer.positions[rows], moved[:, rows], colour)
+            Layer(name, head.skin_wrap.triangles, face.derivatives.answer.positions[rows], moved[:, rows], colour)
             for (name, colour), rows in zip(LAYERS, below, strict=True)
         ],
     )

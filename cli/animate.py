@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,6 @@ import click
 from ..lhm.base.errors import is_interrupt
 from ..lhm.base.limits import BAKED_TARGETS, SEED
 from ..lhm.expressions import Take
-from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import FILE, LEVEL, argument, count_range, make_command, option, refuse_given
@@ -133,37 +133,31 @@ class Animate:
 
     def _within(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
         """Animate within the accuracy."""
-        from ..animation.animate import AnimateConfig, animate, bind_head
+        from ..animation.animate import AnimateConfig, animate
         from ..surrogate import Surrogate
+        from ..surrogate.methods import bind_cheaply
 
         chosen: dict[str, Any] = {"accuracy": self.accuracy, "bones": self.bones, "contact": self.contact}
         config = AnimateConfig(**self._files, **chosen)
         with show_progress() as progress:
-            head, deltas = which.head(progress)
-            network = Surrogate.load(self.surrogate)
-            result = animate(config, head, deltas, take, parameters, network, progress)
+            face, network = which.face(parameters, progress), Surrogate.load(self.surrogate)
+            result = animate(config, face, take, network, progress)
             if self.targets is None:
                 return result
-            served = bind_head(network, head, deltas, parameters, exact=True, beyond="clamp")
-            return self._bake(served.rig, take, result)
+            return self._bake(bind_cheaply(face, network, exact=True, beyond="clamp")[1], take, result)
 
     def _by_rig(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
         """Animate by a rig alone."""
-        from ..animation.animate import animate_rig, bind_head, bind_person
+        from ..animation.animate import animate_rig
         from ..animation.play import Output
         from ..surrogate import Surrogate
+        from ..surrogate.methods import bind_cheaply
 
         network = Surrogate.load(self.surrogate)
-        how = {"exact": self.exact, "beyond": self.beyond}
         with show_progress() as progress:
-            if which.head_file is None and which.space.name == network.space == "anny":
-                code, level = which.code(which.space), DEFAULT_LEVEL if which.level is None else which.level
-                served = bind_person(network, code, parameters, level=level, **how)  # type: ignore[arg-type]
-            else:
-                head, deltas = which.head(progress)
-                served = bind_head(network, head, deltas, parameters, **how)  # type: ignore[arg-type]
-            result = animate_rig(Output(**self._files), served, take, progress)
-            return result if self.targets is None else self._bake(served.rig, take, result)
+            bind = partial(bind_cheaply, surrogate=network, exact=self.exact, beyond=self.beyond)  # type: ignore
+            result, rig = animate_rig(Output(**self._files), which.face(parameters, progress), bind, take, progress)
+            return result if self.targets is None else self._bake(rig, take, result)
 
     def _bake(self, rig, take: Take, result: AnimateResult) -> AnimateResult:
         """Write the rig's morph targets besides."""

@@ -14,6 +14,7 @@ from ..lhm.expressions import Take
 from ..lhm.head import LayeredHead
 from ..lhm.head_file import load_head
 from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Face, Parameters
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,12 @@ class HeadChoice:
         """The mean's code, or a random one's."""
         rng = np.random.default_rng(self.seed)
         return np.zeros(space.code_size) if self.seed is None else space.sample(rng)[0]
+
+    def face(self, parameters: Parameters, progress: OnProgress) -> Face:
+        """The head under p, whose local values are one per face of the skin."""
+        head, shapes = self.head(progress)
+        space = None if self.head_file is not None else self.space
+        return Face(head, shapes, parameters, code=None if space is None else self.code(space))
 
     def head(self, progress: OnProgress) -> tuple[LayeredHead, Floats]:
         """The head, and what each expression adds to its skin [mm], shape (52, n, 3)."""

@@ -141,8 +141,8 @@ def _refuse(network: str, options: dict) -> None:
 def _gradients(
     network: str, corpus: Path, out: Path, options: dict, batch: int | None, recurrence_steps: int, read: dict, progress
 ):
+    from ..surrogate.corpus.heads import Heads
     from ..surrogate.corpus.reading import Faces, Table
-    from ..surrogate.heads import Heads
     from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
     from ..surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
@@ -151,7 +151,7 @@ def _gradients(
     faces = Faces(corpus, "train", **read)
     # Before the long part: where there are no sequences, or nobody fits heads.
     sequences = Table(corpus, "sequences", "train", **read) if recurrence_steps else None
-    pivot = find_mean_pivot(Heads.of_corpus(corpus, progress)) if recurrence_steps else None
+    pivot = find_mean_pivot(Heads.from_corpus(corpus, progress)) if recurrence_steps else None
     out.mkdir(parents=True, exist_ok=True)
     weights = train_gradients(faces, config, state=out / f"{network}.pt", on_progress=progress)
     if sequences is not None and pivot is not None:

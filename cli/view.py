@@ -60,7 +60,6 @@ def view(
 
 
 def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None, opens: bool) -> None:
-    from ..animation.live.face import LiveFace
     from ..animation.live.server import serve_face
 
     def tell(address: str) -> None:
@@ -69,23 +68,21 @@ def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | No
             webbrowser.open(address)
 
     with show_progress() as progress:
-        head, shapes = which.head(progress)
-        face = LiveFace.from_head(head, shapes, parameters)
+        face = which.face(parameters, progress)
     serve_face(face, title, port=port, on_ready=tell, on_trouble=lambda line: click.echo(f"softdeca: {line}", err=True))
 
 
 def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path) -> None:
-    from ..animation.animate import bind_head
     from ..animation.page import Rig, render_face_page
     from ..surrogate import Surrogate
+    from ..surrogate.methods import bind_cheaply
 
     with show_progress() as progress:
-        head, shapes = which.head(progress)
-        rigs, surrogate = [], Surrogate.load()
-        if surrogate.knows(head.skin):
-            served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
-            rigs.append(Rig.baked(served.method, served.rig))
+        face, surrogate = which.face(parameters, progress), Surrogate.load()
+        rigs = []
+        if surrogate.knows(face.skin):
+            rigs.append(Rig.baked(*bind_cheaply(face, surrogate, beyond="clamp")))
         progress("page", 0.3)
-        write_whole(out, render_face_page(title, words, head, parameters, shapes, rigs).encode())
+        write_whole(out, render_face_page(title, words, face, rigs).encode())
         progress("page", 1.0)
     click.echo(f"wrote {out}")

@@ -13,8 +13,8 @@ import numpy as np
 from softdeca.animation.head_pictures import draw_sections
 from softdeca.animation.pictures import Panel, draw_cut_away, draw_strip
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
-from softdeca.reference import Parameters, apply_law, facial_scene, settle, solve
-from softdeca.surrogate import Surrogate, derivatives_rig
+from softdeca.reference import Face, Parameters, apply_law, facial_scene, settle, solve
+from softdeca.surrogate import METHODS, Surrogate
 
 
 @dataclass(frozen=True)
@@ -160,11 +160,11 @@ print(
 # ## Responses
 #
 # How T follows w is nearly linear. The derivatives of the settled face by the 52 weights, its *responses*, come out
-# of one factorisation of the exact tangent; `derivatives_rig` makes them a rig. Colours: how far a response goes
+# of one factorisation of the exact tangent; the method *derivatives* makes them a rig. Colours: how far a response goes
 # beyond the blendshape that it belongs to.
 
 # %%
-linear = derivatives_rig(head, deltas, Parameters())
+linear = METHODS["derivatives"].bind(Face(head, deltas))
 print(
     f"mean distance to T: blendshapes {mean(S, T):.3f} mm, with responses {mean(linear.frame(weights), T):.3f} mm"
 )

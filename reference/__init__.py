@@ -3,6 +3,7 @@
 from ..lhm.base.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
 from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
+from .face.face import Face
 from .face.facial import apply_law, facial_scene
 from .face.free_scenes import open_jaw_scene, push_cheek_scene
 from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
@@ -17,6 +18,7 @@ from .solve import Prepared, prepare, solve
 
 __all__ = [
     "SOLVERS",
+    "Face",
     "FacialModel",
     "History",
     "MissingDependencyError",

@@ -1,6 +1,7 @@
 """The learned surrogate of the simulator: corpora, networks, their training, and the run time."""
 
 from .certified import CertifiedFace, CertifiedFrame
-from .runtime import BoundRig, BoundSurrogate, Surrogate, derivatives_rig
+from .methods import METHODS, certify
+from .runtime import BoundRig, BoundSurrogate, Surrogate
 
-__all__ = ["BoundRig", "BoundSurrogate", "CertifiedFace", "CertifiedFrame", "Surrogate", "derivatives_rig"]
+__all__ = ["METHODS", "BoundRig", "BoundSurrogate", "CertifiedFace", "CertifiedFrame", "Surrogate", "certify"]

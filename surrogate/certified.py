@@ -1,6 +1,6 @@
 """One dial: frames of a face by the cheapest method whose own error is within an accuracy, and that error, always told.
 
-    face = CertifiedFace.from_head(head, expressions, Parameters(gravity=2.0), surrogate=Surrogate.load())
+    face = certify(Face(head, expressions, Parameters(gravity=2.0)))
     frame = face.frame(weights, accuracy=0.05)
     frame.skin, frame.error, frame.certain, frame.method
 
@@ -22,18 +22,12 @@ import numpy as np
 from ..lhm.base.checks import check_arguments, finite, number
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
-from ..lhm.head import LayeredHead
-from ..reference import Parameters
-from ..reference.face.correction import Correction, FaceFrames
-from ..reference.face.derivatives import Analysis, differentiate_head
-from ..reference.face.settle import carry_skin
+from ..reference.face.correction import Correction, predict
+from ..reference.face.face import Face
 from ..reference.projective.newton_step import NewtonStep
-from ..reference.solution import OnIteration
-from .local import on_wraps
-from .methods import DERIVATIVES, NETWORK_AND_DERIVATIVES
-from .rig import FaceModes, check_shapes, check_weights
+from .rig import check_weights
 from .ruler import MOVES
-from .runtime import BoundSurrogate, Surrogate
+from .runtime import BoundSurrogate
 
 ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
@@ -93,64 +87,19 @@ class CertifiedFrame(Reached):
 
 
 class CertifiedFace:
-    """One head, its expressions and p, bound to the simulator in some seconds; see the module.
+    """A face bound to the simulator in some seconds, with a rig of its derivatives; see the module.
 
-    `rig` makes the same face's frames without an estimate, at the price of blendshapes. carried (n, 3) [mm]: how scaled
-    bones carry the neutral skin.
+    `rig` makes the same face's frames without an estimate, at the price of blendshapes, by `method`.
     """
 
-    def __init__(self, frames: FaceFrames, rig: BoundSurrogate, carried: Floats):
-        self.rig, self.frames, self.carried = rig, frames, carried
-        self.frame(np.full(len(frames.deltas), 0.1), FINEST, seconds=0.0)  # compiles
-
-    @classmethod
-    @check_arguments
-    def from_head(
-        cls,
-        head: LayeredHead,
-        expressions: Floats,
-        parameters: Parameters | None = None,
-        *,
-        surrogate: Surrogate | None = None,
-        like: Analysis | None = None,
-        on_iteration: OnIteration | None = None,
-    ) -> CertifiedFace:
-        """Settle a head under p and differentiate it.
-
-        expressions: what the 52 weights add to its skin [mm], shape (52, n, 3); parameters: local values are one per
-        face of the skin. The surrogate adds what is not linear where it knows the head's triangles and these
-        parameters; elsewhere it is left out. `like` and `on_iteration` are those of `differentiate_head`. Raises
-        InputError for other shapes and for a face that does not settle, and what the simulator raises.
-        """
-        chosen = Parameters() if parameters is None else parameters
-        shapes = check_shapes(expressions, head.skin)
-        on_head = on_wraps(chosen, head)
-        linear = differentiate_head(head, on_head, like=like, on_iteration=on_iteration)
-        frames = FaceFrames.from_face(linear, shapes)
-        offset = (linear.offset + linear.face.displacement).astype(np.float32)
-        responses = (linear.skin_by_shapes(frames.deltas, frames.first_order) - frames.deltas).astype(np.float32)
-        rig = None if surrogate is None else _bind(surrogate, head, shapes, chosen)
-        if rig is None:
-            rig = BoundSurrogate(head.skin, FaceModes.linear(offset, responses), shapes)
-        else:
-            rig = rig.with_derivatives(offset, responses)
-        return cls(frames, rig, carry_skin(head, on_head))
+    def __init__(self, face: Face, rig: BoundSurrogate, method: str):
+        self.face, self.rig, self.method = face, rig, method
+        self.frame(np.full(len(face.shapes), 0.1), FINEST, seconds=0.0)  # compiles
 
     @property
     def skin(self) -> Surface:
         """The head's neutral skin without p [mm]."""
-        return self.rig.skin
-
-    @property
-    def derivatives(self) -> BoundSurrogate:
-        """The rig without its network."""
-        modes = FaceModes.linear(self.rig.modes.offset, self.rig.modes.responses)
-        return BoundSurrogate(self.skin, modes, self.frames.deltas.astype(np.float32))
-
-    @property
-    def has_network(self) -> bool:
-        """Whether a network adds what is not linear."""
-        return len(self.rig.modes.modes) > 0
+        return self.face.skin
 
     @check_arguments
     def frame(
@@ -186,7 +135,7 @@ class CertifiedFace:
         """Yield the best frame so far after each round: Newton's step, L-BFGS to the accuracy, and the error anew."""
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
-        correction = self.frames.begin(known, self._start(known, after))
+        correction = Correction(self.face, known, self._start(known, after))
         correction.smooth(1)
         if accuracy is not None and (share := accuracy / self._estimate_roughly(correction)) < DIRECT:
             correction.smooth(MOST_SMOOTHING, until=MARGIN * share * correction.residual)
@@ -195,7 +144,7 @@ class CertifiedFace:
             correction.smooth(SETTLING)
             ahead = correction.newton_step()
         guess = self._tell(correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin())
-        before, best = guess.skin, replace(guess, method=NETWORK_AND_DERIVATIVES if self.has_network else DERIVATIVES)
+        before, best = guess.skin, replace(guess, method=self.method)
         while True:
             frame = self._tell(correction, ahead, begin, correction.skin(), before)
             if frame.bound <= best.bound or frame.method == "converged":
@@ -213,11 +162,11 @@ class CertifiedFace:
         """Return the first order, and on it the correction of the frame before."""
         if after is None:
             return None
-        start = self.frames.predict(weights)
+        start = predict(self.face, weights)
         if np.shape(after.positions) != start.shape:
             shape = np.shape(after.positions)
             raise InputError(f"after: a frame of another face, with vertices of shape {shape}, not {start.shape}")
-        left = finite("after", after.positions) - self.frames.predict(check_weights(after.weights).astype(np.float64))
+        left = finite("after", after.positions) - predict(self.face, check_weights(after.weights).astype(np.float64))
         if (away := float(np.linalg.norm(left, axis=1).mean())) > APART:
             raise InputError(
                 f"after: a frame of another face: {away:.2g} mm from this one's first order, expected at most {APART:g}"
@@ -226,9 +175,8 @@ class CertifiedFace:
 
     def _find_answer(self, correction: Correction, step: Floats) -> tuple[Floats, np.ndarray]:
         """Return the skin (n, 3) [mm] where a step would lead, and which vertices an error counts."""
-        head, expression = self.frames.linear.face.head, self.frames.expression(correction.weights)
-        answer = correction.skin() + head.skin_from_wrap @ correction.move_wrap(step)
-        return answer, find_counted(answer, expression + self.carried)
+        answer = correction.skin() + self.face.head.skin_from_wrap @ correction.move_wrap(step)
+        return answer, find_counted(answer, correction.expression + self.face.carried)
 
     def _estimate_roughly(self, correction: Correction) -> float:
         """Estimate the error [mm] within a factor of some, by one solve."""
@@ -268,14 +216,3 @@ def find_counted(skin: Floats, carried: Floats) -> np.ndarray:
     """Return which vertices an error counts, shape (n,): those more than MOVES from carried blendshapes, or all."""
     moves = np.linalg.norm(skin - carried, axis=1) > MOVES
     return moves if moves.any() else np.ones_like(moves)
-
-
-def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:
-    """Bind a network that knows the head's triangles and the parameters; None where there is none."""
-    nearest = surrogate.find_nearest(head.skin) if surrogate.weights.kind == "modal" else None
-    if nearest is None:
-        return None
-    try:
-        return surrogate.bind(head.skin, nearest.code, parameters, expressions=shapes)  # type: ignore
-    except InputError:  # parameters beyond what it has seen
-        return None

@@ -20,9 +20,8 @@ import numpy as np
 
 from ..lhm.base.checks import number, real
 from ..lhm.base.errors import FitError, InputError
-from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
-from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.dynamics import (
     Recurrence,
@@ -32,8 +31,8 @@ from ..reference.face.dynamics import (
     find_pivot,
     measure_looseness,
 )
+from ..reference.face.face import Face
 from .corpus.people import People
-from .local import at_vertices
 from .rig import Rig
 
 OSCILLATION = ("frequency", "damping")
@@ -72,18 +71,19 @@ class Swing:
     pivot: Floats
 
     @classmethod
-    def from_shares(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
-        """Take p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
-        chosen = parameters if isinstance(parameters, Parameters) else Parameters()
-        frequency, damping = (at_vertices(name, getattr(chosen, name), skin) for name in OSCILLATION)
+    def from_shares(cls, loose: Floats, pivot: Floats, oscillation: Floats) -> Swing:
+        """Take p's frequency and damping at the vertices, mapped to [-1, 1], shape (2, n)."""
+        mapped = zip(OSCILLATION, oscillation, strict=True)
+        frequency, damping = (np.asarray(Parameters.info(name).denormalise(values)) for name, values in mapped)
         return cls(loose, frequency, damping, pivot)
 
     @classmethod
-    def from_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
-        """Take a layered head, whose depth of bone under the skin tells where flesh is loose."""
+    def from_face(cls, face: Face) -> Swing:
+        """Take a face, whose head's depth of bone under the skin tells where flesh is loose."""
         # Weights of skin off the wrap's triangles reach a little beyond their corners.
-        shares = np.clip(head.skin_from_wrap @ measure_looseness(head), 0.0, 1.0)
-        return cls.from_shares(shares, find_pivot(head), parameters, head.skin)
+        shares = np.clip(face.head.skin_from_wrap @ measure_looseness(face.head), 0.0, 1.0)
+        oscillation = np.stack([face.at_vertices(name) for name in OSCILLATION])
+        return cls.from_shares(shares, find_pivot(face.head), oscillation)
 
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""

@@ -1,16 +1,16 @@
 """Methods against the simulator: a table of frames x methods, and scores of its groups.
 
-A `Trial` has frames of one face with their truth; a `Contender` answers it. `measure_frames` makes the table, and
-`Distances.scores` groups it: by kind of p, strength of the expression, or the trials' own part.
+A `Trial` has frames of one face with their truth; a `Contender` answers it (`by_frame`, or in motion). `measure_frames`
+makes the table, and `Distances.scores` groups it: by kind of p, strength of the expression, or the trials' own part.
+`trials` has a corpus' trials.
 """
 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from os import PathLike
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -18,19 +18,13 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
-from .corpus.face import Face, Frames
-from .corpus.plan import Split
-from .corpus.reading import Faces, Row, Table
-from .corpus.shard import FEM_LAWS
-from .heads import BindCosts, Heads
-from .methods import Method, Takes
+from .corpus.face import KeptFace
+from .corpus.reading import Faces, Row
+from .rig import Needs, Rig
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
 ALL, VARYING = "all", "p varying over the face"
 UNSCALED = "no bone scaled"
-SIMULATOR = "projective dynamics"
-AGAINST = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}
-"""The part of frames whose truth is FEniCSx' answer by a law."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +67,13 @@ class Score(Cost):
 class Trial:
     """Frames of one face to answer: weights (F, 52), their `truth` T - S (F, n, 3) [mm].
 
-    carried (n, 3) [mm]: the part of T - S that scaled bones explain. part: a name that groups trials. sequence: the
-    corpus' row where the frames follow one another. known: answers that are there already, by method.
+    part: a name that groups trials. sequence: the corpus' row where the frames follow one another. known: answers that
+    are there already, by method.
     """
 
-    face: Face
+    face: KeptFace
     weights: Floats32
     truth: Floats32
-    carried: Floats32
     part: str = ALL
     sequence: Row | None = None
     known: Mapping[str, Floats32] = field(default_factory=dict)
@@ -95,52 +88,58 @@ class Answers:
     frame_seconds: Sequence[float] = ()
 
 
-class Named(Protocol):
-    """What a score says of its method."""
+class Binds(Protocol):
+    """A method, such as those of METHODS; see `methods.Method`."""
+
+    @property
+    def name(self) -> str:
+        """Its label."""
+        ...
+
+    @property
+    def needs(self) -> Needs:
+        """What a bind needs."""
+        ...
+
+    def bind(self, face: KeptFace, /) -> Rig:
+        """Bind a face."""
+        ...
+
+
+class Learns(Binds, Protocol):
+    """A method that learns from a corpus' training faces before it binds others."""
+
+    def fit(self, faces: Faces) -> None:
+        """Learn."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """Whoever answers trials, by a function; `needs`: what a bind needs."""
 
     name: str
-    simulates: bool
+    answer: Callable[[Trial], Answers]
+    needs: Needs = "nothing"
 
 
-class Contender(ABC):
-    """Whoever answers trials; `takes`: what a bind takes of the simulator."""
+def by_frame(method: Binds) -> Contender:
+    """Answer with a method, fitted, one frame at a time by its weights alone."""
 
-    def __init__(self, name: str, *, simulates: bool = False, takes: Takes = "nothing"):
-        self.name, self.simulates, self.takes = name, simulates, takes
-
-    @abstractmethod
-    def answer(self, trial: Trial) -> Answers:
-        """Answer all frames of a trial."""
-
-
-class Static(Contender):
-    """A method, fitted, that answers one frame at a time by its weights alone."""
-
-    def __init__(self, method: Method):
-        super().__init__(method.name, simulates=method.simulates, takes=method.takes)
-        self._method = method
-
-    def answer(self, trial: Trial) -> Answers:
-        """Bind the face, and make each frame as a user has it: with S by blendshapes."""
+    def answer(trial: Trial) -> Answers:
         begin = time.process_time()
-        rig = self._method.bind(trial.face)
+        rig = method.bind(trial.face)
         binding = time.process_time() - begin
-        skin, shapes = trial.face.skin.astype(np.float32), np.asarray(trial.face.shapes, dtype=np.float32)
+        skin, shapes = trial.face.skin.vertices.astype(np.float32), np.asarray(trial.face.shapes, dtype=np.float32)
         corrected, seconds = [], []
         for row in trial.weights:
             begin = time.process_time()
-            answer = rig.frame(row)
+            frame = rig.frame(row)  # as a user has it: with S by blendshapes
             seconds.append(time.process_time() - begin)
-            corrected.append(answer - (skin + np.tensordot(row, shapes, axes=1)))
+            corrected.append(frame - (skin + np.tensordot(row, shapes, axes=1)))
         return Answers(np.stack(corrected), binding, seconds)
 
-
-class Known(Contender):
-    """A method whose answers the trials have."""
-
-    def answer(self, trial: Trial) -> Answers:
-        """Hand out the trial's own answer of this name."""
-        return Answers(trial.known[self.name])
+    return Contender(method.name, answer, method.needs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +172,15 @@ class Distances:
         return {name: mask for name, mask in rows.items() if mask.any()}
 
     def scores(
-        self, groups: Mapping[str, np.ndarray], costs: BindCosts | None = None, fits: Sequence[float | None] = ()
+        self,
+        groups: Mapping[str, np.ndarray],
+        costs: Mapping[str, Cost] = MappingProxyType({}),
+        fits: Sequence[float | None] = (),
     ) -> list[Score]:
         """Score each contender on each group of frames; groups in which nothing moves are left out.
 
-        costs: what binds take of the simulator; without it the bind of methods that take something has no cost. fits:
-        seconds of each contender's learning. Raises InputError where simulation moves no frame of ALL.
+        costs: of binds by name, where a method needs a head or the simulator; without one it has no cost. fits: seconds
+        of each contender's learning. Raises InputError where simulation moves no frame of ALL.
         """
         scores = []
         for number, contender in enumerate(self.contenders):
@@ -194,16 +196,28 @@ class Distances:
                     raise InputError("evaluate: simulation moves no frame of these faces beyond their bones")
         return scores
 
-    def _cost(self, number: int, costs: BindCosts | None, fitted: float | None) -> Cost:
-        own, frame = (1e3 * float(np.median(s)) if s else None for s in (self.binds[number], self.frames[number]))
-        takes = self.contenders[number].takes
-        if takes == "nothing":
-            return Cost(fitted, None, own, frame)
-        if costs is None:
-            return Cost(fitted, None, None, frame)
-        # To carry the skin is what this bind does itself.
-        bind = 1e3 * costs.seconds(takes) + (0.0 if takes == "carried" else own or 0.0)
-        return Cost(fitted, 1e3 * costs.head, bind, frame)
+    def _cost(self, number: int, costs: Mapping[str, Cost], fitted: float | None) -> Cost:
+        bind, frame = (1e3 * float(np.median(s)) if s else None for s in (self.binds[number], self.frames[number]))
+        contender = self.contenders[number]
+        if contender.needs == "nothing":
+            return Cost(fitted, None, bind, frame)
+        return replace(costs.get(contender.name, Cost()), fit_seconds=fitted, frame_ms=frame)
+
+
+def measure_bind(method: Binds, faces: Sequence[KeptFace]) -> Cost:
+    """Measure what a user waits for before the first frame: the medians over some faces, after one that is not counted.
+
+    A head is fitted, and the simulator runs, where the method needs them. InputError where nobody fits heads.
+    """
+    rows = []
+    for face in (kept.anew() for kept in (faces[0], *faces)):
+        begin = time.process_time()
+        _ = method.needs == "nothing" or face.live
+        fitted = time.process_time()
+        method.bind(face)
+        rows.append((fitted - begin, time.process_time() - fitted))
+    head, bind = 1e3 * np.median(rows[1:], axis=0)
+    return Cost(head_ms=float(head), bind_ms=float(bind))
 
 
 def measure_frames(
@@ -219,14 +233,15 @@ def measure_frames(
         count = len(trial.weights)
         if not count:
             continue
-        motion.append(np.linalg.norm(trial.truth - trial.carried, axis=2))
+        carried = trial.face.carried
+        motion.append(np.linalg.norm(trial.truth - carried, axis=2))
         columns["strength"] += [strength_of(w) for w in trial.weights]
         of_face = {
             "trial": number,
             "part": trial.part,
             "kind": kind_of_coefficients(trial.face.coefficients),
             "varies": bool(trial.face.coefficients[:, 1:].any()),
-            "unscaled": not trial.carried.any(),
+            "unscaled": not carried.any(),
         }
         for name, value in of_face.items():
             columns[name] += [value] * count
@@ -246,7 +261,7 @@ def measure_frames(
 
 
 def score_distances(
-    method: Named, kind: str, error: Floats, motion: Floats, cost: Cost | None = None, *, faces: int = 1
+    contender: Contender, kind: str, error: Floats, motion: Floats, cost: Cost | None = None, *, faces: int = 1
 ) -> Score:
     """Score distances to T against |T - carried(S)|; both [mm], shape (frames, n).
 
@@ -254,127 +269,28 @@ def score_distances(
     """
     if not len(error) or not (np.isfinite(error).all() and np.isfinite(motion).all()):
         why = "numbers that are not finite" if len(error) else "no frame"
-        raise InputError(f"evaluate: {method.name}, {kind}: {why}")
+        raise InputError(f"evaluate: {contender.name}, {kind}: {why}")
     return Score(
-        method=method.name,
+        method=contender.name,
         kind=kind,
         frames=len(error),
         faces=faces,
         everywhere=float(error.mean()),
-        simulates=method.simulates,
+        simulates=contender.needs == "simulator",
         **asdict(measure(error, motion)),
         **asdict(Cost() if cost is None else cost),
     )
 
 
-class Tests(Protocol):
-    """Faces with static frames, such as `Faces`."""
-
-    def __len__(self) -> int: ...
-
-    def face(self, index: int) -> Face:
-        """Read one of them."""
-        ...
-
-    def frames(self, index: int) -> Frames:
-        """Read its frames, which may be none."""
-        ...
-
-
-def static_trials(test: Tests, heads: Heads, chosen: Sequence[int] | None = None) -> Iterator[Trial]:
-    """Read the static frames of test faces, by default of all; InputError for scaled bones where nobody fits heads."""
-    for index in range(len(test)) if chosen is None else chosen:
-        frames = test.frames(index)
-        if len(frames.weights):
-            face = test.face(index)
-            yield Trial(face, frames.weights, frames.corrected.astype(np.float32), heads.carry(face))
-
-
 def evaluate(
-    methods: Sequence[Method],
-    test: Tests,
-    heads: Heads,
-    training: Faces | None = None,
-    *,
-    chosen: Sequence[int] | None = None,
-    costs: BindCosts | None = None,
+    methods: Sequence[Binds],
+    trials: Iterable[Trial],
+    costs: Mapping[str, Cost] = MappingProxyType({}),
     on_progress: OnProgress = silent,
 ) -> list[Score]:
-    """Score each method over all static frames of the test faces (ALL), and by kind of p and strength of expression.
+    """Score methods that are ready over all static frames of trials (ALL), and by kind of p and expression's strength.
 
-    heads: of the test people. training: faces that fit what is not fitted yet; None for methods that need none.
-    chosen: numbers of test faces. Raises what `static_trials`, `measure_frames` and `Distances.scores` raise.
+    Raises what `measure_frames` and `Distances.scores` raise.
     """
-    fits = []
-    for number, method in enumerate(methods):
-        begin = time.process_time()
-        if training is not None:
-            method.fit(training)
-        fits.append(time.process_time() - begin)
-        on_progress(f"fit: {method.name}", (number + 1) / len(methods))
-    table = measure_frames([*map(Static, methods)], static_trials(test, heads, chosen), on_progress)
-    return table.scores(table.kinds(), costs, fits)
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceFrame:
-    """A frame with an answer of FEniCSx: weights (52,), and T - S (n, 3) [mm] `simulated` by PD and of FEniCSx' `law`.
-
-    face: the number of its face in the corpus.
-    """
-
-    law: str
-    face: int
-    weights: Floats32
-    simulated: Floats32
-    fenicsx: Floats32
-
-
-def read_references(
-    folder: str | PathLike[str], split: Split | None, faces: Faces, *, partial: bool = False
-) -> Iterator[ReferenceFrame]:
-    """Read the frames of `faces` that FEniCSx solved, too, one after another; raises what `Table` raises."""
-    table, statics = (Table(folder, name, split, partial=partial) for name in ("references", "statics"))
-    face_of = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
-    static_of = {key: index for index, key in enumerate(map(tuple, statics.rows.tolist()))}
-    for row in (table[k] for k in range(len(table))):
-        index = static_of.get((int(row["identity"]), int(row["static"])))
-        if index is None:
-            continue
-        static = statics[index]
-        face = face_of.get((int(row["identity"]), int(static["group"])))
-        if face is not None:
-            simulated, truth = (source["corrected"].astype(np.float32) for source in (static, row))
-            yield ReferenceFrame(row["law"].decode(), face, static["weights"], simulated, truth)
-
-
-def evaluate_references(
-    methods: Sequence[Method],
-    folder: str | PathLike[str],
-    split: Split | None,
-    heads: Heads,
-    *,
-    partial: bool = False,
-    on_progress: OnProgress = silent,
-) -> list[Score]:
-    """Score projective dynamics and each method, which is fitted, by law that the corpus has: T is FEniCSx' answer.
-
-    heads: of the corpus' people. Raises InputError where no frame with references has derivatives, and what `Table`
-    raises.
-    """
-    faces = Faces(folder, split, partial=partial)
-    grouped: dict[tuple[str, int], list[ReferenceFrame]] = {}
-    for frame in read_references(folder, split, faces, partial=partial):
-        grouped.setdefault((frame.law, frame.face), []).append(frame)
-    if not grouped:
-        raise InputError(f"corpus {folder}: no frame with an answer of FEniCSx has derivatives")
-
-    def trials() -> Iterator[Trial]:
-        for (law, index), frames in grouped.items():
-            face = faces.face(index)
-            weights, truth = np.stack([f.weights for f in frames]), np.stack([f.fenicsx for f in frames])
-            known = {SIMULATOR: np.stack([frame.simulated for frame in frames])}
-            yield Trial(face, weights, truth, heads.carry(face), AGAINST[law], known=known)
-
-    table = measure_frames([Known(SIMULATOR, simulates=True), *map(Static, methods)], trials(), on_progress)
-    return table.scores(table.parts())
+    table = measure_frames([*map(by_frame, methods)], trials, on_progress)
+    return table.scores(table.kinds(), costs)

@@ -1,33 +1,29 @@
-"""Every way to a frame: METHODS has its label, colour and mark; here are those that replace the simulator.
+"""METHODS: every way to a frame, with the only labels, colours and marks of the house.
 
-| method             | answer                                             | needs the simulator at bind |
-|--------------------|----------------------------------------------------|-----------------------------|
-| Blendshapes        | T = S                                              | no                          |
-| BonesCarried       | T = S carried along by the bones that p scales     | no, but a head              |
-| Derivatives        | the settled neutral face, or with 52 responses     | yes                         |
-| CoarsePD           | PD of few iterations a frame                       | yes, and in each frame      |
-| BakedShapes        | 52 shapes simulated once                           | yes                         |
-| NetworkMethod      | trained weights, alone or with exact derivatives   | no, or yes                  |
-
-Those that learn from faces have a file each in `networks`, and solvers of other packages one in the arena.
+A method binds a face, live (`reference.face.Face`) or of a corpus (`KeptFace`), and gives a rig, which makes skins of
+52 weights. Squares solve, circles use the network or derivatives, triangles are simple rivals. Methods that learn from
+a corpus have a file each in `networks`; solvers of other packages have one in the arena.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from ..lhm.base.mesh import Floats, Floats32
-from ..reference.face.derivatives import FaceDerivatives, differentiate_head, spring_norm
-from .corpus.face import Face
-from .corpus.reading import Faces
-from .dynamics import Swings
-from .heads import Heads
-from .networks.weights import Weights
-from .rig import CorrectedRig, FaceModes, Rig
-from .runtime import BoundSurrogate, Surrogate
+from ..lhm.base.checks import check_arguments
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats32
+from ..reference import Prepared, prepare
+from ..reference.face.face import Face
+from ..reference.face.facial import PD_ENERGY, FaceLaw
+from .certified import ACCURACY, CertifiedFace
+from .corpus.face import KeptFace
+from .dynamics import Swing
+from .rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
+from .runtime import Beyond, BoundRig, BoundSurrogate, Surrogate, UnseenError
 
 PD, PD_PLAIN, PD_ANDERSON, PD_ARAP = "PD", "PD, plain", "PD, Anderson", "PD on ARAP"
 PD_FIRST_ORDER = "PD, from first order"
@@ -37,189 +33,222 @@ SKFEM, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, neo-Hookean"
 LIBIGL_ARAP = "libigl ARAP"
 NETWORK, DERIVATIVES, NETWORK_AND_DERIVATIVES = "network", "derivatives", "network + derivatives"
 SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
-BAKED, DIAL = "baked shapes", "dial"
+DIAL = "dial"
+
+AnyFace = Face | KeptFace
+Binder = Callable[[AnyFace], Rig]
 
 
-class Look(NamedTuple):
-    """How figures draw a method: a colour and a marker of Matplotlib."""
-
-    colour: str
-    mark: str
-
-
-METHODS: Mapping[str, Look] = {
-    PD: Look("#1f77b4", "s"),
-    PD_PLAIN: Look("#aec7e8", "s"),
-    PD_ANDERSON: Look("#6b8fd6", "s"),
-    PD_ARAP: Look("#c5b0d5", "s"),
-    PD_FIRST_ORDER: Look("#4c3f91", "s"),
-    FENICSX: Look("#d62728", "s"),
-    FENICSX_P2: Look("#8c1a1a", "s"),
-    FENICSX_P2P1: Look("#a0522d", "s"),
-    FENICSX_NEO_HOOKEAN: Look("#8c564b", "s"),
-    SKFEM: Look("#c49c94", "s"),
-    SKFEM_NEO_HOOKEAN: Look("#7a5c52", "s"),
-    LIBIGL_ARAP: Look("#2ca02c", "s"),
-    NETWORK: Look("#17becf", "o"),
-    DERIVATIVES: Look("#006d5b", "o"),
-    NETWORK_AND_DERIVATIVES: Look("#7a7a00", "o"),
-    DIAL: Look("#222222", "D"),
-    BAKED: Look("#bcbd22", "^"),
-    SETTLED: Look("#9467bd", "^"),
-    CARRIED: Look("#e377c2", "^"),
-    BLENDSHAPES: Look("#ff7f0e", "^"),
-}
-"""The only labels of methods. Squares solve, circles use the network or derivatives, triangles are simple rivals."""
-OTHER = Look("#000000", "s")
-"""A method of one's own."""
-Takes = Literal["nothing", "carried", "settled", "derivatives"]
-"""What `bind` takes ready-made, of a head or from the simulator, though its user waits for it; see `BindCosts`."""
-TOLERANCE, MOST = 5e-4, 200
-"""Of a frame that is simulated to the end, as a corpus asks it, and after how many iterations it ends at the latest."""
-
-
-class Method(Protocol):
-    """A way to frames; `simulates` says that binding or a frame needs the simulator, whose answers `Face` has."""
+@dataclass(frozen=True)
+class Method:
+    """A way to frames; `colour` and `mark` are Matplotlib's."""
 
     name: str
-    simulates: bool
-    takes: Takes
-
-    def fit(self, faces: Faces) -> None:
-        """Learn from a corpus' training faces; what learns nothing returns at once."""
-        ...
-
-    def bind(self, face: Face) -> Rig:
-        """Bind one person and p. Only a method that `simulates` may use the face's offset and responses."""
-        ...
+    bind: Binder
+    needs: Needs = "nothing"
+    colour: str = "#000000"
+    mark: str = "s"
 
 
-class _Ready:
-    """A method that learns nothing from faces."""
-
-    name: str
-    simulates = False
-    takes: Takes = "nothing"
-
-    def fit(self, faces: Faces) -> None:
-        """Nothing to learn."""
+@check_arguments
+def get_live(face: AnyFace) -> Face:
+    """Return a face on a head; InputError for one of a corpus whose head nobody fits."""
+    return face.live if isinstance(face, KeptFace) else face
 
 
-class Blendshapes(_Ready):
-    """T = S: the error of doing nothing."""
-
-    name = BLENDSHAPES
-
-    def bind(self, face: Face) -> CorrectedRig:
-        """Add nothing."""
-        return CorrectedRig(face.person.skin, face.shapes, lambda weights: np.float32(0.0))
+def no_face(face: AnyFace) -> Rig:
+    """Refuse every face: the method moves other scenes."""
+    raise InputError("this method moves no face")
 
 
-class BonesCarried(_Ready):
-    """T - S is by how much scaled bones carry the neutral skin, whatever the expression; it needs a head."""
+@dataclass(eq=False)
+class SolverRig:
+    """Frames of a face by a solver of `reference`, under a law, prepared by the first one.
 
-    name = CARRIED
-    takes: Takes = "carried"
-
-    def __init__(self, heads: Heads):
-        self._heads = heads
-
-    def bind(self, face: Face) -> CorrectedRig:
-        """Add zero where p scales no bone."""
-        carried = self._heads.carry(face)
-        return CorrectedRig(face.person.skin, face.shapes, lambda weights: carried)
-
-
-class Derivatives(_Ready):
-    """One factor and 52 solves at bind, then blendshapes; with `responses` False the settled neutral face alone."""
-
-    simulates = True
-
-    def __init__(self, *, responses: bool = True):
-        self._responses = responses
-        self.takes: Takes = "derivatives" if responses else "settled"
-        self.name = DERIVATIVES if responses else SETTLED
-
-    def bind(self, face: Face) -> BoundSurrogate:
-        """Take what the corpus keeps of the face."""
-        responses = face.responses.astype(np.float32) if self._responses else np.zeros(face.shapes.shape, np.float32)
-        return BoundSurrogate.from_face(face, FaceModes.linear(face.offset.astype(np.float32), responses))
-
-
-class NetworkMethod(_Ready):
-    """Trained weights of any kind, by a name; with `exact` offset and responses are the face's.
-
-    Raises InputError for `exact` with weights that have neither.
+    `how` are options of `prepare`, `options` those of `Prepared.solve`. Each frame begins at rest. One that does not
+    converge raises InputError with the reason.
     """
 
-    def __init__(self, weights: Weights, *, exact: bool = False, name: str = NETWORK):
-        self._surrogate, self.simulates = Surrogate(weights), exact
-        if exact:
-            self._surrogate.check_exact()
-        self.takes: Takes = "derivatives" if exact else "nothing"
-        self.name = f"{name} + {DERIVATIVES}" if exact else name
+    face: Face
+    solver: str
+    law: FaceLaw = PD_ENERGY
+    how: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    prepared: Prepared | None = None
 
-    def bind(self, face: Face) -> Rig:
-        """Bind by the run time's own arithmetic."""
-        return self._surrogate.bind_face(face, exact=self.simulates)
-
-    def swing(self, face: Face) -> Swings | None:
-        """Return how a face swings by learned coefficients; None for weights without."""
-        return self._surrogate.learned_swing(face)
-
-
-class _Simulated:
-    """A face of a corpus, simulated anew: head, settled neutral face and tangent."""
-
-    def __init__(self, heads: Heads, face: Face):
-        self.head, self.shapes = heads.fit(face), heads.shapes(face)
-        self.linear: FaceDerivatives = differentiate_head(self.head, heads.parameters(face, self.head))
-
-    def correct(self, weights, *, iterations: int | None = None) -> Floats:
-        """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to the end."""
-        expression = self.head.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
-        neutral = self.linear.face
-        scene = neutral.scene(expression)
-        if iterations is None:
-            solution = self.linear.solve(expression, accuracy=TOLERANCE, max_iterations=MOST)
-        else:
-            start, norm = self.linear.predict(expression), spring_norm(scene)
-            solution = self.linear.prepared.solve(
-                scene, start=start, absolute=TOLERANCE * norm, max_iterations=iterations, untangle=False
-            )
-        return neutral.skin_after(expression, solution.positions) - expression
+    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
+        """Solve an expression's scene; see `Rig.frame`."""
+        if blended is not None:
+            raise InputError("blended: a solver moves the face's own shapes alone")
+        known = check_weights(weights).astype(np.float64)
+        surface = check_out(out, self.face.skin.vertices.shape)
+        scene = self.face.scene(known, self.law)
+        if self.prepared is None:
+            self.prepared = prepare(scene, solver=self.solver, **self.how)
+        solution = self.prepared.solve(scene, **self.options)
+        if not solution.converged:
+            raise InputError(f"{self.solver}: {solution.reason}")
+        surface[:] = self.face.skin_after(known, solution.positions, self.law)
+        return surface
 
 
-class CoarsePD(_Ready):
-    """The simulator stopped after some iterations a frame, which begins at the first-order answer."""
-
-    simulates = True
-
-    def __init__(self, heads: Heads, iterations: int):
-        self._heads, self._iterations = heads, iterations
-        self.name = f"PD, {iterations} iteration{'s' if iterations > 1 else ''} a frame"
-
-    def bind(self, face: Face) -> CorrectedRig:
-        """Fit, settle, factor."""
-        simulated = _Simulated(self._heads, face)
-
-        def correct(weights: Floats32) -> Floats32:
-            return simulated.correct(weights, iterations=self._iterations).astype(np.float32)
-
-        return CorrectedRig(face.person.skin, face.shapes, correct)
+def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how: Any) -> Binder:
+    """Return what binds a face to a solver; `how` are options of `prepare`."""
+    return lambda face: SolverRig(get_live(face), solver, law, how, {"tolerance": tolerance})
 
 
-class BakedShapes(_Ready):
-    """Each of the 52 shapes simulated at full weight, once; frames are sums of what they do."""
+@check_arguments
+def blend(face: AnyFace) -> CorrectedRig:
+    """Bind T = S: the error of doing nothing."""
+    return CorrectedRig(face.skin, face.shapes, lambda weights: np.float32(0.0))
 
-    simulates, name = True, BAKED
 
-    def __init__(self, heads: Heads):
-        self._heads = heads
+@check_arguments
+def carry(face: AnyFace) -> CorrectedRig:
+    """Bind T - S as scaled bones carry the neutral skin, whatever the expression."""
+    carried = face.carried.astype(np.float32)
+    return CorrectedRig(face.skin, face.shapes, lambda weights: carried)
 
-    def bind(self, face: Face) -> BoundSurrogate:
-        """Solve fifty-three times."""
-        simulated = _Simulated(self._heads, face)
-        offset = simulated.correct(np.zeros(52))
-        shapes = np.stack([simulated.correct(unit) - offset for unit in np.eye(52)])
-        return BoundSurrogate.from_face(face, FaceModes.linear(offset.astype(np.float32), shapes.astype(np.float32)))
+
+@check_arguments
+def rest(face: AnyFace) -> BoundSurrogate:
+    """Bind T - S as the neutral face settles, whatever the expression."""
+    return _bind_linear(face, np.zeros(face.shapes.shape, dtype=np.float32))
+
+
+@check_arguments
+def differentiate(face: AnyFace) -> BoundSurrogate:
+    """Bind one factor and 52 solves, then blendshapes: the simulator to first order."""
+    return _bind_linear(face, face.responses.astype(np.float32))
+
+
+def _bind_linear(face: AnyFace, responses: Floats32) -> BoundSurrogate:
+    modes = FaceModes.linear(face.offset.astype(np.float32), responses)
+    swing = Swing.from_face(face) if isinstance(face, Face) else None
+    return BoundSurrogate(face.skin, modes, face.shapes.astype(np.float32), swing)
+
+
+def use_network(surrogate: Surrogate | None = None, *, exact: bool = False, beyond: Beyond = "refuse") -> Binder:
+    """Return what binds a face to a network, by default the shipped one; with `exact` beside the derivatives."""
+
+    def bind(face: AnyFace) -> BoundRig:
+        network = Surrogate.load() if surrogate is None else surrogate
+        return network.bind_face(face, exact=exact, beyond=beyond)
+
+    return bind
+
+
+@dataclass(frozen=True, eq=False)
+class DialRig:
+    """Frames of a face that tells its error, each within an accuracy [mm]."""
+
+    face: CertifiedFace
+    accuracy: float
+
+    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
+        """Make a frame by the cheapest method; see `Rig.frame`."""
+        if blended is not None:
+            raise InputError("blended: the dial moves the face's own shapes alone")
+        surface = check_out(out, self.face.skin.vertices.shape)
+        surface[:] = self.face.frame(weights, self.accuracy).skin
+        return surface
+
+
+def use_dial(accuracy: float = ACCURACY) -> Binder:
+    """Return what binds a face to the dial, at an accuracy [mm]."""
+    return lambda face: DialRig(certify(get_live(face)), accuracy)
+
+
+@check_arguments
+def start_at_first_order(face: AnyFace) -> CorrectedRig:
+    """Bind PD whose frames begin at the first order, as a corpus makes them."""
+    live = get_live(face)
+
+    def correct(weights: Floats32) -> Floats32:
+        expression = live.blend(weights)
+        solution = live.derivatives.solve(expression)
+        if not solution.converged:
+            raise InputError(f"{PD_FIRST_ORDER}: {solution.reason}")
+        return (live.skin_after(weights, solution.positions) - expression).astype(np.float32)
+
+    return CorrectedRig(face.skin, face.shapes, correct)
+
+
+def simulate(name: str, bind: Binder, colour: str, mark: str = "s") -> Method:
+    """Make a method that needs the simulator."""
+    return Method(name, bind, "simulator", colour, mark)
+
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        simulate(PD, solved_by("projective", tolerance=1e-8), "#1f77b4"),
+        simulate(PD_PLAIN, solved_by("projective", tolerance=1e-6, method="plain"), "#aec7e8"),
+        simulate(PD_ANDERSON, solved_by("projective", tolerance=1e-8, method="anderson"), "#6b8fd6"),
+        simulate(PD_ARAP, no_face, "#c5b0d5"),
+        simulate(PD_FIRST_ORDER, start_at_first_order, "#4c3f91"),
+        simulate(FENICSX, solved_by("fenicsx", tolerance=1e-10), "#d62728"),
+        simulate(FENICSX_P2, solved_by("fenicsx", tolerance=1e-10, element="P2"), "#8c1a1a"),
+        simulate(FENICSX_P2P1, solved_by("fenicsx", tolerance=1e-10, element="P2P1"), "#a0522d"),
+        simulate(FENICSX_NEO_HOOKEAN, solved_by("fenicsx", "neo-Hookean", tolerance=1e-10), "#8c564b"),
+        simulate(SKFEM, solved_by("skfem", tolerance=1e-10), "#c49c94"),
+        simulate(SKFEM_NEO_HOOKEAN, solved_by("skfem", "neo-Hookean", tolerance=1e-10), "#7a5c52"),
+        simulate(LIBIGL_ARAP, no_face, "#2ca02c"),
+        Method(NETWORK, use_network(), colour="#17becf", mark="o"),
+        simulate(DERIVATIVES, differentiate, "#006d5b", "o"),
+        simulate(NETWORK_AND_DERIVATIVES, use_network(exact=True), "#7a7a00", "o"),
+        simulate(DIAL, use_dial(), "#222222", "D"),
+        simulate(SETTLED, rest, "#9467bd", "^"),
+        Method(CARRIED, carry, "head", colour="#e377c2", mark="^"),
+        Method(BLENDSHAPES, blend, colour="#ff7f0e", mark="^"),
+    )
+}
+"""Every way to a frame, by its label."""
+OTHER = Method("a method of one's own", no_face)
+READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
+"""Methods at the price of blendshapes that learn nothing from a corpus."""
+
+
+@check_arguments
+def bind_cheaply(
+    face: Face, surrogate: Surrogate, *, exact: bool = False, beyond: Beyond = "refuse"
+) -> tuple[str, BoundRig]:
+    """Bind a face by what serves its head at the price of blendshapes; returns the method's label, too.
+
+    The network where the head is one of its people, with derivatives besides where it has their triangles or `exact`
+    asks for them; derivatives alone on other heads.
+    """
+    nearest = surrogate.find_nearest(face.skin)
+    if nearest is None:
+        return DERIVATIVES, differentiate(face)
+    exact = exact or not nearest.is_same
+    rig = surrogate.bind_face(face, exact=exact, beyond=beyond)
+    return NETWORK_AND_DERIVATIVES if exact else NETWORK, rig
+
+
+def ready_methods(surrogate: Surrogate) -> dict[str, Method]:
+    """Return READY with the weights of a surrogate, less what these cannot do."""
+    ready = {name: METHODS[name] for name in READY}
+    ready[NETWORK] = replace(METHODS[NETWORK], bind=use_network(surrogate))
+    ready[NETWORK_AND_DERIVATIVES] = replace(METHODS[NETWORK_AND_DERIVATIVES], bind=use_network(surrogate, exact=True))
+    if not surrogate.has_derivatives:
+        del ready[NETWORK_AND_DERIVATIVES]
+    return ready
+
+
+@check_arguments
+def certify(face: Face, surrogate: Surrogate | None = None) -> CertifiedFace:
+    """Bind a face that tells each frame's error to the simulator; some seconds.
+
+    The surrogate, by default the shipped one, adds what is not linear where it knows the head's triangles and the
+    parameters; elsewhere it is left out. Raises what the simulator raises.
+    """
+    network = Surrogate.load() if surrogate is None else surrogate
+    if network.has_derivatives and network.knows(face.skin):
+        try:
+            rig = network.bind_face(face, exact=True)
+            assert isinstance(rig, BoundSurrogate)
+            return CertifiedFace(face, rig, NETWORK_AND_DERIVATIVES)
+        except UnseenError:
+            pass
+    return CertifiedFace(face, differentiate(face), DERIVATIVES)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numba
 import numpy as np
 
 from ..lhm.arkit import ARKIT
-from ..lhm.base.checks import array_of_kind, in_range, real
+from ..lhm.base.checks import array_of_kind, in_range
 from ..lhm.base.errors import InputError
-from ..lhm.base.geometry.likeness import FARTHEST, check_moved
+from ..lhm.base.geometry.likeness import check_moved
 from ..lhm.base.geometry.warp import rigid_motion
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.fit import is_upright
@@ -21,12 +21,10 @@ from .networks.layers import silu
 WEIGHTS = len(ARKIT)
 FARTHEST_CODE = 4.0
 """Of a number of a code, which is standard normal: every space draws and fits up to 2.5."""
-LEAST_SHAPE = 1.0
-"""[mm] That the largest of the 52 shapes moves a vertex at least: a jaw opens by 40, in metres by .04."""
-NEIGHBOURS = 2000
-"""How many pairs of neighbours say whether a shape is smooth, about."""
-MOST_ROUGH = 0.55
-"""Of a shape's difference between neighbours to its own size: Anny's have 0.12, coarse spheres 0.40, shuffled 0.72."""
+
+
+Needs = Literal["nothing", "head", "simulator"]
+"""What a method needs to bind a face, or for a frame, beside its skin, shapes and p."""
 
 
 class Rig(Protocol):
@@ -77,31 +75,6 @@ def check_skin(skin: Surface, template: Surface, of: str) -> None:
 def check_code(code, size: int) -> Floats:
     """Return h as float64, shape (size,); InputError for other shapes, and for numbers beyond FARTHEST_CODE."""
     return in_range("code", code, -FARTHEST_CODE, FARTHEST_CODE, (size,))
-
-
-def check_shapes(expressions, skin: Surface) -> Floats32:
-    """Return what the 52 weights add to a skin [mm], float32, shape (52, n, 3).
-
-    InputError for other shapes, and for displacements of another unit or order of vertices.
-    """
-    expected = (WEIGHTS, len(skin.vertices), 3)
-    shapes = real("expressions", expressions, expected, most=FARTHEST).astype(np.float32, order="C", copy=False)
-    largest = np.abs(shapes).max(axis=(1, 2))
-    if 0.0 < largest.max() < LEAST_SHAPE:
-        raise InputError(
-            f"expressions: the largest moves by {largest.max():.2g} mm, expected at least {LEAST_SHAPE:g}; "
-            "are its units off?"
-        )
-    one, other, _ = skin.triangles[:: max(1, len(skin.triangles) // NEIGHBOURS)].T
-    apart = 0.5 * np.mean(np.square(shapes[:, one] - shapes[:, other]), axis=(1, 2))
-    rough = np.where(largest >= LEAST_SHAPE, apart / np.maximum(np.mean(np.square(shapes), axis=(1, 2)), 1e-12), 0.0)
-    worst = int(rough.argmax())
-    if rough[worst] > MOST_ROUGH:
-        raise InputError(
-            f"expressions: {ARKIT[worst]} moves neighbours apart ({rough[worst]:.2f} of its motion, expected at most "
-            f"{MOST_ROUGH:g}); are its vertices in another order?"
-        )
-    return shapes
 
 
 def check_weights(weights) -> Floats32:

@@ -16,11 +16,10 @@ import numpy as np
 
 from ..lhm.base.mesh import Floats
 from ..reference import Parameters
-from .corpus.mixture import STATIC
+from .corpus.mixture import BONES, STATIC
 
 MOVES = 0.05
 """[mm] A vertex counts as moving where |T - carried(S)| is larger."""
-BONES = tuple(f"{bone}_scale_{axis}" for bone in ("cranium", "mandible") for axis in "xyz")
 EFFECTS = {
     "gravity": ("gravity", "gravity_x", "gravity_y", "gravity_z"),
     "volume and growth": ("soft_volume", "muscle_volume", "skin_growth"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -20,15 +20,15 @@ from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
+from ..lhm.skin import check_shapes
 from ..reference import Parameters
-from ..reference.face.derivatives import differentiate_head
+from ..reference.face.face import Face
+from ..reference.face.local import at_vertices as spread_over
 from .baked import BakedRig, bake, compress
 from .codes import SAME, NearestPerson, check_belonging
-from .corpus.face import MOVED, Face
+from .corpus.face import MOVED, KeptFace
 from .corpus.mixture import NAMES, STATIC, basis
 from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
-from .local import at_vertices as spread_over
-from .local import of_static, on_wraps
 from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
@@ -42,7 +42,6 @@ from .rig import (
     check_blended,
     check_code,
     check_out,
-    check_shapes,
     check_skin,
     check_weights,
 )
@@ -50,6 +49,14 @@ from .rig import (
 Beyond = Literal["refuse", "clamp"]
 SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))
 """The weights of the default space."""
+
+
+Described = tuple[Surface, Floats, Floats, Floats32, Swings | None]
+"""What a network needs of a face: skin, code, p at its vertices, shapes, and how it swings."""
+
+
+class UnseenError(InputError):
+    """Parameters are beyond what a network has seen."""
 
 
 class Surrogate:
@@ -61,8 +68,8 @@ class Surrogate:
     @classmethod
     @check_arguments
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
-        """Read weights; None is the network that is shipped, of the default space. InputError if it is damaged."""
-        return cls(Weights.load(SHIPPED if path is None else path))
+        """Read weights; None is the network that is shipped, of the default space, read once. InputError if damaged."""
+        return _load_shipped() if path is None else cls(Weights.load(path))
 
     @property
     def space(self) -> str:
@@ -106,38 +113,67 @@ class Surrogate:
         of range or of another person, and for parameters that are refused, and what the simulator raises.
         """
         self._check_skin(skin)
-        weights = self.weights
-        code = check_code(code, len(weights.code_mean))
-        if self.space == "anny":
-            check_belonging(self._people, code, skin)
-        chosen = Parameters() if parameters is None else parameters
-        at_vertices = _within_seen(_at_vertices(chosen, weights.mean), weights.note.seen, beyond)
-        shapes = self._expressions(code, expressions)
         if exact:
             self.check_exact()
-            fitted = self._head(skin, head)
-            offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
-            rig = self._bind_modes(skin, code, at_vertices, shapes, Swing.from_head(fitted, chosen))
-            return rig.with_derivatives(offset, responses)
-        return self._bind(skin, code, at_vertices, shapes, self._swing(skin, code, chosen, at_vertices))
+        code = check_code(code, len(self.weights.code_mean))
+        if self.space == "anny":
+            check_belonging(self._people, code, skin)
+        shapes = self._expressions(code, expressions)
+        chosen = Parameters() if parameters is None else parameters
+        if exact:
+            chosen = chosen if isinstance(chosen, Parameters) else _from_array(chosen, skin)
+            whole = Face(self._head(skin, head), shapes.astype(np.float64), chosen, code=code)
+            return self.bind_face(whole, exact=True, beyond=beyond)
+        at_vertices = _within_seen(_at_vertices(chosen, skin), self.weights.note.seen, beyond)
+        swinging = chosen if isinstance(chosen, Parameters) else Parameters()
+        oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
+        return self._bind(skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation))
 
-    def bind_face(self, face: Face, *, exact: bool = False) -> BoundRig:
-        """Bind a face of a corpus; with `exact`, its own offset and responses.
+    def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
+        """Bind a face, live or of a corpus; with `exact`, with its own offset and responses.
 
-        A network that has one value of each parameter for the whole face takes the mean of those that vary.
+        A face without a code gets that of the nearest person. A network that has one value of each parameter for the
+        whole face takes the mean of those that vary in a corpus. Raises as `bind`; UnseenError for p beyond what the
+        network has seen.
         """
-        skin = self.weights.mean.with_vertices(face.skin)
-        shapes = np.asarray(face.shapes, dtype=np.float32)
+        if exact:
+            self.check_exact()
+        described = self._describe_kept(face) if isinstance(face, KeptFace) else self._describe(face, beyond, exact)
+        rig = self._bind(*described)
+        if not exact:
+            return rig
+        assert isinstance(rig, BoundSurrogate)
+        return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
+
+    def _describe(self, face: Face, beyond: Beyond, exact: bool) -> Described:
+        self._check_skin(face.skin)
+        given = np.stack([face.at_vertices(name) for name in STATIC], axis=1)
+        at_vertices = _within_seen(given, self.weights.note.seen, beyond)
+        code = self._code_of(face)
+        swing: Swings | None = Swing.from_face(face) if exact else None
+        if swing is None:
+            swing = self._swing(code, at_vertices, np.stack([face.at_vertices(name) for name in OSCILLATION]))
+        return face.skin, code, at_vertices, face.shapes.astype(np.float32), swing
+
+    def _describe_kept(self, face: KeptFace) -> Described:
         at_vertices = self.inputs.features.at_vertices(face.coefficients)
         if self.weights.kind in FORMS and not FORMS[self.weights.kind].follows_fields:
             at_vertices = np.broadcast_to(at_vertices.mean(axis=0), at_vertices.shape)
-        if not exact:
-            return self._bind(skin, face.code, at_vertices, shapes)
-        self.check_exact()
-        rig = self._bind_modes(skin, face.code, at_vertices, shapes)
-        return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
+        skin = self.weights.mean.with_vertices(face.skin.vertices)
+        return skin, face.code, at_vertices, np.asarray(face.shapes, dtype=np.float32), self.learned_swing(face)
 
-    def learned_swing(self, face: Face) -> Swings | None:
+    def _code_of(self, face: Face) -> Floats:
+        if face.code is not None:
+            code = check_code(face.code, len(self.weights.code_mean))
+            if self.space == "anny":
+                check_belonging(self._people, code, face.skin)
+            return code
+        nearest = self.find_nearest(face.skin)
+        if nearest is None:
+            raise InputError(f"code: the face of a person of {self.space!r} needs one")
+        return nearest.code
+
+    def learned_swing(self, face: KeptFace) -> Swings | None:
         """Return how a face of a corpus swings by learned coefficients of Eq. 21; None for weights without."""
         learned = self.weights.recurrence
         if learned is None:
@@ -146,25 +182,26 @@ class Surrogate:
         at_vertices = np.clip(waves @ face.parameters.coefficients.T.astype(np.float64), -1.0, 1.0)
         return learned.bind(self.inputs.code(face.code), at_vertices)
 
-    def _swing(self, skin: Surface, code: Floats, parameters: Parameters | Floats, static: Floats) -> Swings | None:
+    def _swing(self, code: Floats, static: Floats, oscillation: Floats) -> Swings | None:
         """Return how a face swings, by what was learned or by where it is loose; None where neither is known."""
         learned, known = self.weights.recurrence, self.weights.looseness
         if learned is not None:
-            chosen = parameters if isinstance(parameters, Parameters) else Parameters()
-            columns = dict(zip(STATIC, static.T, strict=True))
-            for name in OSCILLATION:
-                value = spread_over(name, getattr(chosen, name), skin)
-                columns[name] = np.asarray(Parameters.info(name).normalise(value))
+            columns = dict(zip((*STATIC, *OSCILLATION), (*static.T, *oscillation), strict=True))
             return learned.bind(self.inputs.code(code), np.stack([columns[name] for name in NAMES], axis=1))
-        return None if known is None else Swing.from_shares(*known.at(code), parameters, skin)
+        return None if known is None else Swing.from_shares(*known.at(code), oscillation)
+
+    @property
+    def has_derivatives(self) -> bool:
+        """Whether the network has an offset and responses, which the simulator's can replace."""
+        return self.weights.kind == "modal"
 
     def check_exact(self) -> None:
         """Raise InputError for a network that has no offset and responses which the simulator could replace."""
-        if self.weights.kind != "modal":
+        if not self.has_derivatives:
             raise InputError(f"exact: a network of kind {self.weights.kind!r} has no offset and responses to replace")
 
     def _bind(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None = None
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None
     ) -> BoundRig:
         if self.weights.kind in FORMS:
             form, network, code = FORMS[self.weights.kind], self.weights.network, self.inputs.code(code)
@@ -172,7 +209,7 @@ class Surrogate:
         return self._bind_modes(skin, code, at_vertices, shapes, swing)
 
     def _bind_modes(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None = None
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None
     ) -> BoundSurrogate:
         network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
@@ -211,7 +248,7 @@ class Surrogate:
             if self.space != "anny":
                 raise InputError("expressions: not known for the weights' space; bind needs expressions=")
             expressions = self._people.expression_deltas(code)
-        return check_shapes(expressions, self.weights.mean)
+        return check_shapes(expressions, self.weights.mean).astype(np.float32)
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -223,31 +260,6 @@ class Surrogate:
         if self.space != "anny":
             raise InputError(f"head: none is fitted for the space {self.space!r}; give bind(exact=True, head=)")
         return fit_head(load_template(identities.Anny()), skin)
-
-
-def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
-    """Compute T - S at w = 0, shape (n, 3), and its derivatives by shapes (k, n, 3), all [mm]; some seconds.
-
-    InputError for a face that does not settle under these parameters, and what the simulator raises.
-    """
-    first = differentiate_head(head, parameters)
-    deltas = shapes.astype(np.float64)
-    offset = (first.offset + first.face.displacement).astype(np.float32)
-    return offset, (first.skin_by_shapes(deltas) - deltas).astype(np.float32)
-
-
-@check_arguments
-def derivatives_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
-    """Return a rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
-
-    expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3); parameters: local values are one per
-    face of the skin. What is not linear in the weights is left out. Raises InputError for other shapes, and what the
-    simulator raises.
-    """
-    chosen = Parameters() if parameters is None else parameters
-    shapes = check_shapes(expressions, head.skin)
-    offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
-    return BoundSurrogate(head.skin, FaceModes.linear(offset, responses), shapes, Swing.from_head(head, chosen))
 
 
 class BoundSurrogate:
@@ -267,11 +279,6 @@ class BoundSurrogate:
         self._amplitudes = np.zeros(WEIGHTS + count, dtype=np.float32)
         self._shapes = self._added.copy()
         self._shapes[:WEIGHTS] += expressions.reshape(WEIGHTS, -1)
-
-    @classmethod
-    def from_face(cls, face: Face, modes: FaceModes) -> BoundSurrogate:
-        """Bind what a method says of a face of a corpus."""
-        return cls(face.person.skin, modes, np.asarray(face.shapes, dtype=np.float32))
 
     def with_derivatives(self, offset: Floats32, responses: Floats32) -> BoundSurrogate:
         """Return the same rig with the simulator's offset (n, 3) and responses (52, n, 3) [mm]."""
@@ -319,15 +326,26 @@ class BoundSurrogate:
         return dynamic_rig(self, self.swing, time_step)
 
 
-def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
-    """STATIC mapped to [-1, 1] at the vertices, shape (n, P), by `local.at_vertices`."""
-    faces = len(mean.triangles)
+@cache
+def _load_shipped() -> Surrogate:
+    return Surrogate(Weights.load(SHIPPED))
+
+
+def _at_vertices(parameters: Parameters | Floats, skin: Surface) -> Floats:
+    """STATIC mapped to [-1, 1] at the vertices, shape (n, P)."""
     if isinstance(parameters, Parameters):
         columns = [getattr(parameters, name) for name in STATIC]
     else:
-        columns = list(finite("parameters", parameters, (faces, len(STATIC))).T)
-    pairs = zip(STATIC, columns, strict=True)
-    return np.stack([Parameters.info(name).normalise(spread_over(name, value, mean)) for name, value in pairs], axis=1)
+        columns = list(finite("parameters", parameters, (len(skin.triangles), len(STATIC))).T)
+    return np.stack([spread_over(name, value, skin) for name, value in zip(STATIC, columns, strict=True)], axis=1)
+
+
+def _from_array(parameters: Floats, skin: Surface) -> Parameters:
+    """Parameters of an array of STATIC per face, shape (faces, P): what may not vary takes its mean."""
+    columns = zip(STATIC, finite("parameters", parameters, (len(skin.triangles), len(STATIC))).T, strict=True)
+    return Parameters(
+        **{name: value if Parameters.info(name).local and np.ptp(value) else value.mean() for name, value in columns}
+    )
 
 
 def _check_finite(modes: FaceModes) -> FaceModes:
@@ -351,7 +369,7 @@ def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], b
         worst = at_vertices[np.argmax(np.abs(at_vertices[:, k])), k]
         text = f"parameter {name} = {info.denormalise(worst):.4g} is beyond [{bounds}], what the network has seen"
         if beyond == "refuse":
-            raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
+            raise UnseenError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
 

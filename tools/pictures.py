@@ -151,16 +151,17 @@ def viewer(scan: Path) -> bytes:
     from playwright.sync_api import sync_playwright
 
     from softdeca.animation.page import Rig, render_face_page
-    from softdeca.reference import Parameters
-    from softdeca.surrogate import Surrogate
+    from softdeca.reference import Face
+    from softdeca.surrogate import METHODS
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise SystemExit("viewer: Chromium is not installed")
     head, space, code = face()
-    rig = Rig.baked("network", Surrogate.load().bind(space.skin(code), code, Parameters()))
+    shown = Face(head, space.expression_deltas(code), code=code)
+    rig = Rig.baked("network", METHODS["network"].bind(shown))
     words = "Turn it with the mouse or a finger. The layers beneath move as the simulator says, to first order."
-    text = render_face_page("the default head", words, head, Parameters(), space.expression_deltas(code), [rig])
+    text = render_face_page("the default head", words, shown, [rig])
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         file = Path(folder) / "view.html"
         file.write_text(text)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...reference import Face
 from ..page import POSES, Packed, fill_page, pack_skin
 from .controls import PRESETS, describe_controls
-from .face import LiveFace
+from .face import list_methods
 
 
-def render_live_page(title: str, face: LiveFace, socket: str) -> str:
+def render_live_page(title: str, face: Face, socket: str) -> str:
     """Render the page of a face whose websocket is at the path `socket`; InputError for p that no slider shows."""
     packed = Packed()
     content = pack_skin(packed, face.head.skin) | {
         "neutral": packed.add("neutral", face.head.skin.vertices.astype(np.float32)),
         "socket": socket,
-        "controls": describe_controls(face.start),
+        "controls": describe_controls(face.parameters),
         "effects": PRESETS,
         "poses": POSES,
-        "methods": face.methods,
+        "methods": list_methods(face),
     }
     return fill_page("live.html", packed, content, app="live.js", title=title)

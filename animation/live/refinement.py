@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
 
 from ...lhm.base.errors import SceneError
-from ...reference import Parameters
+from ...reference import Face, Parameters
 from ...reference.face.derivatives import Analysis
-from ...surrogate import CertifiedFace, Surrogate
+from ...surrogate import CertifiedFace, Surrogate, certify
 from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES, PD
-from .face import LiveFace
 from .messages import Change, DerivativesFound, Frame
 
 ENOUGH = 3e-5
@@ -29,9 +31,8 @@ class SupersededError(Exception):
 class Refinement:
     """Refines answers about one face; what it prepared for a p serves all expressions under it."""
 
-    def __init__(self, face: LiveFace):
-        self._face = face
-        self._network = None if face.nearest is None else Surrogate.load()
+    def __init__(self, face: Face):
+        self._face, self._network = face, Surrogate.load()
         self._now: tuple[Parameters, CertifiedFace] | None = None
         self._analysis: Analysis | None = None
 
@@ -45,16 +46,11 @@ class Refinement:
         SupersededError as soon as it is; InputError for a face that does not settle, and what the simulator raises.
         """
         self._now = None  # before another is made: a factor is an eighth of a gigabyte
-        face = CertifiedFace.from_head(
-            self._face.head,
-            self._face.shapes,
-            parameters,
-            surrogate=self._network,
-            like=self._analysis,
-            on_iteration=lambda *_: _check(is_superseded),
-        )
-        self._now, self._analysis = (parameters, face), face.frames.linear.analysis
-        return DerivativesFound(parameters, face.rig.modes.offset, face.rig.modes.responses)
+        watched = lambda *_: _check(is_superseded)  # noqa: E731
+        face = replace(self._face, parameters=parameters, like=self._analysis, on_iteration=watched)
+        self._now, self._analysis = (parameters, certify(face, self._network)), face.derivatives.analysis
+        offset, responses = (array.astype(np.float32) for array in (face.offset, face.responses))
+        return DerivativesFound(parameters, offset, responses)
 
     def frames(self, change: Change, is_superseded: IsSuperseded) -> Iterator[Frame]:
         """Answer a change under the p that was prepared, better and better, until the simulator has converged.

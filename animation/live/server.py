@@ -21,7 +21,8 @@ from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.limits import CHANGE_BYTES, CHANGES_PER_SECOND, PORT, TABS
-from .face import FirstAnswer, LiveFace
+from ...reference import Face
+from .face import FirstAnswer
 from .messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
 from .page import render_live_page
 from .worker import Message, Worker
@@ -47,7 +48,7 @@ SLACK = 5.0
 
 
 def serve_face(
-    face: LiveFace,
+    face: Face,
     title: str,
     *,
     port: int | None = None,
@@ -74,7 +75,7 @@ def serve_face(
 class _Server:
     """The page, the tabs that are open, and the one thread that makes their first answers."""
 
-    def __init__(self, face: LiveFace, title: str, on_trouble: Callable[[str], None]):
+    def __init__(self, face: Face, title: str, on_trouble: Callable[[str], None]):
         self.face, self.on_trouble = face, on_trouble
         self.first = FirstAnswer(face)
         self.thread = ThreadPoolExecutor(1, thread_name_prefix="first answers")
@@ -90,7 +91,7 @@ class _Server:
             with suppress(NotImplementedError, AttributeError):  # systems without
                 loop.add_signal_handler(getattr(signal, name), stopped.set)
         # Compiled code is loaded before somebody waits for it.
-        await self.in_thread(self.first.frame, read_change(UNCHANGED, self.face.start))
+        await self.in_thread(self.first.frame, read_change(UNCHANGED, self.face.parameters))
         silent = logging.Logger("softdeca.animation.live", logging.CRITICAL)  # strangers' broken handshakes are no news
         try:
             serving = await serve(
@@ -194,7 +195,7 @@ class _Tab:
                 await self._socket.close(TOO_MUCH, f"more than {CHANGES_PER_SECOND.most} changes in a second")
                 return
             try:
-                self._newest = self._to_answer = read_change(message, self._server.face.start)
+                self._newest = self._to_answer = read_change(message, self._server.face.parameters)
                 self._better = None
             except SoftdecaError as error:
                 self._notes.append(Note("refused", str(error)))

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import SoftdecaError
-from .face import LiveFace
+from ...reference import Face
 from .messages import Change, DerivativesFound, Frame, Note
 from .refinement import Refinement, SupersededError
 
@@ -87,7 +87,7 @@ def work(connection: Connection) -> None:
     """Refine what comes by the connection, first the face, then changes, until it ends."""
     os.nice(POLITE)
     try:
-        face: LiveFace = connection.recv()
+        face: Face = connection.recv()
     except (EOFError, OSError):
         return
     newest = Newest()
@@ -112,7 +112,7 @@ class Worker:
     `on_message` and `on_end`, which tells that it ended by itself, are called by a thread of its own.
     """
 
-    def __init__(self, face: LiveFace, on_message: OnMessage, on_end: Callable[[], None]):
+    def __init__(self, face: Face, on_message: OnMessage, on_end: Callable[[], None]):
         self._face, self._on_message, self._on_end = face, on_message, on_end
         self._starting, self._sending = threading.Lock(), threading.Lock()
         self._is_over = False

@@ -221,7 +221,7 @@ def draw_figure(rows: Rows) -> str:
         return ""
     drawn, axis = subplots(figsize=(12, 4.4))
     for name, point in found.items():
-        colour, mark = METHODS[name]
+        colour, mark = METHODS[name].colour, METHODS[name].mark
         axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
         axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
         axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)

@@ -16,6 +16,7 @@ from ...lhm.base.option import option
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.template import DEFAULT_LEVEL, LEVELS
+from ...reference import Face, Parameters
 from ...reference.added import all_solvers
 from ..harness.study import Study
 
@@ -59,6 +60,10 @@ class Person:
     space: LinearSpace
     code: Floats
     head: LayeredHead
+
+    def face(self, parameters: Parameters) -> Face:
+        """Give the face under p, local values one per triangle of the wraps."""
+        return Face(self.head, self.space.expression_deltas(self.code), parameters, per="wraps", code=self.code)
 
     def shape(self, text: str) -> Floats:
         """Give the skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""

@@ -23,10 +23,10 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.methods import BonesCarried, Derivatives, NetworkMethod
+from softdeca.surrogate.methods import ready_methods
 from softdeca.surrogate.networks.modal_training import ModalTraining, train_modal
 from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.trials import static_trials
 
 plan = CorpusPlan(
     identities=14, groups=3, frames=6, sequences=0, references=0, parameter_responses=0.0, varying=0.0,
@@ -82,9 +82,8 @@ assert curve[-1]["loss"] < curve[0]["loss"]
 # motion that bones alone do not explain, |T - carried(S)|.
 
 # %%
-heads = Heads(people)
-methods = [NetworkMethod(weights), Derivatives(), Derivatives(responses=False)]
-for score in evaluate([*methods, BonesCarried(heads)], test, heads):
+methods = ready_methods(Surrogate(weights))
+for score in evaluate([*methods.values()], static_trials(test)):
     if score.kind == "all":
         print(f"{score.method:<34} mean {score.mean:.4f} mm, {100 * score.share:.1f} %")
 

@@ -16,8 +16,8 @@ import trimesh
 from softdeca.animation.head_pictures import draw_sections
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
 from softdeca.lhm.head_file import load_head, save_head
-from softdeca.reference import Parameters, facial_scene, settle, solve
-from softdeca.surrogate import derivatives_rig
+from softdeca.reference import Face, Parameters, facial_scene, settle, solve
+from softdeca.surrogate import METHODS
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ assert solution.converged and heavier.solution.converged
 # No network knows this head, so its rig takes the simulator's derivatives; a frame is then as cheap as blendshapes.
 
 # %%
-rig = derivatives_rig(head, head.rig.deltas, Parameters())
+rig = METHODS["derivatives"].bind(Face(head, head.rig.deltas))
 frame = rig.frame(expressions.weights_of({"jawOpen": 0.6, "mouthSmileLeft": 0.5}))
 answer = head.skin_after(shape, solution.positions[: len(head.bone)])
 error, nothing = (

@@ -89,7 +89,6 @@ STUDIED_FRAMES = Bound("frames of a study", 100_000, "each is 0.1 s of work or m
 DRAWN_HEADS = Bound("heads to draw", 1_000, "each is simulated and drawn")
 RANDOM_STARTS = Bound("random starts", 1_000, "each is a solve")
 UNKNOWNS = Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1)
-STUDIED_PAIRS = Bound("pairs of people", 10_000, "each pair is a minute of work")
 FACES = Bound("faces", 100_000, "each face is some seconds of work")
 RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from ..scene import Scene
 from ..solution import OnIteration, Solution
 from .palsy import Springs
 from .parameters import Parameters
-from .settle import TARGET_OPTIONS, SettledFace, neutral_scene, settle
+from .settle import SettledFace, neutral_scene
 
 FRAME_ACCURACY, QUICK_ACCURACY, TIGHT_ACCURACY = 2.5e-5, 2e-6, 1e-8
 """Gradient norms, relative to that of the targets' springs each 1 mm long: of a frame, of a neutral answer that the PD
@@ -39,6 +40,13 @@ class Analysis:
     """The symbolic work on a face, which serves every other of the same template and choices."""
 
     pattern: Pattern
+
+
+class Rested(NamedTuple):
+    """A settled face's neutral scene, prepared, and its answer by the PD matrix, which may not have converged."""
+
+    prepared: ProjectivePrepared
+    answer: Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +100,8 @@ class FaceDerivatives:
         along: see `vertices_by_parameters`.
         """
         face, head = self.face, self.face.head
-        settling = _solve_neutral(neutral_scene(head, face.parameters, **face.choices), face.positions, self.analysis)
+        prepared, near = _rest(neutral_scene(head, face.parameters, **face.choices), face.positions)
+        settling = _factor(prepared, near, self.analysis)
 
         def settling_at(parameters: Parameters, targets: Floats) -> Scene:
             return neutral_scene(head, parameters, **face.choices)
@@ -101,7 +110,7 @@ class FaceDerivatives:
             moved = SettledFace(head, parameters, face.positions, targets - head.skin.vertices, None, face.choices)
             return moved.scene(head.skin.vertices)
 
-        settled = vertices_by_parameters(settling[2], settling_at, face.parameters, face.skin, along)
+        settled = vertices_by_parameters(settling[1], settling_at, face.parameters, face.skin, along)
         drift = {name: head.skin_from_wrap @ move[: len(head.bone)] for name, move in settled.items()}
         moved = vertices_by_parameters(self.tangent, scene_at, face.parameters, face.skin, along, drift=drift)
         skins = _skin_by(head, np.stack(list(moved.values())), np.stack(list(drift.values())))
@@ -144,35 +153,29 @@ def differentiate(
     *,
     accuracy: float = TIGHT_ACCURACY,
     like: FaceDerivatives | Analysis | None = None,
+    rested: Rested | None = None,
     on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
     """Prepare a settled face's scenes, solve the neutral one and factor its Hessian.
 
     accuracy is the gradient norm of the neutral answer, relative to that of the targets' springs each 1 mm long: one
     factor does for QUICK_ACCURACY and above, below it takes two. `like`, another of the same template and choices,
-    lends its symbolic work. `on_iteration` sees the neutral solve; what it raises ends all. Raises SceneError for
-    choices with contact.
+    lends its symbolic work. `rested` is what `rest_among_targets` has made to this accuracy. `on_iteration` sees the
+    neutral solve; what it raises ends all. Raises SceneError for choices with contact.
     """
-    scene = face.scene(face.head.skin.vertices)
+    prepared, near = rest_among_targets(face, accuracy, on_iteration) if rested is None else rested
     analysis = like.analysis if isinstance(like, FaceDerivatives) else like
-    return FaceDerivatives(face, *_solve_neutral(scene, face.positions, analysis, accuracy, on_iteration))
+    return FaceDerivatives(face, prepared, *_factor(prepared, near, analysis, accuracy, on_iteration))
 
 
-def differentiate_head(
-    head: LayeredHead,
-    parameters: Parameters,
-    *,
-    like: FaceDerivatives | Analysis | None = None,
-    on_iteration: OnIteration | None = None,
-) -> FaceDerivatives:
-    """Settle a head under p and differentiate it; some seconds. InputError for one that does not come to rest.
+def rest_among_targets(
+    face: SettledFace, accuracy: float = QUICK_ACCURACY, on_iteration: OnIteration | None = None
+) -> Rested:
+    """Prepare a settled face's neutral scene and solve it by the PD matrix, to `accuracy` or near enough for a tangent.
 
-    `like` and `on_iteration`, which also sees how the face settles, as of `differentiate`.
+    accuracy and `on_iteration` as of `differentiate`.
     """
-    face = settle(head, parameters, on_iteration=on_iteration, **TARGET_OPTIONS)
-    if not face.converged:
-        raise InputError(f"the face does not settle under these parameters ({face.reason})")
-    return differentiate(face, accuracy=QUICK_ACCURACY, like=like, on_iteration=on_iteration)
+    return _rest(face.scene(face.head.skin.vertices), face.positions, accuracy, on_iteration)
 
 
 def spring_norm(scene: Scene) -> float:
@@ -181,30 +184,40 @@ def spring_norm(scene: Scene) -> float:
     return float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
 
 
-def _solve_neutral(
-    scene: Scene,
-    start: Floats,
+def _rest(
+    scene: Scene, start: Floats, accuracy: float = TIGHT_ACCURACY, on_iteration: OnIteration | None = None
+) -> Rested:
+    # By cholespy: its factor takes a tenth of a second more than CHOLMOD's from an analysis, each solve a third less.
+    prepared = prepare(scene)
+    first = max(accuracy, FRAME_ACCURACY if accuracy < QUICK_ACCURACY else 0.0) * spring_norm(scene)
+    return Rested(
+        prepared, prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)
+    )
+
+
+def _factor(
+    prepared: ProjectivePrepared,
+    near: Solution,
     like: Analysis | None,
     accuracy: float = TIGHT_ACCURACY,
     on_iteration: OnIteration | None = None,
-) -> tuple[ProjectivePrepared, Solution, Tangent]:
-    """Prepare a scene, solve it by the PD matrix and, where need be, the tangent; factor the tangent there."""
-    # By cholespy: its factor takes a tenth of a second more than CHOLMOD's from an analysis, each solve a third less.
-    prepared = prepare(scene)
-    norm, is_quick = spring_norm(scene), accuracy >= QUICK_ACCURACY
-    first = (accuracy if is_quick else FRAME_ACCURACY) * norm
-    near = prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)
+) -> tuple[Solution, Tangent]:
+    """Factor the tangent at an answer, which goes on by that where it is not accurate yet."""
     tangent = prepared.tangent(near, like=None if like is None else like.pattern)
-    if is_quick and near.converged:
-        return prepared, near, tangent
+    if accuracy >= QUICK_ACCURACY and near.converged:
+        return near, tangent
     answer = prepared.solve(
-        start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False, on_iteration=on_iteration
+        start=near.positions,
+        absolute=accuracy * spring_norm(prepared.scene),
+        metric=tangent,
+        untangle=False,
+        on_iteration=on_iteration,
     )
     if answer.iterations:
         pattern = tangent.pattern
         del tangent  # before another factor is made: each is an eighth of a gigabyte
         tangent = prepared.tangent(answer, like=pattern)
-    return prepared, answer, tangent
+    return answer, tangent
 
 
 def vertices_by_parameters(

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from .mixture import ParameterSet
+from ...reference import Parameters
+from ...reference.face.face import Face
+from .mixture import BONES, ParameterSet
+
+if TYPE_CHECKING:
+    from .heads import Heads
 
 MOVED = 500.0
 """[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
@@ -36,18 +43,19 @@ class Derivatives:
 
 
 @dataclass(frozen=True, eq=False)
-class Face:
-    """Person number `identity` under `parameters`.
+class KeptFace:
+    """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
-    settled (n, 3) [mm]: how far p moves the neutral skin before targets hold it there. derivatives: None where a corpus
-    has only the neutral face.
+    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there. derivatives: None where a
+    corpus has only the neutral face. What the corpus does not have is asked of `live`.
     """
 
     identity: int
     person: Person
     parameters: ParameterSet
-    settled: np.ndarray
+    displacement: np.ndarray
     derivatives: Derivatives | None = None
+    heads: Heads | None = None
 
     @property
     def code(self) -> Floats:
@@ -55,9 +63,9 @@ class Face:
         return self.person.code
 
     @property
-    def skin(self) -> Floats:
-        """The person's neutral skin without p [mm], shape (n, 3)."""
-        return self.person.skin.vertices
+    def skin(self) -> Surface:
+        """The person's neutral skin without p [mm]."""
+        return self.person.skin
 
     @property
     def shapes(self) -> np.ndarray:
@@ -69,26 +77,45 @@ class Face:
         """The coefficients of STATIC, shape (P, 1 + WAVES); see `mixture`."""
         return self.parameters.static
 
+    def blend(self, weights) -> Floats:
+        """Blend the shapes [mm], shape (..., n, 3), without p: S of weights (..., 52)."""
+        return self.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
+
+    @cached_property
+    def live(self) -> Face:
+        """The face on a head that is fitted anew; InputError where nobody fits the person's head."""
+        if self.heads is None:
+            raise InputError(f"face of person {self.identity}: a head is needed, but nobody fits it")
+        head = self.heads.head(self.person)
+        parameters = self.parameters.parameters(head, self.heads.people.mean)
+        return Face(head, np.asarray(self.shapes, dtype=np.float64), parameters, per="wraps", code=self.code)
+
+    def anew(self) -> KeptFace:
+        """Return the same face without what the corpus keeps of its simulation."""
+        heads = None if self.heads is None else replace(self.heads)
+        return replace(self, derivatives=None, heads=heads)
+
+    @cached_property
+    def carried(self) -> Floats32:
+        """How scaled bones carry the neutral skin [mm], shape (n, 3); a head is fitted only where p scales one."""
+        if all(self.parameters.level(name) == Parameters.info(name).default for name in BONES):
+            return np.zeros(self.skin.vertices.shape, dtype=np.float32)
+        return self.live.carried.astype(np.float32)
+
     @property
     def offset(self) -> np.ndarray:
-        """T - S at w = 0 [mm], shape (n, 3); InputError for a face without derivatives."""
-        return self._first_order.offset
+        """T - S at w = 0 [mm], shape (n, 3)."""
+        return self.live.offset if self.derivatives is None else self.derivatives.offset
 
     @property
     def responses(self) -> np.ndarray:
-        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3); InputError for a face without derivatives."""
-        return self._first_order.responses
+        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
+        return self.live.responses if self.derivatives is None else self.derivatives.responses
 
     @property
     def relaxed(self) -> Floats32:
-        """How far the settled face moves to rest among its targets [mm], shape (n, 3): the offset less `settled`."""
-        return self.offset.astype(np.float32) - self.settled
-
-    @property
-    def _first_order(self) -> Derivatives:
-        if self.derivatives is None:
-            raise InputError(f"face of person {self.identity}: the corpus has no derivatives of it")
-        return self.derivatives
+        """How far the settled face moves to rest among its targets [mm], shape (n, 3)."""
+        return self.offset.astype(np.float32) - self.displacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +125,7 @@ class Frames:
     weights: Floats32
     corrected: np.ndarray
 
-    def remainder(self, face: Face) -> Floats32:
+    def remainder(self, face: KeptFace) -> Floats32:
         """T - S beyond the face's first order [mm], shape (F, n, 3)."""
         linear = np.tensordot(self.weights, face.responses.astype(np.float32), axes=1)
         return self.corrected.astype(np.float32) - face.offset.astype(np.float32) - linear

@@ -32,6 +32,8 @@ from ...reference import Parameters
 KINDS = ("few", "materials", "effects", "both", "single")
 NAMES = tuple(info.name for info in Parameters.infos())
 INFOS = {info.name: info for info in Parameters.infos()}
+BONES = tuple(f"{bone}_scale_{axis}" for bone in ("cranium", "mandible") for axis in "xyz")
+"""The parameters that scale bones."""
 STATIC = tuple(name for name in NAMES if name not in ("frequency", "damping"))
 """The parameters that a static frame depends on."""
 _STATIC_ROWS = [NAMES.index(name) for name in STATIC]

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Ints, Surface
-from .face import Derivatives, Face, Frames, Person
+from .face import Derivatives, Frames, KeptFace, Person
+from .heads import Heads
 from .intact import check_intact
 from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
@@ -176,7 +177,8 @@ def _accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
 class Faces:
     """The faces of a split of a corpus, or of both; read as they are asked for.
 
-    Those with derivatives; of `table` "groups" all that settle. `partial`, `share` and errors: as of `Table`.
+    Those with derivatives; of `table` "groups" all that settle. `partial`, `share` and errors: as of `Table`. heads:
+    who fits the people's heads; by default the corpus' folder says so.
     """
 
     def __init__(
@@ -187,7 +189,9 @@ class Faces:
         table: Literal["responses", "groups"] = "responses",
         partial: bool = False,
         share: float = 1.0,
+        heads: Heads | None = None,
     ):
+        self.heads = Heads.from_corpus(folder) if heads is None else heads
         self._table = Table(folder, table, split, partial=partial, share=share)
         self._open_statics = lambda: Table(folder, "statics", split, partial=partial, share=share)
         self.groups = self._table.groups
@@ -218,14 +222,14 @@ class Faces:
         """Return a face's coefficients of STATIC (P, 1 + WAVES)."""
         return self._table.parameters(index).static
 
-    def face(self, index: int) -> Face:
+    def face(self, index: int) -> KeptFace:
         """Read one face."""
         row, (identity, group) = self._table[index], self.groups[index].tolist()
         derivatives = None
         if "expressions" in row:
             derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
         person, parameters = self._table.person(identity), self._table.parameters(index)
-        return Face(identity, person, parameters, self._table.settled(identity, group), derivatives)
+        return KeptFace(identity, person, parameters, self._table.settled(identity, group), derivatives, self.heads)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""

@@ -10,9 +10,11 @@ from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import apply_law, prepare
 from ...reference.face.derivatives import spring_norm
+from ...reference.face.face import Face
 from ...reference.face.facial import PD_ENERGY
+from .plan import CorpusPlan
 from .shard import ACCEPTED, FEM_LAWS
-from .simulator import Answer, FaceSimulator, reject_moved
+from .simulator import Answer, reject_moved, solve_frame
 
 SMALL = 1e-2
 """[mm] Targets' distance whose springs' force is asked for relative to, at the least."""
@@ -29,32 +31,31 @@ class Reference:
     iterations: int = 0
 
 
-def references(face: FaceSimulator, weights: Floats, answer: Answer) -> dict[str, Reference]:
+def references(plan: CorpusPlan, face: Face, weights: Floats, answer: Answer) -> dict[str, Reference]:
     """Solve a frame by FEniCSx with those of FEM_LAWS that the face has, each on the neutral face settled by that law.
 
     FEniCSx starts at the answer of projective dynamics, or at the settled face where that answer has inverted tets.
     """
-    positions = face.solve(weights).positions
+    positions = solve_frame(plan, face, weights).positions
     return {law: _reference(face, weights, positions, answer, law) for law in FEM_LAWS if _has_law(face, law)}
 
 
-def _has_law(face: FaceSimulator, law: str) -> bool:
+def _has_law(face: Face, law: str) -> bool:
     """Whether a law has a counterpart of the face's p: none of stiffnesses that vary, a strain limit or growth."""
     try:
-        apply_law(face.linear.prepared.scene, law)
+        apply_law(face.derivatives.prepared.scene, law)
     except SceneError:
         return False
     return True
 
 
-def _reference(face: FaceSimulator, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
+def _reference(face: Face, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
     none = np.zeros(answer.corrected.shape, dtype=np.float16)
-    expression = face.expression(weights)
     try:
-        neutral = face.neutral if law == PD_ENERGY else face.neutral_under(law)
+        neutral = face.settled(law)
         if not neutral.converged:
             raise SceneError(f"settling: {neutral.reason}")
-        scene = neutral.scene(expression)
+        scene = face.scene(weights, law)
         prepared = prepare(scene, solver="fenicsx")
         start = neutral.positions if law != PD_ENERGY and answer.inverted else positions
         # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.
@@ -64,5 +65,5 @@ def _reference(face: FaceSimulator, weights: Floats, positions: Floats, answer: 
         return Reference(none, f"fenicsx: {error}")
     if not solution.converged:
         return Reference(none, f"fenicsx: {solution.reason}", solution.iterations)
-    corrected = (neutral.skin_after(expression, solution.positions) - expression).astype(np.float16)
+    corrected = (face.skin_after(weights, solution.positions, law) - face.blend(weights)).astype(np.float16)
     return Reference(corrected, reject_moved(corrected) or ACCEPTED, solution.iterations)

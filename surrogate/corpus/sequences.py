@@ -17,12 +17,13 @@ from ...lhm.expressions import Take, conversation, rotations
 from ...lhm.head import LayeredHead
 from ...reference import Parameters, Sequence, settle
 from ...reference.face.dynamics import extrapolate_turns
+from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities, is_plausible
 from .face import Person
 from .people import People
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
-from .simulator import Answer, FaceSimulator, reject_moved
+from .simulator import Answer, describe_answer, reject_moved
 
 RUN = "velocities.npz"
 RUN_TOLERANCE = 5e-4
@@ -54,19 +55,21 @@ class SequenceAnswer:
 
 
 def simulate_sequence(
-    plan: CorpusPlan, face: FaceSimulator, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
+    plan: CorpusPlan, face: Face, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
 ) -> SequenceAnswer:
     """Simulate the frames from `first` on, begun with a random one of the velocities; a failure is a status."""
-    n = len(face.person.skin.vertices)
+    n = len(face.skin.vertices)
     weights, turned = _driven(take, first)
     try:
         velocity = _velocity(face.head, velocities, rng)
-        running = Sequence.from_face(face.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
-        expressions = [face.expression(w) for w in weights]
+        running = Sequence.from_face(face.settled(), time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
+        expressions = [face.blend(w) for w in weights]
         begun = running.begin(expressions[0], velocity=velocity, base=extrapolate_turns(turned))
-        at_rest = face.corrected(weights[0], begun.positions)
+        at_rest = face.skin_after(weights[0], begun.positions) - expressions[0]
         frames = zip(weights, expressions, turned, strict=True)
-        answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
+        answers = [
+            describe_answer(plan, face, w, running.frame(expression, base=base)) for w, expression, base in frames
+        ]
     except SoftdecaError as error:
         return SequenceAnswer.failed(f"sequence: {error}", take, first, n)
     before = np.stack([at_rest, at_rest - velocity / RATE])

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.head import LayeredHead
+from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities
 from .face import Person
 from .mixture import ParameterSet
@@ -23,7 +24,15 @@ from .plan import IDENTITY, VELOCITIES, CorpusPlan
 from .references import references
 from .sequences import SequenceAnswer, simulate_sequence
 from .shard import ACCEPTED, FARTHEST, TABLES, Shard, stack_rows
-from .simulator import Answer, FaceSimulator, reject_moved, settle_neutral
+from .simulator import (
+    Answer,
+    differentiate_by_parameters,
+    make_face,
+    prepare_face,
+    reject_moved,
+    settle_neutral,
+    simulate_static,
+)
 
 GENERATOR = 9
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
@@ -83,38 +92,38 @@ class _PersonRows:
                 self._add_sequence(group, face, status)
         if face is not None:
             with self._timed("derivatives"):
-                self._add_derivatives(group, face, *plan.has_responses(number))
+                self._add_derivatives(group, face, parameters, *plan.has_responses(number))
             with self._timed("references"):
                 self._add_references(group, face, answers, references_wanted)
 
-    def _settle(
-        self, group: int, number: int, parameters: ParameterSet
-    ) -> tuple[str, np.ndarray, FaceSimulator | None]:
+    def _settle(self, group: int, number: int, parameters: ParameterSet) -> tuple[str, np.ndarray, Face | None]:
         """Return the group's status, how far the skin moves [mm], (n, 3), and the face where the plan asks for more."""
         still = np.zeros_like(self.person.skin.vertices)
         if self._head is None:
             return self._no_head, still, None
         try:
             with self._timed("settling"):
+                face = make_face(self.people, self.person, self._head, parameters)
                 if self.plan.settles_only(group, number):
-                    return ACCEPTED, settle_neutral(self.people, self._head, parameters).displacement, None
-                face = FaceSimulator.of(self.plan, self.people, self.person, self._head, parameters)
+                    return ACCEPTED, settle_neutral(face).displacement, None
+                prepare_face(self.people, face)
         except SoftdecaError as error:
             return f"settling: {error}", still, None
-        return ACCEPTED, face.neutral.displacement, face
+        return ACCEPTED, face.settled().displacement, face
 
-    def _add_statics(self, group: int, face: FaceSimulator | None, status: str) -> list[Answer]:
+    def _add_statics(self, group: int, face: Face | None, status: str) -> list[Answer]:
         answers = []
         with self._timed("statics"):
             for static in self.plan.statics(self.identity, group):
                 weights = self.plan.weights(static)
-                answer = Answer.failed(status, self.person.skin) if face is None else face.static(weights)
+                failed = Answer.failed(status, self.person.skin)
+                answer = failed if face is None else simulate_static(self.plan, face, weights)
                 answers.append(answer)
                 named = {"group": group, "recording": static.recording, "frame": static.frame, "weights": weights}
                 self.rows["statics"].append(named | vars(answer))
         return answers
 
-    def _add_sequence(self, group: int, face: FaceSimulator | None, status: str) -> None:
+    def _add_sequence(self, group: int, face: Face | None, status: str) -> None:
         plan, velocities = self.plan, self._velocities
         name, first = plan.sequence(self.identity, group)
         take = plan.take(name)
@@ -126,25 +135,27 @@ class _PersonRows:
             sequence = simulate_sequence(plan, face, take, first, velocities, rng)
         self.rows["sequences"].append({"group": group, "recording": name, "frame": first} | vars(sequence))
 
-    def _add_derivatives(self, group: int, face: FaceSimulator, by_weights: bool, by_parameters: bool) -> None:
-        known = face.derivatives
-        if by_weights and not (reject_moved(known.offset) or reject_moved(known.responses, FARTHEST)):
+    def _add_derivatives(
+        self, group: int, face: Face, parameters: ParameterSet, by_weights: bool, by_parameters: bool
+    ) -> None:
+        if by_weights and not (reject_moved(face.offset) or reject_moved(face.responses, FARTHEST)):
+            exact = face.derivatives.is_exact
             self.rows["responses"].append(
-                {"group": group, "exact": known.exact, "offset": known.offset, "expressions": known.responses}
+                {"group": group, "exact": exact, "offset": face.offset, "expressions": face.responses}
             )
         if by_parameters:
             self.rows["parameter_responses"] += [
                 {"group": group, "name": name, "change": change}
-                for name, change in face.parameter_responses.items()
+                for name, change in differentiate_by_parameters(face, parameters.names).items()
                 if not reject_moved(change, FARTHEST)
             ]
 
-    def _add_references(self, group: int, face: FaceSimulator, answers: list[Answer], count: int) -> None:
+    def _add_references(self, group: int, face: Face, answers: list[Answer], count: int) -> None:
         accepted = [row for row, answer in enumerate(answers) if answer.status == ACCEPTED]
         for row in accepted[:count]:
             static = group * self.plan.frames + row
             weights = self.rows["statics"][static]["weights"].astype(np.float64)
-            for law, reference in references(face, weights, answers[row]).items():
+            for law, reference in references(self.plan, face, weights, answers[row]).items():
                 self.rows["references"].append({"static": static, "law": law} | vars(reference))
 
     @contextmanager

@@ -21,17 +21,14 @@ from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.expressions import sample_weights
 from ...lhm.head import LayeredHead
-from ...reference import settle
 from ...reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ...reference.face.palsy import Springs, skin_activation
-from ...reference.face.settle import TARGET_OPTIONS, SettledFace
+from ...reference.face.settle import SettledFace
 from ...reference.projective.energy import Energy
 from ...reference.projective.springs import Springs as Drawn
-from ..corpus.face import Face
+from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..heads import Heads
-from ..methods import Takes
-from ..rig import WEIGHTS, CorrectedRig
+from ..rig import WEIGHTS, CorrectedRig, Needs
 from .features import Inputs
 from .layers import Arrays, concatenate, einsum, perceptron
 from .ridge import find_components
@@ -87,13 +84,12 @@ class EnergyTrained:
     """A method whose network has seen no simulated frame; it needs heads at bind."""
 
     name = "trained by the energy"
-    simulates = True
-    takes: Takes = "settled"
+    needs: Needs = "simulator"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 
-    def __init__(self, heads: Heads, config: EnergyTraining | None = None):
-        self._heads, self._config = heads, EnergyTraining() if config is None else config
+    def __init__(self, config: EnergyTraining | None = None):
+        self._config = EnergyTraining() if config is None else config
 
     def fit(self, faces: Faces) -> None:
         """Train on random expressions of some training faces; InputError where fewer than two settle."""
@@ -127,15 +123,15 @@ class EnergyTrained:
     def _settle(self, faces: Faces, rng: np.random.Generator):
         for index in rng.permutation(len(faces))[: self._config.faces]:
             face = faces.face(int(index))
-            head = self._heads.head(face)
+            live = face.live
             try:
-                settled = settle(head, self._heads.parameters(face, head), **TARGET_OPTIONS)
+                settled = live.settled()
             except SoftdecaError:
                 continue
             if settled.converged:
                 yield face, settled
 
-    def _prepare(self, settled: list[tuple[Face, SettledFace]], rng: np.random.Generator) -> list[_Scene]:
+    def _prepare(self, settled: list[tuple[KeptFace, SettledFace]], rng: np.random.Generator) -> list[_Scene]:
         """Make B, U and the first guess of its amplitudes from some faces' first order; and every face's energy."""
         config, wrap = self._config, len(settled[0][1].head.bone)
         known = settled[: config.differentiated]
@@ -177,11 +173,10 @@ class EnergyTrained:
         """Hold out nobody."""
         return {}
 
-    def bind(self, face: Face) -> CorrectedRig:
+    def bind(self, face: KeptFace) -> CorrectedRig:
         """Take the settled neutral face of the corpus and the head's own map from wrap to skin."""
-        head = self._heads.head(face)
-        parameters = self._heads.parameters(face, head)
-        still, active = face.settled.astype(np.float32), skin_activation(head, parameters)
+        head = face.live.head
+        still, active = face.displacement.astype(np.float32), skin_activation(head, face.live.on_wraps)
         summary = ((self._inputs.summary_of(face) - self._mean) / self._scale).astype(np.float32)
         modes = self._on_skin(head) * self._size
         held = None if active is None else ((active - 1.0) * face.shapes).astype(np.float32)
@@ -191,7 +186,7 @@ class EnergyTrained:
             moved = still + np.tensordot(amplitudes, modes, axes=1)
             return moved if held is None else moved + np.tensordot(weights, held, axes=1)
 
-        return CorrectedRig(face.person.skin, face.shapes, correct)
+        return CorrectedRig(face.skin, face.shapes, correct)
 
     def _on_skin(self, head: LayeredHead) -> Floats32:
         wrap = self._modes.reshape(len(self._modes), -1, 3)[:, : len(head.bone)]
@@ -207,7 +202,7 @@ def amplitudes_of(network: Arrays, weights, summary):
     return first + still + perceptron(network, "bent", concatenate([weights, summary]))
 
 
-def _scene(inputs: Inputs, face: Face, settled: SettledFace, below: Floats32, tried: Floats32) -> _Scene:
+def _scene(inputs: Inputs, face: KeptFace, settled: SettledFace, below: Floats32, tried: Floats32) -> _Scene:
     head, shapes = settled.head, np.asarray(face.shapes, dtype=np.float64)
     scene = settled.scene(head.skin.vertices)
     springs = Springs.from_head(head, settled.parameters)

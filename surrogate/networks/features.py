@@ -21,7 +21,7 @@ from ..corpus.mixture import NAMES, STATIC, basis, select_static
 from ..dynamics import OSCILLATION
 
 if TYPE_CHECKING:
-    from ..corpus.face import Face
+    from ..corpus.face import KeptFace
     from ..corpus.reading import Faces, Row
     from .weights import Weights
 
@@ -201,7 +201,7 @@ class Inputs:
         weights = np.asarray(row["weights"], dtype=np.float64)
         return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
 
-    def summary_of(self, face: Face) -> Floats32:
+    def summary_of(self, face: KeptFace) -> Floats32:
         """The summary of a face of a corpus."""
         return self.summary(face.code, self.features.at_vertices(face.coefficients))
 

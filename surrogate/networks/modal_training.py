@@ -11,7 +11,7 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
-from ..corpus.face import Face
+from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from ..surface_hash import surface_hash
 from .features import EFFECTS, Features, Inputs, seen_ranges
@@ -158,10 +158,10 @@ class ModalLesson:
         code = summary[..., : self.code_size]
         hidden = hidden_features(network, local, code, vertices)
         if self.learns_neutral:
-            effects = self.effects_of(p, [face.skin for face in faces], vertices)
+            effects = self.effects_of(p, [face.skin.vertices for face in faces], vertices)
             own = neutral(network, 1, hidden, summary, unmoved, effects, vertices)
             relaxed = self._tensor([face.relaxed[vertices] for face in faces])
-            loss = loss + _share(own - relaxed, [_settled_scale(face.settled) for face in faces])
+            loss = loss + _share(own - relaxed, [_settled_scale(face.displacement) for face in faces])
         exact = self._tensor([face.responses[:, vertices] for face in faces])
         shapes = self._tensor([face.shapes[:, vertices] for face in faces])
         shares, lag = mix(network, local, code, vertices)
@@ -202,7 +202,7 @@ class ModalLesson:
             self.training, self.config.solved, replace=False
         )
 
-    def _settled_loss(self, faces: list[Face], rng: np.random.Generator, vertices):
+    def _settled_loss(self, faces: list[KeptFace], rng: np.random.Generator, vertices):
         """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
 
         What is learned of one cheek is so of the other. Shapes, and the tets in lids and lips, are not symmetric enough
@@ -226,7 +226,7 @@ class ModalLesson:
         """Numbers of an identity code, with which a summary begins."""
         return len(self.inputs.code_mean)
 
-    def inputs_of(self, faces: Sequence[Face], p: Sequence[Floats], vertices) -> tuple[torch.Tensor, ...]:
+    def inputs_of(self, faces: Sequence[KeptFace], p: Sequence[Floats], vertices) -> tuple[torch.Tensor, ...]:
         """Return `local` at some vertices (b, v, f), the summary (b, 1, s), and that of nothing moved."""
         local = [self.features.local(values)[vertices] for values in p]
         still = [self.features.unmoved(values) for values in p]
@@ -256,7 +256,7 @@ class ModalLesson:
             face, frames = self.faces.face(int(index)), self.faces.frames(int(index))
             at_vertices = self.features.at_vertices(face.coefficients)
             code = self.inputs.code(face.code)
-            modes = bind_modal(network, tables, self.features, code, face.skin, at_vertices, face.shapes)
+            modes = bind_modal(network, tables, self.features, code, face.skin.vertices, at_vertices, face.shapes)
             nonlinear, own = frames.remainder(face), modes.remainder(frames.weights)
             corrected = frames.corrected.astype(np.float32)
             linear = corrected - modes.offset - np.tensordot(frames.weights, modes.responses, axes=1)
@@ -347,7 +347,7 @@ class ModalLesson:
             arrays[f"{name}_linear.weight"] = _fit_linear(rows, data @ modes.T).T
         return network | {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}
 
-    def _changes(self, faces: Sequence[Face], moves: Sequence[Move]) -> Floats32:
+    def _changes(self, faces: Sequence[KeptFace], moves: Sequence[Move]) -> Floats32:
         """Return how far each face's summary is from that of nothing moved, a row each."""
         rows = []
         for face, (at_vertices, *_) in zip(faces, moves, strict=True):
@@ -365,7 +365,7 @@ def _share(error, scales: Sequence[float]):
     return (distance / torch.tensor(scales, dtype=distance.dtype, device=distance.device)).mean()
 
 
-def response_scale(face: Face) -> float:
+def response_scale(face: KeptFace) -> float:
     """How large a face's responses are [mm], by which errors of them count: stiff and soft tissue alike."""
     return RESPONSE_FLOOR + float(np.linalg.norm(face.responses.astype(np.float32), axis=2).mean())
 
@@ -375,16 +375,17 @@ def _settled_scale(settled: np.ndarray) -> float:
     return SETTLED_FLOOR + 0.5 * float(np.linalg.norm(settled.astype(np.float32), axis=1).mean())
 
 
-def _settling(face: Face, features: Features, *, mirrored: bool = False) -> Move:
+def _settling(face: KeptFace, features: Features, *, mirrored: bool = False) -> Move:
     """What a face settles under, its skin, and how far it goes; or of its mirror image."""
-    at_vertices, skin, move = features.without_palsy(features.at_vertices(face.coefficients)), face.skin, face.settled
+    at_vertices = features.without_palsy(features.at_vertices(face.coefficients))
+    skin, move = face.skin.vertices, face.displacement
     if mirrored:
         return features.mirror_parameters(at_vertices), features.mirror_move(skin), features.mirror_move(move)
     return at_vertices, skin, move
 
 
-def _relaxing(face: Face, features: Features) -> Move:
-    return features.at_vertices(face.coefficients), face.skin, face.relaxed
+def _relaxing(face: KeptFace, features: Features) -> Move:
+    return features.at_vertices(face.coefficients), face.skin.vertices, face.relaxed
 
 
 def _fit_effects(moves: Sequence[Move], features: Features) -> Floats32:

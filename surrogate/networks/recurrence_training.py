@@ -12,10 +12,10 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import extrapolate_turns, find_pivot
-from ..corpus.face import Face, Person
+from ..corpus.face import KeptFace, Person
+from ..corpus.heads import Heads
 from ..corpus.mixture import basis
 from ..corpus.reading import Table
-from ..heads import Heads
 from ..runtime import Surrogate
 from .gradient_training import smooth_vertices
 from .recurrence import ARRAYS, LAYERS, WITHOUT_BIAS, LearnedRecurrence, coefficients, sizes
@@ -126,9 +126,9 @@ class RecurrenceLesson:
     def _read(self, index: int) -> _Motion:
         table, row = self.table, self.table[index]
         identity, group = (int(number) for number in table.groups[index])
-        face = Face(identity, table.person(identity), table.parameters(index), table.settled(identity, group))
+        face = KeptFace(identity, table.person(identity), table.parameters(index), table.settled(identity, group))
         rig = self._surrogate.bind_face(face)
-        blended = face.skin + np.tensordot(row["weights"], face.shapes, axes=1)
+        blended = face.blend(row["weights"])
         turns = row["rotations"].astype(np.float64)
         before = row["before"].astype(np.float32)
         return _Motion(
@@ -143,9 +143,8 @@ class RecurrenceLesson:
 
 def find_mean_pivot(heads: Heads) -> Floats:
     """Find what the head of a space's mean person turns about, shape (3,); InputError where nobody fits heads."""
-    people = heads.people
-    mean = people.mean
-    head = people.head(Person(np.zeros(0), mean, np.zeros((52, len(mean.vertices), 3))))
+    mean = heads.people.mean
+    head = heads.fit(Person(np.zeros(0), mean, np.zeros((52, len(mean.vertices), 3))))
     return find_pivot(head)
 
 

@@ -6,10 +6,9 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.face import Face
+from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..methods import Takes
-from ..rig import FaceModes
+from ..rig import FaceModes, Needs
 from ..runtime import BoundSurrogate
 from .features import Inputs
 
@@ -26,8 +25,7 @@ class LearnedResponses:
     """exp(-d²/2 l²) + x·x' on the summary of p and h; length and penalty by least leave-one-out error (Allen 1974)."""
 
     name = "learned responses (kernel ridge)"
-    simulates = False
-    takes: Takes = "nothing"
+    needs: Needs = "nothing"
 
     def fit(self, faces: Faces) -> None:
         """Keep all training faces; InputError for fewer than ten."""
@@ -46,13 +44,14 @@ class LearnedResponses:
         self._offset_weights, self._offset_length = self._choose_kernel(self._offsets[:, probe[probe < n3]])
         self._response_weights, self._response_length = self._choose_kernel(self._responses[:, np.sort(probe)])
 
-    def bind(self, face: Face) -> BoundSurrogate:
+    def bind(self, face: KeptFace) -> BoundSurrogate:
         """Combine all training faces."""
         row = (self._inputs.summary_of(face) - self._mean) / self._scale
         offset = self._combine(row, self._offset_weights, self._offset_length, self._offsets)
         responses = self._combine(row, self._response_weights, self._response_length, self._responses)
-        n3 = face.skin.shape
-        return BoundSurrogate.from_face(face, FaceModes.linear(offset.reshape(n3), responses.reshape(-1, *n3)))
+        n3 = face.skin.vertices.shape
+        modes = FaceModes.linear(offset.reshape(n3), responses.reshape(-1, *n3))
+        return BoundSurrogate(face.skin, modes, np.asarray(face.shapes, dtype=np.float32))
 
     def _combine(self, row: Floats, inverse: Floats, length: float, values: np.ndarray) -> Floats32:
         shares = (inverse @ self._kernel(self._rows, row[None], length)[:, 0]).astype(np.float32)

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.face import Face, Frames
+from ..corpus.face import Frames, KeptFace
 from ..corpus.mixture import STATIC
 from ..corpus.reading import Faces
-from ..methods import Takes
-from ..rig import CorrectedRig
+from ..rig import CorrectedRig, Needs
 from .features import Inputs
 
 FRAMES = 6000
@@ -25,8 +24,7 @@ _LOG = {SOFT: 0.5 * np.log(20.0), TARGET: 0.5 * np.log(30.0)}
 class Ridge:
     """Features "raw": w, and the summary of p and h; "dimensionless" adds w (soft/target stiffness)^q of three q."""
 
-    simulates = False
-    takes: Takes = "nothing"
+    needs: Needs = "nothing"
 
     def __init__(self, features: Literal["raw", "dimensionless"] = "raw", components: int = 128):
         self._features, self._components = features, components
@@ -57,17 +55,17 @@ class Ridge:
         best = min(PENALTIES, key=wrong)
         self._coefficients = turn @ (pulled / (size + best)[:, None])
 
-    def bind(self, face: Face) -> CorrectedRig:
+    def bind(self, face: KeptFace) -> CorrectedRig:
         """Take the same matrix for all faces."""
 
         def correct(weights: Floats32) -> Floats32:
             rows = (self._rows(face, weights[None]) - self._mean) / self._scale
             motion: Floats32 = self._centre + (rows @ self._coefficients).astype(np.float32) @ self._basis
-            return motion.reshape(face.skin.shape)
+            return motion.reshape(face.skin.vertices.shape)
 
-        return CorrectedRig(face.person.skin, face.shapes, correct)
+        return CorrectedRig(face.skin, face.shapes, correct)
 
-    def _rows(self, face: Face, weights) -> Floats:
+    def _rows(self, face: KeptFace, weights) -> Floats:
         summary = np.tile(self._inputs.summary_of(face), (len(weights), 1))
         parts: list[Floats] = [np.asarray(weights, dtype=np.float64), summary.astype(np.float64)]
         if self._features == "dimensionless":
@@ -77,7 +75,7 @@ class Ridge:
         return np.hstack(parts)
 
 
-def sample_frames(faces: Faces, most: int, rng: np.random.Generator) -> Iterator[tuple[Face, Frames]]:
+def sample_frames(faces: Faces, most: int, rng: np.random.Generator) -> Iterator[tuple[KeptFace, Frames]]:
     """Yield each face with some of its frames, about `most` in all."""
     each = max(1, most // max(len(faces), 1))
     for index in range(len(faces)):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
+from ..rig import Needs
 from .features import Features, Inputs
 from .layers import perceptron
 from .ridge import find_components
@@ -26,7 +27,7 @@ class SubspacePhysics:
     """A step of a sequence from the two before it; trained on whole sequences, so that its errors are its own."""
 
     name = "SNP"
-    simulates = False
+    needs: Needs = "nothing"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 

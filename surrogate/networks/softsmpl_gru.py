@@ -13,6 +13,7 @@ import numpy as np
 from ...lhm.base.geometry.deformation import DeformationTransfer
 from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
+from ..rig import Needs
 from .features import Features, Inputs
 from .gradient_training import still_vertices, transfer_delta
 from .layers import elu, perceptron
@@ -30,7 +31,7 @@ class SoftSMPLInMotion:
     """A method that learns from sequences and plays them."""
 
     name = "SoftSMPL, dynamic (GRU)"
-    simulates = False
+    needs: Needs = "nothing"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from ..corpus.face import Face
+from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..methods import Takes
-from ..rig import CorrectedRig
+from ..rig import CorrectedRig, Needs
 from .features import Inputs
 from .layers import EVERY, Arrays
 from .ridge import sample_frames
@@ -27,8 +26,7 @@ class VertexNetwork(ABC):
     Trained on vertices and frames drawn anew in each step, on the mean distance.
     """
 
-    simulates = False
-    takes: Takes = "nothing"
+    needs: Needs = "nothing"
     name: str
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
@@ -85,7 +83,7 @@ class VertexNetwork(ABC):
         """Hold out nobody."""
         return {}
 
-    def bind(self, face: Face) -> CorrectedRig:
+    def bind(self, face: KeptFace) -> CorrectedRig:
         """Evaluate what of the network depends on p and h alone, where it has such a part."""
         summary = (self._inputs.summary_of(face) - self._mean) / self._scale
         bound = self.bound(self.arrays, summary.astype(np.float32)[None])
@@ -94,4 +92,4 @@ class VertexNetwork(ABC):
             moved: Floats32 = self.answer(self.arrays, bound, weights[None])[0]
             return self._size * moved
 
-        return CorrectedRig(face.person.skin, face.shapes, correct)
+        return CorrectedRig(face.skin, face.shapes, correct)

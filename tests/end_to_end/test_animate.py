@@ -8,13 +8,14 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import h5py
 import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.animation.animate import AnimateConfig, animate, animate_rig, bind_head
+from softdeca.animation.animate import AnimateConfig, animate, animate_rig
 from softdeca.animation.frames import CertifiedFrames
 from softdeca.animation.play import Output
 from softdeca.animation.takes import cut_take, take_from_text
@@ -22,10 +23,11 @@ from softdeca.lhm import InputError, expressions, fit_head, identities, load_tem
 from softdeca.lhm.base.progress import silent
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.head_file import save_head
-from softdeca.reference import Parameters, SceneError, Sequence, settle, solve
+from softdeca.reference import Face, Parameters, SceneError, Sequence, settle, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters
-from softdeca.surrogate import CertifiedFace, Surrogate
+from softdeca.surrogate import CertifiedFace, Surrogate, certify
+from softdeca.surrogate.methods import bind_cheaply
 
 from ..refusals import refused
 
@@ -70,7 +72,8 @@ def contents(folder):
 
 def run(config, head, deltas, shown, p=None, progress=silent):
     """The take by the dial, or by the simulator frame after frame; no network knows a sphere."""
-    return animate(config, head, deltas, shown, Parameters() if p is None else p, None, progress)
+    face = Face(head, deltas, Parameters() if p is None else p)
+    return animate(config, face, shown, Surrogate.load(), progress)
 
 
 def logged(folder):
@@ -111,7 +114,7 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
     assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
     assert all(row["error"] * (1 if row["certain"] else 3) <= 0.01 for row in logged(tmp_path / "whole"))
     if not dynamic and bones == "rigid":
-        face = CertifiedFace.from_head(sphere_head, deltas, p)
+        face = certify(Face(sphere_head, deltas, p))
         for k, weights in enumerate(take().weights):
             truth = face.frame(weights, 1e-6).skin
             assert np.linalg.norm(sphere_head.skin.vertices + moved[k] - truth, axis=1).mean() < 0.015
@@ -297,8 +300,9 @@ def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_p
 def test_a_rig_leaves_a_take_that_resumes_alone(network, sphere_head, deltas, tmp_path):
     run(AnimateConfig(tmp_path), sphere_head, deltas, take(2))
     before = contents(tmp_path)
-    served = bind_head(network, sphere_head, deltas, Parameters(), exact=False, beyond="refuse")
-    refused("holds a take within an accuracy", animate_rig, Output(tmp_path), served, take(2), silent)
+    face = Face(sphere_head, deltas)
+    bind = partial(bind_cheaply, surrogate=network)
+    refused("holds a take within an accuracy", animate_rig, Output(tmp_path), face, bind, take(2), silent)
     assert contents(tmp_path) == before
 
 
@@ -384,13 +388,14 @@ def gltf(path):
 
 
 def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, sphere_head, deltas, tmp_path):
-    served = bind_head(network, sphere_head, deltas, Parameters(soft_volume=1.2), exact=False, beyond="refuse")
-    assert served.method == "derivatives" and served.seconds > 0
+    face = Face(sphere_head, deltas, Parameters(soft_volume=1.2))
+    bind = partial(bind_cheaply, surrogate=network)
+    assert bind(face)[0] == "derivatives"
     take = nodding()
     for dynamic in (False, True):
-        done = animate_rig(Output(tmp_path / "own", dynamic=dynamic), served, take, silent)
+        done, rig = animate_rig(Output(tmp_path / "own", dynamic=dynamic), face, bind, take, silent)
         assert done.frames == 8 and done.frame_ms > 0 and done.files[0] == tmp_path / "own" / "take.vtkhdf"
-        moving = served.rig.dynamic(1 / 60) if dynamic else served.rig
+        moving = rig.dynamic(1 / 60) if dynamic else rig
         bases = expressions.rotations(take.head)
         if dynamic:
             moving.begin(take.weights[0], base=extrapolate_turns(bases))
@@ -399,28 +404,26 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
             for w, base in zip(take.weights, bases, strict=True)
         ]
         assert played(done.files[0]) == pytest.approx(np.array(wanted), abs=1e-4)
-    room = animate_rig(Output(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
+    room, _ = animate_rig(Output(tmp_path / "room", dynamic=True, turned=True), face, bind, take, silent)
     for own, shown, base in zip(wanted, played(room.files[0]), bases, strict=True):
         assert shown == pytest.approx(turn_skin(sphere_head, own, base), abs=1e-3)
     with pytest.raises(InputError, match="turned: the take has no head rotation"):
-        animate_rig(Output(tmp_path, turned=True), served, replace(take, head=None), silent)
+        animate_rig(Output(tmp_path, turned=True), face, bind, replace(take, head=None), silent)
 
 
 def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(network):
     space, template = identities.Anny(), load_template(level=1)
     code, skin = space.sample(np.random.default_rng(4))
     p = Parameters(soft_volume=1.2)
-    known = bind_head(network, fit_head(template, skin), space.expression_deltas(code), p, exact=False, beyond="refuse")
-    assert known.method == "network"
+    face = Face(fit_head(template, skin), space.expression_deltas(code), p)
+    method, known = bind_cheaply(face, network)
+    assert method == "network"
     weights = np.linspace(0.0, 0.3, 52)
-    assert np.abs(known.rig.frame(weights) - network.bind(skin, code, p).frame(weights)).max() < 0.05
+    assert np.abs(known.frame(weights) - network.bind(skin, code, p).frame(weights)).max() < 0.05
     x = skin.vertices
     other = skin.with_vertices(x + 4.0 * np.sin(x[:, 1:2] / 20.0) * [1.0, 0.0, 0.0])
-    head = fit_head(template, other)
-    assert (
-        bind_head(network, head, space.expression_deltas(code), p, exact=False, beyond="refuse").method
-        == "network + derivatives"
-    )
+    stranger = Face(fit_head(template, other), space.expression_deltas(code), p)
+    assert bind_cheaply(stranger, network)[0] == "network + derivatives"
 
 
 def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):

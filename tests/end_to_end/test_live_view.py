@@ -18,8 +18,8 @@ import pytest
 from softdeca.animation.head_pictures import expression_deltas
 from softdeca.lhm import expressions, fit_head, identities
 from softdeca.lhm.head_file import load_head, save_head
-from softdeca.reference import Parameters
-from softdeca.reference.face.derivatives import TIGHT_ACCURACY, differentiate_head
+from softdeca.reference import Face, Parameters
+from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.codes import nearest_code
 from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
@@ -149,7 +149,7 @@ def test_each_answer_is_pythons_own(tab, head_file):
     shapes = expression_deltas(head, "person")
     network, code = Surrogate.load(), nearest_code(identities.Anny(), head.skin, ridge=1e-6)
     by_network = network.bind(head.skin, code, p, expressions=shapes).frame(weights)
-    linear = differentiate_head(head, p)
+    linear = Face(head, shapes, p).derivatives
     offset, responses = linear.offset + linear.face.displacement, linear.skin_by_shapes(shapes) - shapes
     rig = network.bind(head.skin, code, p, expressions=shapes)
     by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (offset, responses))).frame(weights)

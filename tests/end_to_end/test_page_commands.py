@@ -49,7 +49,6 @@ ELSEWHERE = [
     "softdeca evaluate corpus --rivals --out scores",
     "softdeca evaluate fresh --people all --out scores",
     "softdeca evaluate corpus --curve half.safetensors --curve all.safetensors",
-    "softdeca evaluate corpus --generalisation 16",
     "softdeca head import ict ICT-FaceKit",
     "softdeca head import bodyparts3d isa_BP3D_4.0_obj_99",
     "softdeca head template --identities ict:ict_facekit.npz --anatomy bodyparts3d_head.npz --out template.npz",

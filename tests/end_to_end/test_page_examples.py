@@ -109,7 +109,7 @@ def test_the_surrogate():
 
 def test_a_face_that_knows_its_error():
     names = ran("CertifiedFace.from_head", level=1)
-    assert names["frame"].bound <= 0.01 and names["face"].has_network
+    assert names["frame"].bound <= 0.01 and names["face"].method == "network + derivatives"
 
 
 def test_a_mesh_of_ones_own(tmp_path, monkeypatch):

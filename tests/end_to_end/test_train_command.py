@@ -1,19 +1,16 @@
 """softdeca train and evaluate: from a corpus to weights, a curve and scores; small enough here to learn little."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.surrogate.methods import READY
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.generalisation import KINDS
-from softdeca.surrogate.methods import NETWORK
+from softdeca.surrogate.methods import NETWORK, READY
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -53,8 +50,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.
     network = told[NETWORK]
-    for method, taken in (("derivatives", "derivatives"), ("settled + blendshapes", "settled")):
-        assert methods[method]["bind_ms"] >= 1e3 * network["bind_costs"][taken] > 0.0
+    assert methods["derivatives"]["bind_ms"] > methods["settled + blendshapes"]["bind_ms"] > 0.0
     assert [name for name in READY if methods[name]["head_ms"]] == [*READY][1:5]
     assert network["corpus"]["plan"] == PLAN.digest and network["corpus"]["seed"] == PLAN.seed
     assert network["breakeven"]["training"] > 0 and "the network has paid after" in kept["words"]
@@ -86,20 +82,6 @@ def test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares
     assert "Error over the number of people" in (tmp_path / "scores" / "index.html").read_text()
     alone = command(*given, "--curve", few)
     assert alone.status != 0 and "different numbers of people" in alone.errors[0]
-
-
-def test_generalisation_needs_people_that_a_command_knows(command, corpus, tmp_path):
-    assert command("train", corpus, "--out", tmp_path, "--steps", "2").status == 0
-    given = ("--surrogate", tmp_path / "modal.safetensors", "--generalisation", "1", "--match", "unseen, bones")
-    nameless = tmp_path / "nameless"
-    shutil.copytree(corpus, nameless)
-    manifest = json.loads((corpus / "corpus.json").read_text())
-    (nameless / "corpus.json").write_text(json.dumps(manifest | {"made_with": {}}))
-    ended = command("evaluate", nameless, *given, "--out", tmp_path / "scores")
-    assert ended.status == 1 and "it was made from Python" in ended.out
-    ended = command("evaluate", corpus, *given, "--out", tmp_path / "others", "--json")
-    kinds = [line["kind"] for line in json.loads(ended.out)["rows"][0]["values"]["rows"]]
-    assert ended.status == 0 and kinds == list(KINDS) and list((corpus / "generalisation").glob("pair-*.npz"))
 
 
 def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command, corpus, tmp_path):

@@ -11,7 +11,7 @@ from PIL import Image
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
 from softdeca.animation.page import Layer, Pose, Rig, render_face_page, render_page
 from softdeca.lhm import InputError, expressions, identities
-from softdeca.reference import Parameters
+from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
 
 from ..refusals import refused
@@ -138,7 +138,7 @@ def test_the_page_of_a_simulated_head(sphere_head):
     deltas = np.zeros((52, len(sphere_head.skin.vertices), 3))
     deltas[:, :, 0] = 1.0
     parameters = Parameters(soft_volume=1.2)
-    text = render_face_page("ball", "words", sphere_head, parameters, deltas)
+    text = render_face_page("ball", "words", Face(sphere_head, deltas, parameters))
     content = json.loads(re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)[1])
     assert [rig["name"] for rig in content["rigs"]] == ["blendshapes", "derivatives"]
     assert [layer["name"] for layer in content["layers"]] == ["muscle", "skull"] and len(content["poses"]) == 6

@@ -270,8 +270,13 @@ def functions() -> Iterator[Function]:
     shapes = np.broadcast_to(0.02 * HEAD.skin.vertices, DELTAS.shape)
     bind = {"skin": SPACE.mean, "code": code, "parameters": Parameters(), "beyond": "refuse", "exact": False}
     yield Function("Surrogate.bind", surrogate.Surrogate.load().bind, bind)
-    rig = surrogate.derivatives_rig(HEAD, shapes)
-    yield Function("derivatives_rig", surrogate.derivatives_rig, {"head": HEAD, "expressions": shapes})
+    face = reference.Face(HEAD, shapes)
+    given = {"head": HEAD, "shapes": shapes, "parameters": Parameters(), "per": "skin", "code": np.zeros(3)}
+    yield Function("Face", reference.Face, given)
+    for name, method in surrogate.METHODS.items():
+        if method.needs != "simulator":
+            yield Function(f"METHODS[{name!r}].bind", method.bind, {"face": face})
+    rig = surrogate.METHODS["derivatives"].bind(face)
     weights, out = np.zeros(52), np.zeros(HEAD.skin.vertices.shape, dtype=np.float32)
     frame = {"weights": weights, "blended": HEAD.skin.vertices, "out": out}
     yield Function("BoundSurrogate.frame", rig.frame, frame)
@@ -283,8 +288,8 @@ def functions() -> Iterator[Function]:
     yield Function("DynamicRig.frame", rig.dynamic().frame, frame | {"base": np.eye(3)})
     begin = {"weights": weights, "velocity": 0 * HEAD.skin.vertices, "base": np.eye(3)}
     yield Function("DynamicRig.begin", rig.dynamic().begin, begin)
-    certified = surrogate.CertifiedFace.from_head(HEAD, shapes)
-    yield Function("CertifiedFace.from_head", surrogate.CertifiedFace.from_head, {"head": HEAD, "expressions": shapes})
+    certified = surrogate.certify(face)
+    yield Function("certify", surrogate.certify, {"face": face, "surrogate": surrogate.Surrogate.load()})
     ask = {"weights": weights, "accuracy": 0.05, "seconds": 1.0, "after": certified.frame(weights)}
     yield Function("CertifiedFace.frame", certified.frame, ask)
 

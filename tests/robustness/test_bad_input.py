@@ -141,7 +141,6 @@ WRONG = [
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
     ("corpus generate --workers 100000", "--workers': 100000 is not in the range 1<=x<=256"),
     ("corpus sample out --count 1000000", "--count': 1000000 is not in the range 1<=x<=200"),
-    ("evaluate out --generalisation 1000000000", "--generalisation': 1000000000 is not in the range 0<=x<=10000"),
     (f"train out --steps {'9' * 40}", "1<=x<=100000000"),
     ("animate conversation --targets 1000000", "--targets': 1000000 is not in the range 1<=x<=4096"),
     (f"view --seed {'9' * 40}", "0<=x<=9223372036854775807"),

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import Parameters
-from softdeca.surrogate.certified import CertifiedFace, Reached
+from softdeca.reference import Face, Parameters
+from softdeca.surrogate import certify
+from softdeca.surrogate.certified import Reached
 from softdeca.surrogate.sphere import Spheres
 
 from ..refusals import refused
@@ -16,7 +17,7 @@ P = Parameters(soft_volume=1.2, gravity=2.0, soft_stiffness=2.0, target_stiffnes
 
 @pytest.fixture(scope="module")
 def face():
-    return CertifiedFace.from_head(HEAD, SPACE.expression_deltas(CODE), P)
+    return certify(Face(HEAD, SPACE.expression_deltas(CODE), P))
 
 
 def expression(seed, largest=1.0):
@@ -76,12 +77,12 @@ def test_bad_arguments_of_a_frame_are_named(face, given, words):
             "moves neighbours apart",
         ),
         (lambda shapes: shapes[:, :-1], "expressions: expected shape"),
-        (lambda shapes: shapes + 1j, "from_head: expressions: expected an array of numbers"),
-        (lambda shapes: "shapes", "from_head: expressions: expected an array of numbers"),
+        (lambda shapes: shapes + 1j, "expressions: expected real numbers"),
+        (lambda shapes: "shapes", "expressions: expected real numbers"),
     ],
 )
 def test_shapes_of_another_unit_or_order_are_refused_at_once(change, words):
-    refused(words, CertifiedFace.from_head, HEAD, change(SPACE.expression_deltas(CODE)), P)
+    refused(words, Face, HEAD, change(SPACE.expression_deltas(CODE)), P)
 
 
 def test_a_frame_is_never_told_worse_than_before(face):

@@ -26,7 +26,7 @@ from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.references import FEM_LAWS
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
-from softdeca.surrogate.corpus.simulator import FaceSimulator
+from softdeca.surrogate.corpus.simulator import make_face, simulate_static
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
 
@@ -59,26 +59,29 @@ def test_a_frame_is_what_the_simulator_makes_of_its_expression(made):
     identity, row = 0, 1
     shard = made.shard(identity)
     person = PEOPLE.person(PLAN.rng(0, identity))
-    face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
+    face = make_face(PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
     weights = PLAN.weights(PLAN.static(identity, row)).astype(np.float32)
     np.testing.assert_array_equal(shard.statics.weights[row], weights)
-    tight = face.linear.prepared.solve(face.scene(weights), tolerance=1e-10)
-    assert np.abs(face.corrected(weights, tight.positions) - shard.statics.corrected[row]).max() < 0.01
+    tight = face.derivatives.prepared.solve(face.scene(weights), tolerance=1e-10)
+    assert (
+        np.abs((face.skin_after(weights, tight.positions) - face.blend(weights)) - shard.statics.corrected[row]).max()
+        < 0.01
+    )
     assert shard.statics.residual[row] <= PLAN.tolerance
 
 
 def test_any_frame_can_be_had_again_alone(made):
     for identity in range(PLAN.identities):
         person = PEOPLE.person(PLAN.rng(0, identity))
-        face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
-        again = face.static(PLAN.weights(PLAN.static(identity, 1)))
+        face = make_face(PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
+        again = simulate_static(PLAN, face, PLAN.weights(PLAN.static(identity, 1)))
         np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
 
 
 def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     """From what is kept of it, rotations in 24 bits, the sequence can be had again; without them it is another."""
     person = PEOPLE.person(PLAN.rng(0, 0))
-    face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(0))
+    face = make_face(PEOPLE, person, PEOPLE.head(person), parameters_of(0))
     n, take = len(person.skin.vertices), conversation_take(np.random.default_rng(0), 40)
     still = Velocities(np.zeros((1, n, 3), np.float32))
     kept = simulate_sequence(PLAN, face, take, 20, still, np.random.default_rng(0))
@@ -86,10 +89,10 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
     for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
-        running = Sequence.from_face(face.neutral, dynamic=True, tolerance=PLAN.tolerance)
-        running.begin(face.expression(kept.weights[0]), base=extrapolate_turns(bases))
+        running = Sequence.from_face(face.settled(), dynamic=True, tolerance=PLAN.tolerance)
+        running.begin(face.blend(kept.weights[0]), base=extrapolate_turns(bases))
         again = [
-            face.corrected(w, running.frame(face.expression(w), base=base).positions)
+            (face.skin_after(w, running.frame(face.blend(w), base=base).positions) - face.blend(w))
             for w, base in zip(kept.weights, bases, strict=True)
         ]
         off.append(np.abs(np.array(again) - kept.corrected).max())
@@ -100,15 +103,14 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
     for identity in range(PLAN.identities):
         shard = made.shard(identity)
         person = PEOPLE.person(PLAN.rng(0, identity))
-        face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
+        face = make_face(PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
         step = np.zeros(52)
         step[5] = 1e-2
 
         def tight(weights, face=face):
-            near = face.linear.predict(face.expression(weights))
-            return face.corrected(
-                weights, face.linear.prepared.solve(face.scene(weights), start=near, tolerance=1e-7).positions
-            )
+            near = face.derivatives.predict(face.blend(weights))
+            solution = face.derivatives.prepared.solve(face.scene(weights), start=near, tolerance=1e-7)
+            return face.skin_after(weights, solution.positions) - face.blend(weights)
 
         difference = (tight(step) - tight(-step)) / 2e-2
         found = shard.responses.expressions[0, 5].astype(float)

@@ -6,23 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.surrogate import beyond as unseen
 from softdeca.benchmarks.studies.surrogate.breakeven import compute_breakeven
 from softdeca.lhm import InputError
-from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Frames
 from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.dynamics import Looseness
-from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, read_references, score_distances
-from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
-from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, NetworkMethod
+from softdeca.surrogate.evaluate import Contender, by_frame, evaluate, measure_frames, score_distances
+from softdeca.surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, METHODS, Method, use_network
+from softdeca.surrogate.motion import STILL, evaluate_motion, evaluate_played
 from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials, static_trials
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
@@ -30,8 +29,8 @@ PLAN = CorpusPlan(
     identities=10, groups=1, frames=3, sequences=1, references=2, parameter_responses=0.0, run=24,
     kinds={"effects": 0.5, "both": 0.5}, sources={"conversation": 1.0}, conversations=4, random=0, seconds=4.0,
 )  # fmt: skip
-HEADS = Heads(PEOPLE)
-METHODS = [Derivatives(), BonesCarried(HEADS), Blendshapes()]
+HEADS = Heads(lambda: PEOPLE)
+READY = [METHODS[name] for name in (DERIVATIVES, CARRIED, BLENDSHAPES)]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def corpus(tmp_path_factory):
 
 def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
     looseness = Looseness.from_people(PEOPLE, count=8)
-    scores = evaluate_dynamic(METHODS, corpus, "train", HEADS, looseness)
+    scores = evaluate_motion(READY, CorpusTrials(corpus, "train", heads=HEADS), looseness)
     found = {(score.method, score.kind): score for score in scores}
     assert len(found) == 6 and all(score.frames % 16 == 0 and score.frame_ms > 0 for score in scores)
     own = found["derivatives", DYNAMIC]
@@ -57,7 +56,7 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
     from softdeca.surrogate.networks.snp import SubspacePhysics
 
-    score = evaluate_sequences(SubspacePhysics(steps=5), corpus, HEADS)
+    score = evaluate_played(SubspacePhysics(steps=5), CorpusTrials(corpus, heads=HEADS))
     assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
     # Nine people tell little of a tenth; what it was shown it has learned.
     train = Table(corpus, "sequences", "train")
@@ -81,8 +80,8 @@ def test_learned_coefficients_of_eq_21_follow_sequences(corpus):
     table = Table(corpus, "sequences", "train")
     weights = train_recurrence(weights, table, find_mean_pivot(HEADS), RecurrenceTraining(steps=60))
     looseness = Looseness.from_people(PEOPLE, count=8)
-    method = NetworkMethod(weights)
-    moving, still = evaluate_dynamic([method], corpus, "train", HEADS, looseness)
+    method = Method("network", use_network(Surrogate(weights)))
+    moving, still = evaluate_motion([method], CorpusTrials(corpus, "train", heads=HEADS), looseness)
     assert moving.mean < 0.98 * still.mean  # most of either is what so small a network leaves of statics
     face = Faces(corpus, "train").face(0)
     bound = Surrogate(weights).learned_swing(face)
@@ -116,15 +115,20 @@ def test_a_network_learns_from_the_energy_and_reads_no_simulated_frame(corpus, m
 
     monkeypatch.setattr(Faces, "frames", refuse)
     options = {"steps": 60, "faces": 4, "differentiated": 3, "modes": 24, "validate_every": 20}
-    method = EnergyTrained(HEADS, EnergyTraining(**options))
-    faces = Faces(corpus, "train")
+    method = EnergyTrained(EnergyTraining(**options))
+    faces = Faces(corpus, "train", heads=HEADS)
     method.fit(faces)
     assert method.curve[-1]["loss"] < method.curve[0]["loss"] and method.curve[-1]["loss"] < 0.0
     assert np.isfinite(method.bind(faces.face(0)).frame(np.full(52, 0.1))).all()
 
 
+def score_by_fenicsx(tested):
+    table = measure_frames([SIMULATED, *map(by_frame, READY)], tested.by_fenicsx())
+    return table.scores(table.parts())
+
+
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
-    scores = evaluate_references(METHODS, corpus, None, HEADS)
+    scores = score_by_fenicsx(CorpusTrials(corpus, None, heads=HEADS))
     assert {score.kind for score in scores} <= set(AGAINST.values())
     found = {(score.method, score.kind): score for score in scores}
     simulated = found["projective dynamics", AGAINST["PD"]]
@@ -136,17 +140,18 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
 
 def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus, monkeypatch):
     """A p that varies over the face has no neo-Hookean counterpart."""
-    frames = [frame for frame in read_references(corpus, None, Faces(corpus, None)) if frame.law == "PD"]
-    monkeypatch.setattr("softdeca.surrogate.evaluate.read_references", lambda *_, **__: frames)
-    assert {score.kind for score in evaluate_references(METHODS[:1], corpus, None, HEADS)} == {AGAINST["PD"]}
+    tested = CorpusTrials(corpus, None, heads=HEADS)
+    frames = [frame for frame in tested.read_references() if frame.law == "PD"]
+    monkeypatch.setattr(CorpusTrials, "read_references", lambda self: frames)
+    assert {score.kind for score in score_by_fenicsx(tested)} == {AGAINST["PD"]}
     frames.clear()
     with pytest.raises(InputError, match="no frame with an answer of FEniCSx has derivatives"):
-        evaluate_references(METHODS[:1], corpus, None, HEADS)
+        score_by_fenicsx(tested)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
-    score = evaluate([Derivatives()], Faces(corpus, "test"), HEADS)[0]
+    score = evaluate([METHODS[DERIVATIVES]], CorpusTrials(corpus, heads=HEADS).static())[0]
     found = compute_breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
     assert found.frames == pytest.approx(
@@ -155,29 +160,6 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     assert np.isfinite(found.faces)
     shutil.copy(corpus / "corpus.json", tmp_path)
     assert compute_breakeven(tmp_path, note, score) is None
-
-
-def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
-    test = Faces(corpus, "train")
-    methods = [CoarsePD(HEADS, 1), CoarsePD(HEADS, 200), BakedShapes(HEADS), Derivatives()]
-    scores = evaluate(methods, test, HEADS, chosen=[0, 2])
-    errors = [score.mean for score in scores if score.kind == "all"]
-    assert {score.frames for score in scores if score.kind == "all"} == {6}
-    # To the end it gives what the corpus keeps, to its tolerance and the rounding of float16.
-    assert errors[1] < 1e-3 and errors[1] <= errors[0] and errors[2] < 0.1
-    assert [score.method for score in scores if score.kind == "all"][:2] == [
-        "PD, 1 iteration a frame",
-        "PD, 200 iterations a frame",
-    ]
-
-
-def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
-    monkeypatch.setattr(unseen, "CASES", unseen.CASES[1:2])
-    monkeypatch.setattr(unseen, "EXPRESSIONS", unseen.EXPRESSIONS[:1])
-    own, carried, settled, nothing = unseen.score_beyond(Surrogate.load(), silent, level=1)
-    assert own.kind == nothing.kind == unseen.KIND and own.frames == 1 and own.share < 1.0
-    # Muscle alone differs, so neither bones nor a settled face explain anything.
-    assert carried.share == nothing.share == pytest.approx(1.0) and settled.share == pytest.approx(1.0, abs=0.1)
 
 
 class _Empty:
@@ -195,7 +177,7 @@ class _Empty:
 
 def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
     with pytest.raises(InputError, match="no accepted static frames"):
-        evaluate(METHODS, _Empty(), HEADS)
+        evaluate(READY, static_trials(_Empty()))
     right, wrong = np.ones((2, 4)), np.full((2, 4), np.nan)
     for error, motion, words in (
         (wrong, right, "numbers that are not finite"),
@@ -203,4 +185,4 @@ def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
         (right[:0], right[:0], "no frame"),
     ):
         with pytest.raises(InputError, match=f"blendshapes.*all: {words}"):
-            score_distances(Blendshapes(), "all", error, motion)
+            score_distances(Contender("blendshapes", None), "all", error, motion)

@@ -304,7 +304,7 @@ GIVEN = {
     },
     "bench work-precision --slow --repeats 1 --seed 0": {"slow": True, "repeats": 1, "seed": 0},
     "bench throughput --frames 20 --frames 30": {"frames": 30},
-    "evaluate corpus --simulated 0 --generalisation 0": {"corpus": "corpus", "simulated": 0, "generalisation": 0},
+    "evaluate corpus --external ''": {"corpus": "corpus", "external": ""},
 }  # fmt: skip
 
 

@@ -13,14 +13,14 @@ from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Frames, Person
 from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.methods import Blendshapes, NetworkMethod
+from softdeca.surrogate.methods import BLENDSHAPES, METHODS, NETWORK, ready_methods
 from softdeca.surrogate.networks.forms import FORMS
 from softdeca.surrogate.networks.frames import FrameSource
 from softdeca.surrogate.networks.gradient_training import (
@@ -38,10 +38,10 @@ from softdeca.surrogate.networks.gradients import Widths
 from softdeca.surrogate.networks.trainer import Trainer, TrainerConfig
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
-HEADS = Heads(PEOPLE)
 N = len(SPACE.mean.vertices)
 PLAN = CorpusPlan(
     identities=20, groups=5, frames=2, sequences=0, responses=1.0, references=0, parameter_responses=0.0,
@@ -57,7 +57,7 @@ QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate"
 def faces(tmp_path_factory):
     corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     corpus.generate()
-    return {split: Faces(corpus.folder, split) for split in ("train", "test")}
+    return {split: Faces(corpus.folder, split, heads=Heads(lambda: PEOPLE)) for split in ("train", "test")}
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_least_gradients_reproduce_the_simulated_skins_and_principal_ones_span_t
 
 
 def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weights, faces):
-    scores = evaluate([NetworkMethod(weights), Blendshapes()], faces["test"], HEADS)
+    scores = evaluate([ready_methods(Surrogate(weights))[NETWORK], METHODS[BLENDSHAPES]], static_trials(faces["test"]))
     network, nothing = (score for score in scores if score.kind == "all")
     assert network.method == "network" and network.frames == 20
     assert network.everywhere < nothing.everywhere / 1.5
@@ -144,7 +144,7 @@ def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, 
     assert np.abs(expected - test.blended).max() > 1e-3
     for k, number in enumerate(test.face):
         face = faces["test"].face(int(FrameSource(faces["test"]).face[number]))
-        frame = NetworkMethod(surrogate.weights).bind(face).frame(test.weights[k], blended=test.blended[k])
+        frame = surrogate.bind_face(face).frame(test.weights[k], blended=test.blended[k])
         assert np.abs(frame - expected[k]).max() < 1e-4
 
 

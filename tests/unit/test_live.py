@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from softdeca.animation.live.controls import CONTROLS, PRESETS, describe_controls
-from softdeca.animation.live.face import FirstAnswer, LiveFace
+from softdeca.animation.live.face import FirstAnswer
 from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
 from softdeca.animation.live.refinement import Refinement, SupersededError
 from softdeca.animation.live.server import serve_face
 from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import InputError, fit_head, identities, load_template
 from softdeca.lhm.base.errors import MissingDependencyError
-from softdeca.reference import Parameters
+from softdeca.reference import Face, Parameters
 from softdeca.surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, PD
 from softdeca.surrogate.sphere import Spheres
 
@@ -24,7 +24,7 @@ SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 @pytest.fixture(scope="module")
 def face():
     head = SPACE.fit(SPACE.skin(CODE))
-    return LiveFace.from_head(head, SPACE.expression_deltas(CODE), Parameters())
+    return Face(head, SPACE.expression_deltas(CODE))
 
 
 def change(number=1, *, volume=1.2, weight=0.6):
@@ -70,7 +70,7 @@ def test_the_network_tells_more_error_on_a_head_that_is_none_of_its_people():
     wavy = skin.vertices + 4.0 * np.sin(skin.vertices[:, 1:2] / 20.0) * [1.0, 0.0, 0.0]
     told = []
     for each in (skin, skin.with_vertices(wavy)):
-        face = LiveFace.from_head(fit_head(template, each), space.expression_deltas(code), Parameters())
+        face = Face(fit_head(template, each), space.expression_deltas(code))
         frame = FirstAnswer(face).frame(asked)
         assert frame.method == NETWORK
         moved = np.linalg.norm(frame.skin - face.blend(asked.weights), axis=1)
@@ -116,7 +116,7 @@ def test_only_the_newest_change_is_refined_and_a_moving_slider_settles_nothing(f
 
 def test_a_face_that_does_not_settle_is_told(face, monkeypatch):
     newest, sent = Newest(), []
-    monkeypatch.setattr("softdeca.reference.face.derivatives.TARGET_OPTIONS", {"tolerance": 1e-4, "max_iterations": 1})
+    monkeypatch.setattr("softdeca.reference.face.face.TARGET_OPTIONS", {"tolerance": 1e-4, "max_iterations": 1})
     newest.put(change(5, volume=1.5))
     refine_newest(Refinement(face), newest, sent.append)
     assert sent[-1].kind == "failed" and sent[-1].change == 5

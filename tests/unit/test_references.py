@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.reference import Parameters, settle, solve, terms
-from softdeca.reference.face.derivatives import QUICK_ACCURACY, differentiate
+from softdeca.reference import Face, Parameters, settle, solve, terms
 from softdeca.reference.face.facial import apply_law
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
 from softdeca.surrogate.corpus.references import references
 from softdeca.surrogate.corpus.shard import ACCEPTED, FEM_LAWS
-from softdeca.surrogate.corpus.simulator import FaceSimulator
+from softdeca.surrogate.corpus.simulator import describe_answer, solve_frame
 from softdeca.surrogate.sphere import Spheres
 
 PLAN = PRESETS["tiny"]
@@ -25,20 +24,19 @@ def face():
     space = Spheres(2)
     people = OfSpace(space, space.mean, space.fit)
     person = people.person(PLAN.rng(0, 0))
-    linear = differentiate(settle(people.head(person), P), accuracy=QUICK_ACCURACY)
-    return FaceSimulator(PLAN, person, PLAN.parameter_set(0), linear, linear.vertices_by_shapes(person.shapes))
+    return Face(people.head(person), person.shapes, P)
 
 
 def test_each_law_settles_the_face_itself(face):
     weights = np.zeros(52)
     weights[5] = 0.5
-    answer = face.answer(weights, face.solve(weights))
-    answers = references(face, weights, answer)
+    answer = describe_answer(PLAN, face, weights, solve_frame(PLAN, face, weights))
+    answers = references(PLAN, face, weights, answer)
     same, own = answers.values()
     assert (*answers,) == FEM_LAWS == ("PD", "neo-Hookean") and {same.status, own.status} == {ACCEPTED}
     # Half precision leaves steps of some micrometres at these sizes.
     assert np.abs(same.corrected - answer.corrected).max() < 0.02
-    expression = face.expression(weights)
+    expression = face.blend(weights)
 
     def by_scikit_fem(neutral):
         """The neo-Hookean answer of another implementation on this neutral face."""
@@ -47,12 +45,12 @@ def test_each_law_settles_the_face_itself(face):
         return neutral.skin_after(expression, solve(scene, solver="skfem").positions) - expression
 
     varying = replace(P, soft_stiffness=np.linspace(4.0, 6.0, len(face.head.skin_wrap.triangles)))
-    linear = differentiate(settle(face.head, varying), accuracy=QUICK_ACCURACY)
-    first_order = linear.vertices_by_shapes(face.person.shapes)
-    without = FaceSimulator(PLAN, face.person, face.parameters, linear, first_order)
-    assert list(references(without, weights, answer)) == ["PD"], "the law has no counterpart of a stiffness that varies"
+    without = replace(face, parameters=varying, per="wraps")
+    assert list(references(PLAN, without, weights, answer)) == ["PD"], (
+        "the law has no counterpart of a stiffness that varies"
+    )
     by_law = settle(face.head, P, law="neo-Hookean", solver="skfem")
-    alone, shared = by_scikit_fem(by_law), by_scikit_fem(face.neutral)
+    alone, shared = by_scikit_fem(by_law), by_scikit_fem(face.settled())
     to_alone, to_shared = (np.abs(own.corrected - other).max() for other in (alone, shared))
     assert to_alone < 0.02 and to_shared > 4.0 * to_alone
-    assert face.neutral_under("neo-Hookean") is face.neutral_under("neo-Hookean")
+    assert face.settled("neo-Hookean") is face.settled("neo-Hookean")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, expressions
-from softdeca.reference import Parameters, Sequence, settle
-from softdeca.surrogate import derivatives_rig
+from softdeca.reference import Face, Parameters, Sequence, settle
+from softdeca.surrogate import METHODS
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.dynamics import DynamicRig, Looseness, Swing
 from softdeca.surrogate.sphere import Spheres
@@ -30,7 +30,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def rig(head):
-    return derivatives_rig(head, shapes(), P)
+    return METHODS["derivatives"].bind(Face(head, shapes(), P))
 
 
 def test_frames_follow_the_simulators(head, rig):
@@ -129,7 +129,7 @@ def test_bad_parameters_are_named(head, changes, message):
             """Unchecked, as an array of parameters is."""
 
     with pytest.raises(InputError, match=message):
-        Swing.from_head(head, Given(**changes))
+        Swing.from_face(Face(head, shapes(), Given(**changes)))
 
 
 @pytest.mark.parametrize(

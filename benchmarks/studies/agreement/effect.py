@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -12,10 +12,9 @@ from ....lhm.base.mesh import Floats
 from ....lhm.flesh import cheek_share, flesh_share, mean_on_triangles
 from ....lhm.head import LayeredHead
 from ....lhm.identities.space import LinearSpace
-from ....reference import Parameters, Scene, SettledFace, Solution, facial_scene, prepare, settle
+from ....reference import Face, Parameters, Scene, SettledFace, Solution, facial_scene, prepare, settle
 from ....reference.face.settle import carry_skin
 from ....surrogate import Surrogate
-from ....surrogate.local import around_vertices
 from ....surrogate.methods import CARRIED, FENICSX, FENICSX_NEO_HOOKEAN, PD, SETTLED, SKFEM, SKFEM_NEO_HOOKEAN
 from ....surrogate.ruler import measure
 from ..measures import NEO_HOOKEAN, PD_ENERGY, distances
@@ -236,20 +235,13 @@ def apply_rules(head: LayeredHead, expression: Floats, neutral: SettledFace) -> 
 def predict_skin(space: LinearSpace, code: Floats, head: LayeredHead, effect: Effect) -> Floats | None:
     """Predict an effect's expression by the shipped network, (n, 3) [mm]; None for people that it does not know.
 
-    It takes local parameters per face of the skin, and those beyond what it has seen at the nearest that it has.
+    It takes parameters beyond what it has seen at the nearest that it has.
     """
-    network, parameters = Surrogate.load(), effect.with_it(head)
+    network = Surrogate.load()
     if network.space != space.name:
         return None
-    moved = {}
-    for field in fields(parameters):
-        value = np.asarray(getattr(parameters, field.name))
-        if value.shape == (len(head.skin_wrap.triangles),):
-            # Skin off the wrap's triangles is beyond their corners, and must not leave the values' range.
-            there = np.clip(head.skin_from_wrap @ around_vertices(value, head.skin_wrap), value.min(), value.max())
-            moved[field.name] = there[head.skin.triangles].mean(axis=1)
-    rig = network.bind(head.skin, code, replace(parameters, **moved), beyond="clamp")
-    return rig.frame(effect.weights()).astype(np.float64)
+    face = Face(head, space.expression_deltas(code), effect.with_it(head), per="wraps", code=code)
+    return network.bind_face(face, beyond="clamp").frame(effect.weights()).astype(np.float64)
 
 
 def measure_skins(skins: Mapping[str, Floats], truth: Floats, carried: Floats) -> dict[str, dict[str, float | None]]:

@@ -31,10 +31,10 @@ TO_PD, TO_FENICSX, TO_NEO = "to PD", "to FEniCSx", "to neo-Hookean"
 ALL, SKIN = ", all vertices", ", skin"
 
 
-class SceneFace:
+class SolvedScene:
     """A scene of a head, the same scene under the neo-Hookean law, and the answers to both.
 
-    Here no target holds the skin, so nothing has to settle first; `Face` is of expressions, whose targets do.
+    Here no target holds the skin, so nothing has to settle first; a `SolvedExpression` has targets.
     """
 
     neutral: SettledFace | None = None
@@ -154,7 +154,7 @@ class SceneFace:
         return draw_strip(panels, rest=skin)
 
 
-class Face(SceneFace):
+class SolvedExpression(SolvedScene):
     """An expression of a face under p, whose neutral face each law settles for its own answer."""
 
     neutral: SettledFace
@@ -180,9 +180,7 @@ class Face(SceneFace):
     def learned(self) -> Floats:
         """The surrogate's skin [mm]."""
         assert self._network is not None
-        of = self.of
-        shapes = of.space.expression_deltas(of.code)
-        bound = self._network.bind(of.head.skin, of.code, self.parameters, expressions=shapes)
+        bound = self._network.bind_face(self.of.face(self.parameters))
         return np.asarray(bound.frame(self.weights), dtype=np.float64)
 
     def solve_by(self, method: str) -> dict:

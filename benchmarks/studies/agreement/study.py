@@ -30,7 +30,7 @@ from ....surrogate.methods import (
 from ...harness.study import Column, Row, Study, Table, Task, Values, above, at_most
 from ..measures import ACCURACY
 from ..person import Person, person
-from .faces import ALL, BESIDE, LAW, SKIN, TO_FENICSX, TO_PD, Face, SceneFace
+from .faces import ALL, BESIDE, LAW, SKIN, TO_FENICSX, TO_PD, SolvedExpression, SolvedScene
 from .insides import tabulate_insides
 
 SOLVERS = (FENICSX, PD, PD_PLAIN, SKFEM, FENICSX_NEO_HOOKEAN, SKFEM_NEO_HOOKEAN)
@@ -132,18 +132,18 @@ class Agreement(Study):
     def _pushed(self) -> str:
         return f"cheek pushed by {self.push:g} kPa"
 
-    def make(self, case: str) -> SceneFace:
+    def make(self, case: str) -> SolvedScene:
         """Make a case of which nothing is solved."""
         of, still = self.person(), np.zeros(52)
         if case == self._open:
-            return SceneFace(of, open_jaw_scene(of.head, Parameters(gravity=2.0), angle=self.jaw))
+            return SolvedScene(of, open_jaw_scene(of.head, Parameters(gravity=2.0), angle=self.jaw))
         if case == self._pushed:
-            return SceneFace(of, push_cheek_scene(of.head, Parameters(), pressure=self.push))
+            return SolvedScene(of, push_cheek_scene(of.head, Parameters(), pressure=self.push))
         if case == self._heavy:
-            return Face(of, still, Parameters(gravity=self.gravity), self.network())
+            return SolvedExpression(of, still, Parameters(gravity=self.gravity), self.network())
         if case == self._grown:
-            return Face(of, still, Parameters(soft_volume=self.volume), self.network())
-        return Face(of, expressions.parse_weights(case), Parameters(), self.network())
+            return SolvedExpression(of, still, Parameters(soft_volume=self.volume), self.network())
+        return SolvedExpression(of, expressions.parse_weights(case), Parameters(), self.network())
 
     def measure(self, task: Task) -> Values:
         """Measure a solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
@@ -152,23 +152,22 @@ class Agreement(Study):
             figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(of.head).figures]
             return {"tets": len(of.head.tets), "figures": figures, CUT: draw_cut_away(of.head)}
         if task.case == TURNED:
-            parameters, network = Parameters(), self.network()
-            shapes = of.space.expression_deltas(of.code)
+            at_rest, network = of.face(Parameters()), self.network()
             rigs, poses = [], []
             if network is not None:
-                rigs.append(Rig.baked(NETWORK, network.bind(of.head.skin, of.code, parameters, expressions=shapes)))
+                rigs.append(Rig.baked(NETWORK, network.bind_face(at_rest)))
             for text in self.expressions:
                 face, weights = _face(self, text), expressions.parse_weights(text)
                 poses.append(
                     Pose(text, weights, {PD: face.skin(face.pd[0]), FENICSX_NEO_HOOKEAN: face.law_skin(face.neo[0])})
                 )
             title = f"the head ({of.space.name})"
-            page = render_face_page(title, VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
+            page = render_face_page(title, VIEW_WORDS, at_rest, rigs, poses)
             return {"blendshapes, PD, FEniCSx and network": page.encode()}
         face = _face(self, task.case)
         if task.method == BESIDE:
-            return {PICTURED if isinstance(face, Face) else FREE: face.picture()}
-        if isinstance(face, Face) and task.method in (NETWORK, BLENDSHAPES):
+            return {PICTURED if isinstance(face, SolvedExpression) else FREE: face.picture()}
+        if isinstance(face, SolvedExpression) and task.method in (NETWORK, BLENDSHAPES):
             return face.compare_skins(task.method)
         return face.solve_by(task.method)
 
@@ -303,5 +302,5 @@ CUT = "soft tissue (yellow) and muscle (red) cut open; the skin wrap; the skull 
 
 
 @cache
-def _face(study: Agreement, case: str) -> SceneFace:
+def _face(study: Agreement, case: str) -> SolvedScene:
     return study.make(case)

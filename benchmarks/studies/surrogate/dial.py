@@ -18,9 +18,10 @@ from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
 from ....lhm.template import DEFAULT_LEVEL
-from ....reference import Parameters
-from ....reference.face.derivatives import FRAME_ACCURACY, spring_norm
-from ....surrogate import CertifiedFace, Surrogate
+from ....reference import Face, Parameters
+from ....reference.face.correction import predict
+from ....reference.face.derivatives import spring_norm
+from ....surrogate import CertifiedFace, certify
 from ....surrogate.certified import DOUBT
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.corpus.people import People, people_from_text
@@ -89,15 +90,15 @@ class Dial(Study):
     def measure(self, task: Task) -> Values:
         """Bind a person's face, and make its frames by every method and accuracy."""
         group, person = task.case.split(", person ")
-        face, network, kind, rng = self._bind(group, int(person))
+        face, kind, rng = self._bind(group, int(person))
         frames = [_Frame(face, self._weights(rng, number)) for number in range(self.frames)]
         told = [frame.ask(accuracy) for frame in frames for accuracy in ACCURACIES]
-        lean = [row for frame in frames for row in frame.lean(network)]
+        lean = [row for frame in frames for row in frame.lean()]
         rows = [_line(accuracy, [row for row in told if row["accuracy"] == accuracy]) for accuracy in ACCURACIES]
         return {"group": group, "kind": kind, "told": told, "lean": lean, "rows": rows}
 
     def _bind(self, group: str, person: int):
-        """Return a person's face, the network bound alone or None, the kind of p, and what draws expressions."""
+        """Return a person's face, the kind of p, and what draws expressions."""
         rng = np.random.default_rng([self.seed, (HELD_OUT, EXTERNAL, BEYOND).index(group), person])
         people = _people("external:" + self.external if group == EXTERNAL else self.people, self.level)
         who = people.person(rng)
@@ -111,12 +112,8 @@ class Dial(Study):
             parameters = Parameters()
         else:
             parameters = draw(rng, kind, field=False).parameters(head, people.mean)
-        surrogate = Surrogate.load()
-        face = CertifiedFace.from_head(head, who.shapes, parameters, surrogate=surrogate)
-        network = None
-        if face.has_network:
-            network = surrogate.bind(who.skin, who.code, parameters, expressions=who.shapes)
-        return face, network, kind, rng
+        face = certify(Face(head, who.shapes, parameters, per="wraps", code=who.code))
+        return face, kind, rng
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bound errors by what was asked for and told; and what was hoped for besides."""
@@ -210,21 +207,20 @@ class _Frame:
     """One expression of a face: its truth, and which vertices move there."""
 
     def __init__(self, face: CertifiedFace, weights: Floats):
-        frames = face.frames
-        self.face, self.weights = face, weights
-        self.expression = frames.expression(weights)
-        self.scene = frames.linear.face.scene(self.expression)
-        self.start = frames.predict(weights)
+        self.certified, self.face, self.weights = face, face.face, weights
+        self.expression = self.face.blend(weights)
+        self.scene = self.face.scene(weights)
+        self.start = predict(self.face, weights)
         truth = self._solve(TRUTH)
         if not truth.converged and truth.history.gradient_norm[-1] > 1e2 * TRUTH * spring_norm(self.scene):
             raise SoftdecaError(f"truth: {truth.reason}")
-        self.truth = frames.linear.face.skin_after(self.expression, truth.positions)
+        self.truth = self.face.skin_after(weights, truth.positions)
         self.inverted = int(np.count_nonzero(truth.volume_ratio <= 0.0))
-        moves = np.linalg.norm(self.truth - self.expression - face.carried, axis=1) > MOVES
+        moves = np.linalg.norm(self.truth - self.expression - self.face.carried, axis=1) > MOVES
         self.counted = moves if moves.any() else np.ones_like(moves)
 
     def _solve(self, accuracy: float):
-        return self.face.frames.linear.prepared.solve(
+        return self.face.derivatives.prepared.solve(
             self.scene, start=self.start, absolute=accuracy * spring_norm(self.scene), untangle=False
         )
 
@@ -235,31 +231,23 @@ class _Frame:
     def ask(self, accuracy: float) -> dict:
         """Return what a frame of an accuracy tells, what is true, and its milliseconds."""
         begin = time.process_time()
-        frame = self.face.frame(self.weights, accuracy)
+        frame = self.certified.frame(self.weights, accuracy)
         ms = 1e3 * (time.process_time() - begin)
         return {
             "accuracy": accuracy, "method": frame.method, "told": frame.error, "true": self.error(frame.skin),
             "certain": frame.certain, "ms": ms, "inverted": self.inverted,
         }  # fmt: skip
 
-    def lean(self, network) -> list[dict]:
+    def lean(self) -> list[dict]:
         """Return errors and milliseconds of methods that tell none, and of PD alone."""
-        face, weights = self.face, self.weights.astype(np.float32)
-        linear = face.derivatives
-        settled = face.frames.linear.face.displacement
-        made = {
-            SETTLED: lambda: face.rig.blend(weights) + settled,
-            DERIVATIVES: lambda: linear.frame(weights),
-            PD_FIRST_ORDER: lambda: face.frames.linear.face.skin_after(
-                self.expression, self._solve(FRAME_ACCURACY).positions
-            ),
-        }
-        if network is not None:
-            made |= {NETWORK: lambda: network.frame(weights), NETWORK_AND_DERIVATIVES: lambda: face.rig.frame(weights)}
+        methods: tuple[str, ...] = (SETTLED, DERIVATIVES, PD_FIRST_ORDER)
+        if self.certified.method == NETWORK_AND_DERIVATIVES:
+            methods = (*methods, NETWORK, NETWORK_AND_DERIVATIVES)
         rows = []
-        for method, make in made.items():
+        for method in methods:
+            rig = METHODS[method].bind(self.face)
             begin = time.process_time()
-            skin = make()
+            skin = rig.frame(self.weights)
             rows.append({"method": method, "true": self.error(skin), "ms": 1e3 * (time.process_time() - begin)})
         return rows
 

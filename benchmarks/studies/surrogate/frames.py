@@ -13,11 +13,9 @@ from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.progress import OnProgress
 from ....surrogate.corpus.reading import Faces
 from ....surrogate.corpus.shard import FEM_LAWS
-from ....surrogate.evaluate import read_references
-from ....surrogate.heads import Heads
-from ....surrogate.methods import Derivatives, NetworkMethod
+from ....surrogate.methods import NETWORK, SETTLED, Method
 from ....surrogate.ruler import kind_of_coefficients, measure
-from .methods import OnCorpus
+from .methods import Contest
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""
@@ -33,26 +31,25 @@ class Worst:
     error: float
 
 
-def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> list[bytes]:
+def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each.
 
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
-    faces, heads = tested.faces, tested.heads
-    network, settled = NetworkMethod(tested.network.weights), Derivatives(responses=False)
+    faces, network, settled = contest.tested.faces, contest.methods[NETWORK], contest.methods[SETTLED]
     solved: dict[tuple[int, bytes], Floats32] = {}
     try:
-        for frame in read_references(tested.corpus, tested.split, faces, partial=tested.partial):
+        for frame in contest.tested.read_references():
             if frame.law == FEM_LAWS[0]:
                 solved[frame.face, frame.weights.tobytes()] = frame.fenicsx
     except InputError:
         solved = {}  # a corpus without references
     rows = []
-    for number, worst in enumerate(find_worst_frames(faces, network, heads)):
+    for number, worst in enumerate(find_worst_frames(faces, network)):
         face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
-        skin, weights_now = faces.skin(face.identity), frames.weights[0]
-        blended = skin.vertices + np.tensordot(weights_now, face.shapes, axes=1)
-        truth, carried = frames.corrected[0].astype(np.float64), heads.carry(face)
+        skin, weights_now = face.skin, frames.weights[0]
+        blended = face.blend(weights_now)
+        truth, carried = frames.corrected[0].astype(np.float64), face.carried
         own, still = (method.bind(face).frame(weights_now) - blended for method in (network, settled))
         top = max(0.5, float(np.percentile(np.linalg.norm(truth - carried, axis=1), 99.0)))
         simulated = skin.with_vertices(blended + truth)
@@ -77,7 +74,7 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> list[bytes]:
     return rows
 
 
-def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
     worst = []
     for index in range(len(faces)):
@@ -85,10 +82,10 @@ def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: 
         if not len(frames.weights):
             continue
         truth, rig = frames.corrected.astype(np.float32), method.bind(face)
-        blended = face.skin + np.tensordot(frames.weights, face.shapes, axes=1)
+        blended = face.blend(frames.weights)
         answers = np.stack([rig.frame(weights) for weights in frames.weights])
         errors = np.linalg.norm(answers - blended - truth, axis=2)
-        motions = np.linalg.norm(truth - heads.carry(face), axis=2)
+        motions = np.linalg.norm(truth - face.carried, axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
         worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
     return sorted(worst, key=lambda frame: -frame.error)[:count]

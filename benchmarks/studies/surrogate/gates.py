@@ -25,17 +25,20 @@ ADDED = 0.774
 """Largest share of network + derivatives over that of the derivatives alone, to which the network adds."""
 
 
-def make_gates(scores: Iterable[Score]) -> list[dict]:
-    """Bound the network's share by kind, and that of network + derivatives over the derivatives'."""
+def make_gates(scores: Iterable[Score], *, has_derivatives: bool = True) -> list[dict]:
+    """Bound the network's share by kind, and that of network + derivatives over the derivatives', if it has any."""
     shares = {(score.method, score.kind): score.share for score in scores}
     kinds = {kind for _, kind in shares} | {ALL}
     both, derivatives = shares.get((NETWORK_AND_DERIVATIVES, ALL)), shares.get((DERIVATIVES, ALL))
     ratio = None if both is None or derivatives is None else both / derivatives
-    return [
+    gates = [
         at_most(f"network's share of |T - carried(S)|, {kind}", shares.get((NETWORK, kind)), bound)
         for kind, bound in BOUNDS.items()
         if kind in kinds
-    ] + [at_most("share of network + derivatives over the derivatives'", ratio, ADDED)]
+    ]
+    if has_derivatives:
+        gates.append(at_most("share of network + derivatives over the derivatives'", ratio, ADDED))
+    return gates
 
 
 def find_defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:

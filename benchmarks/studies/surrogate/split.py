@@ -20,7 +20,7 @@ from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, Solution, settle
-from ....reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
+from ....reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives
 from ....reference.face.facial import apply_law
 from ....reference.face.settle import SettledFace, carry_skin, neutral_scene
 from ....surrogate import Surrogate
@@ -269,7 +269,7 @@ def _find_ratios(rows: Sequence[Row]) -> list[float]:
 
 @lru_cache(maxsize=1)
 def _prepare(study: Split, effect: str) -> FaceDerivatives:
-    return differentiate_head(study.person().head, EFFECTS[effect])
+    return study.person().face(EFFECTS[effect]).derivatives
 
 
 @lru_cache(maxsize=2)

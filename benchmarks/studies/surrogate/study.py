@@ -3,40 +3,28 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from ....animation.plots import plot_costs, subplots, to_svg
 from ....lhm.base.errors import InputError
-from ....lhm.base.limits import FACES, STUDIED_PAIRS
 from ....lhm.base.option import option
 from ....lhm.base.progress import silent
-from ....surrogate.corpus.manifest import OWNER, read_manifest, read_template
-from ....surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
-from ....surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
-from ....surrogate.generalisation import evaluate_generalisation
-from ....surrogate.methods import BLENDSHAPES, CARRIED, NETWORK, SETTLED, NetworkMethod
+from ....surrogate.corpus.manifest import OWNER
+from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
+from ....surrogate.methods import NETWORK, ready_methods
+from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.ruler import MOVES
+from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
 from ...harness.study import Column, Row, Study, Task, Values
-from .beyond import KIND as BEYOND
-from .beyond import score_beyond
 from .breakeven import Breakeven, compute_breakeven
 from .frames import draw_worst_frames
 from .gates import describe_defeats, make_gates
-from .methods import (
-    READY,
-    SIMULATE,
-    OnCorpus,
-    list_learners,
-    load_network,
-    open_corpus,
-    parse_people,
-    simulate_test_pairs,
-)
+from .methods import Contest, list_learners, load_network, open_contest, parse_people
 
 SNP = "SNP"
 SEEN = 24
@@ -88,49 +76,49 @@ class SurrogateOnCorpus(Study):
     partial: bool = option(False, "on the people that are there, of a corpus not complete")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
-    simulated: int = option(0, "faces for rivals that simulate; with unseen parameters, too: minutes", bound=FACES)
-    generalisation: int = option(
-        0, "pairs of people, known and unseen, simulated under both's parameters: a minute each", bound=STUDIED_PAIRS
-    )
     curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")
 
     def tasks(self) -> Sequence[Task]:
         """List each question by each method; InputError for no corpus, weights of another mesh, bad options."""
-        return [Task(case, name) for case, (names, _) in self._list_questions().items() for name in names]
+        return [Task(case, name) for case, question in self._ask().items() for name in question.methods]
 
     def measure(self, task: Task) -> Values:
-        """Measure a method's scores on the frames of a question."""
-        scores = self._list_questions()[task.case][1](task.method)
-        tested = self._open_corpus()
-        values: Values = {}
+        """Measure a method's scores on the frames of a question, and what is told once of the corpus."""
+        question = self._ask()[task.case]
+        scores = question.score(question.contest, task.method)
+        contest = self._open(self.corpus, self.people)
+        network = load_network(Path(task.method)) if task.case == CURVE else contest.network
+        values: Values = {
+            "rows": [asdict(score) for score in scores],
+            "people": len(np.unique(contest.tested.faces.groups[:, 0])),
+            "trained_on": asdict(network.weights.note),
+        }
         if task == Task(self._name_corpus(), NETWORK):
-            paid = (
-                None
-                if tested.split is None
-                else compute_breakeven(tested.corpus, tested.network.weights.note, scores[0])
-            )
-            manifest = read_manifest(tested.corpus)
-            values = {
-                "corpus": {name: manifest.said[name] for name in OWNER}
-                | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
-                "breakeven": None if paid is None else asdict(paid),
-                "bind_costs": None if tested.costs is None else asdict(tested.costs),
-            }
-            strips = enumerate(draw_worst_frames(tested, silent), start=1)
-            values = {**values, **{f"worst frame of the {number}. worst face": strip for number, strip in strips}}
-        note = (load_network(Path(task.method)) if task.case == CURVE else tested.network).weights.note
-        people = len({identity for identity, _ in tested.faces.groups.tolist()})
-        return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}
+            return {**values, **self._describe(contest, scores[0])}
+        return values
+
+    def _describe(self, contest: Contest, network: Score) -> Values:
+        """Tell what the corpus is, after how many frames training has paid, and draw the worst frames."""
+        tested, manifest = contest.tested, contest.tested.manifest
+        paid = None
+        if tested.split is not None:
+            paid = compute_breakeven(tested.folder, contest.network.weights.note, network)
+        strips = enumerate(draw_worst_frames(contest, silent), start=1)
+        return {
+            "corpus": {name: manifest.said[name] for name in OWNER}
+            | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
+            "breakeven": None if paid is None else asdict(paid),
+            **{f"worst frame of the {number}. worst face": strip for number, strip in strips},
+        }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bound shares so that no trivial rival passes; see `make_gates`."""
         scores = _read_scores(rows)
         if not any(score.method == NETWORK for score in scores):
             return []
-        gates = make_gates(scores)
         # Networks of deformation gradients have no offset and responses that the simulator could replace.
-        whole = all("form" not in row.values["trained_on"]["config"] for row in rows)
-        return gates if whole else gates[:-1]
+        has_derivatives = all("form" not in row.values["trained_on"]["config"] for row in rows)
+        return make_gates(scores, has_derivatives=has_derivatives)
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell first where the network loses, then share and cost of each, and when training has paid."""
@@ -173,112 +161,104 @@ class SurrogateOnCorpus(Study):
         name = Path(self.corpus).name
         return "unseen people" if re.fullmatch(r"corpus-[0-9a-f]+-[0-9a-f]+", name) else name
 
-    def _open_corpus(self) -> OnCorpus:
+    def _open(self, corpus: str, people: str) -> Contest:
         weights = Path(self.weights) if self.weights else None
-        return open_corpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
+        return open_contest(Path(corpus), parse_people(people), weights, self.partial)
 
-    def _list_questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
-        """Methods, and what scores one of them, by case."""
+    def _ask(self) -> dict[str, Question]:
+        """Questions by case: static frames, sequences and FEniCSx' answers of the corpus, another corpus, the curve."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        tested, corpus = self._open_corpus(), self._name_corpus()
-        ready, counts, swings = tested.ready_names, read_manifest(tested.corpus).counts, tested.looseness is not None
-        tested.network.weights.check_mesh(read_template(tested.corpus))
-        asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
-        asked[corpus] = (
-            [*ready, *(list_learners() if self.rivals else ())],
-            lambda name: self._score_static(tested, name),
-        )
-        if counts.sequences and swings:
-            also = [SNP] if self.rivals else []
-            asked[f"{corpus}, in motion"] = [*ready, *also], lambda name: self._score_moving(tested, name)
-        if counts.references:
-            asked[f"{corpus}, against FEniCSx"] = [SIMULATOR, *ready], lambda name: self._score_referenced(tested, name)
-        if self.simulated:
-            also = [*ready, *SIMULATE]
-            asked[f"{corpus}, beside simulation"] = also, lambda name: self._score_beside_simulation(tested, name)
-            if tested.network.space == "anny":
-                trivial = [NETWORK, CARRIED, SETTLED, BLENDSHAPES]
-                asked[BEYOND] = trivial, lambda name: [s for s in _score_beyond(tested.weights) if s.method == name]
+        contest, corpus = self._open(self.corpus, self.people), self._name_corpus()
+        learners = tuple(list_learners()) if self.rivals else ()
+        asked = {corpus: Question(contest, score_static, (*contest.methods, *learners))}
+        if contest.has_motion:
+            also = (SNP,) if self.rivals else ()
+            asked[f"{corpus}, in motion"] = Question(contest, score_moving, (*contest.methods, *also))
+        if contest.tested.manifest.counts.references:
+            asked[f"{corpus}, against FEniCSx"] = Question(contest, score_referenced, (SIMULATOR, *contest.methods))
         if self.external:
-            other = open_corpus(Path(self.external), None, tested.weights, self.partial)
-            asked[f"{EXTERNAL}, {other.corpus.name}"] = ready, lambda name: self._score_external(other, name)
-            if read_manifest(other.corpus).counts.sequences and swings:
-                asked[f"{EXTERNAL}, {other.corpus.name}, in motion"] = (
-                    ready,
-                    lambda name: [
-                        replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in self._score_moving(other, name)
-                    ],
-                )
-        if self.generalisation:
-            asked[f"{corpus}, by what is unseen"] = (
-                ready,
-                lambda name: evaluate_generalisation(
-                    [tested.make_ready(name)], simulate_test_pairs(tested, self.generalisation), tested.costs
-                ),
-            )
+            other = self._open(self.external, "all")
+            case = f"{EXTERNAL}, {other.tested.folder.name}"
+            asked[case] = Question(other, score_external, tuple(other.methods))
+            if other.has_motion:
+                asked[f"{case}, in motion"] = Question(other, score_external_motion, tuple(other.methods))
         if self.curve:
             if len({load_network(Path(path)).weights.note.people for path in self.curve}) < 2:
                 raise InputError("curve: two weights at least, trained on different numbers of people")
-            asked[CURVE] = self.curve, lambda path: self._score_curve(tested, path)
+            asked[CURVE] = Question(contest, self._score_curve, self.curve)
         return asked
 
-    def _score_static(self, tested: OnCorpus, name: str) -> list[Score]:
-        if name in READY:
-            return evaluate([tested.make_ready(name)], tested.faces, tested.heads, costs=tested.costs)
-        return evaluate([list_learners()[name]()], tested.faces, tested.heads, tested.training, costs=tested.costs)
-
-    def _score_moving(self, tested: OnCorpus, name: str) -> list[Score]:
-        if name == SNP:
-            from ....surrogate.networks.snp import SubspacePhysics
-
-            return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
-        known = tested.looseness
-        assert known is not None
-        ready = [tested.make_ready(name)]
-        return evaluate_dynamic(ready, tested.corpus, tested.split, tested.heads, known, partial=self.partial)
-
-    def _score_referenced(self, tested: OnCorpus, name: str) -> list[Score]:
-        ready = [] if name == SIMULATOR else [tested.make_ready(name)]
-        scores = evaluate_references(ready, tested.corpus, tested.split, tested.heads, partial=self.partial)
-        return [score for score in scores if score.method == name]
-
-    def _score_beside_simulation(self, tested: OnCorpus, name: str) -> list[Score]:
-        chosen = tested.spread(self.simulated)
-        scores = evaluate([tested.make_ready(name)], tested.faces, tested.heads, chosen=chosen, costs=tested.costs)
-        return [replace(score, kind=f"{len(chosen)} faces") for score in scores if score.kind == ALL]
-
-    def _score_external(self, other: OnCorpus, name: str) -> list[Score]:
-        scores = evaluate([other.make_ready(name)], other.faces, other.heads, costs=other.costs)
-        return [replace(score, kind=EXTERNAL) for score in scores if score.kind == ALL]
-
-    def _score_curve(self, tested: OnCorpus, path: str) -> list[Score]:
+    def _score_curve(self, contest: Contest, path: str) -> list[Score]:
         """Score a network of the curve on unseen people, and on people from whom all of the curve have learned.
 
         Where the share of seen people stays far below that of unseen ones, more people help; where both are level,
         another form would.
         """
-        training, notes = tested.training, [load_network(Path(other)).weights.note for other in self.curve]
-        network = load_network(Path(path)).weights
-        network.check_mesh(training.mean)
+        training, notes = contest.tested.training, [load_network(Path(other)).weights.note for other in self.curve]
+        network = load_network(Path(path))
+        network.weights.check_mesh(training.mean)
         fewest = min(notes, key=lambda note: note.people)
         people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
         learned = np.setdiff1d(people, [number for note in notes for number in note.held])
         rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
         seen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
-        method = NetworkMethod(network)
-        of_unseen = evaluate([method], tested.faces, tested.heads)[0]
-        of_seen = evaluate([method], training, tested.heads, chosen=seen)[0]
-        name = f"network of {network.note.people} people"
+        method = ready_methods(network)[NETWORK]
+        of_unseen = evaluate([method], contest.tested.static())[0]
+        of_seen = evaluate([method], static_trials(training, seen))[0]
+        name = f"network of {network.weights.note.people} people"
         return [
             replace(of_unseen, method=name, kind="people that it has not seen"),
             replace(of_seen, method=name, kind="people that it has learned from"),
         ]
 
 
-@lru_cache(maxsize=1)
-def _score_beyond(weights: Path | None) -> list[Score]:
-    return score_beyond(load_network(weights), silent)
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked of a contest: how one of the methods is scored, by its name."""
+
+    contest: Contest
+    score: Callable[[Contest, str], list[Score]]
+    methods: tuple[str, ...]
+
+
+def score_static(contest: Contest, name: str) -> list[Score]:
+    """Score a method on static frames; one that learns is fitted to the corpus' training people first."""
+    ready = contest.methods.get(name)
+    if ready is not None:
+        return evaluate([ready], contest.tested.static(), contest.measure_cost(ready))
+    learner, begin = list_learners()[name](), time.process_time()
+    learner.fit(contest.tested.training)
+    fitted = time.process_time() - begin
+    scores = evaluate([learner], contest.tested.static(), contest.measure_cost(learner))
+    return [replace(score, fit_seconds=fitted) for score in scores]
+
+
+def score_moving(contest: Contest, name: str) -> list[Score]:
+    """Score a method on sequences."""
+    if name == SNP:
+        from ....surrogate.networks.snp import SubspacePhysics
+
+        return [evaluate_played(SubspacePhysics(), contest.tested)]
+    assert contest.looseness is not None
+    return evaluate_motion([contest.methods[name]], contest.tested, contest.looseness)
+
+
+def score_referenced(contest: Contest, name: str) -> list[Score]:
+    """Score a method, or projective dynamics, against FEniCSx, by law."""
+    contender = SIMULATED if name == SIMULATOR else by_frame(contest.methods[name])
+    table = measure_frames([contender], contest.tested.by_fenicsx())
+    return table.scores(table.parts())
+
+
+def score_external(contest: Contest, name: str) -> list[Score]:
+    """Score a method on all static frames of another corpus."""
+    return [replace(score, kind=EXTERNAL) for score in score_static(contest, name) if score.kind == ALL]
+
+
+def score_external_motion(contest: Contest, name: str) -> list[Score]:
+    """Score a method on the sequences of another corpus."""
+    return [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in score_moving(contest, name)]
 
 
 def _read_scores(rows: Sequence[Row]) -> list[Score]:

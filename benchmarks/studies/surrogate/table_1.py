@@ -12,15 +12,15 @@ import numpy as np
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
-from ....surrogate.corpus.manifest import OWNER, read_manifest
-from ....surrogate.corpus.reading import Table
-from ....surrogate.evaluate import ALL, Score, evaluate
-from ....surrogate.evaluate_dynamic import DYNAMIC, evaluate_dynamic, evaluate_sequences
-from ....surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, NETWORK, SETTLED, Method, NetworkMethod
+from ....surrogate import Surrogate
+from ....surrogate.corpus.manifest import OWNER
+from ....surrogate.evaluate import ALL, Binds, Score, evaluate
+from ....surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, NETWORK, SETTLED, Method, use_network
+from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.networks.weights import Weights
-from ...harness.study import Column, Row, Study, Task, Values
-from ...harness.study import Table as Tabled
-from .methods import READY, OnCorpus, list_learners, open_corpus, parse_people
+from ....surrogate.trials import DYNAMIC, CorpusTrials
+from ...harness.study import Column, Row, Study, Table, Task, Values
+from .methods import Contest, list_learners, open_contest, parse_people
 
 GRADIENTS = {
     "paper": "SoftDECA as printed",
@@ -91,25 +91,21 @@ class Table1(Study):
         for name in ("steps", "batch", "learning_rate", "recurrence_steps", "energy_steps", "energy_faces"):
             if getattr(self, name) < 0:
                 raise InputError(f"--{name.replace('_', '-')}: expected 0 or more, got {getattr(self, name)}")
-        tested = self._tested(self.corpus, "test")
+        tested = self._open(self.corpus, "test").tested
         if not len(tested.faces):
             raise InputError(f"corpus {self.corpus}: no test people")
-        moving = [GRU, SNP] if self._sequences else []
+        moving = [GRU, SNP] if tested.manifest.counts.sequences else []
         names = [*TRIVIAL, NETWORK, *GRADIENTS.values(), *moving, ENERGY, *list_learners()]
         return [Task(Path(self.corpus).name, name) for name in names]
 
-    @property
-    def _sequences(self) -> bool:
-        return bool(read_manifest(self.corpus).counts.sequences)
-
-    def _tested(self, corpus: str, people: str) -> OnCorpus:
+    def _open(self, corpus: str, people: str) -> Contest:
         weights = Path(self.weights) if self.weights else None
-        return open_corpus(Path(corpus), parse_people(people), weights, self.partial)
+        return open_contest(Path(corpus), parse_people(people), weights, self.partial)
 
     def measure(self, task: Task) -> Values:
         """Train or load a method, then score it on all kinds of frames that it can answer."""
-        tested = self._tested(self.corpus, "test")
-        manifest = read_manifest(tested.corpus)
+        contest = self._open(self.corpus, "test")
+        tested, manifest = contest.tested, contest.tested.manifest
         about = {
             "corpus": {name: manifest.said[name] for name in OWNER} | {"seed": manifest.counts.seed},
             "people": {
@@ -119,11 +115,11 @@ class Table1(Study):
         }
         if task.method in (GRU, SNP):
             return about | self._play(task.method, tested)
-        method, seconds, said = self._fitted(task.method, tested)
-        rows = [replace(score, method=task.method, fit_seconds=seconds) for score in self._scores(method, tested)]
+        method, seconds, said = self._fitted(task.method, contest)
+        rows = [replace(score, method=task.method, fit_seconds=seconds) for score in self._scores(method, contest)]
         return about | said | {"rows": [asdict(row) for row in rows]}
 
-    def _play(self, name: str, tested: OnCorpus) -> dict[str, Any]:
+    def _play(self, name: str, tested: CorpusTrials) -> dict[str, Any]:
         from ....surrogate.networks.snp import SubspacePhysics
         from ....surrogate.networks.softsmpl_gru import SoftSMPLInMotion
         from ....surrogate.networks.trainer import TrainerConfig
@@ -134,20 +130,24 @@ class Table1(Study):
             rate = self.learning_rate or 1e-4
             steps = self.steps or 200_000
             method = SoftSMPLInMotion(TrainerConfig(steps=steps, learning_rate=rate, clip=1.0, validate_every=steps))
-        score = evaluate_sequences(method, tested.corpus, tested.heads, partial=self.partial)
+        score = evaluate_played(method, tested)
         return {"steps": method.steps, "rows": [asdict(replace(score, method=name))]}
 
-    def _fitted(self, name: str, tested: OnCorpus) -> tuple[Method, float | None, dict[str, Any]]:
+    def _fitted(self, name: str, contest: Contest) -> tuple[Binds, float | None, dict[str, Any]]:
         """Return a method that is ready, the processor seconds of its training, and what is said of that."""
-        if name in READY:
-            return tested.make_ready(name), None, {}
+        if name in contest.methods:
+            return contest.methods[name], None, {}
         begin = time.process_time()
         if name in GRADIENTS.values():
             network = next(key for key, shown in GRADIENTS.items() if shown == name)
-            weights = self._weights(network, tested)
+            weights = self._weights(network, contest.tested)
             note = {"steps": weights.note.steps, "trained_on": asdict(weights.note)}
             numbers = sum(int(np.prod(array.shape)) for array in weights.network.values())
-            return NetworkMethod(weights, name=name), time.process_time() - begin, note | {"numbers": numbers}
+            return (
+                Method(name, use_network(Surrogate(weights))),
+                time.process_time() - begin,
+                note | {"numbers": numbers},
+            )
         from ....surrogate.networks.vertex_network import VertexNetwork
 
         method: Any
@@ -155,17 +155,17 @@ class Table1(Study):
         if name == ENERGY:
             from ....surrogate.networks.energy import EnergyTrained, EnergyTraining
 
-            method = EnergyTrained(tested.heads, EnergyTraining(steps=self.energy_steps, faces=self.energy_faces))
+            method = EnergyTrained(EnergyTraining(steps=self.energy_steps, faces=self.energy_faces))
             said = {"steps": self.energy_steps}
         else:
             method = list_learners()[name]()
             if isinstance(method, VertexNetwork) and self.steps:
                 method = type(method)(self.steps)
                 said = {"steps": self.steps}
-        method.fit(tested.training)
+        method.fit(contest.tested.training)
         return method, time.process_time() - begin, said
 
-    def _weights(self, network: str, tested: OnCorpus) -> Weights:
+    def _weights(self, network: str, tested: CorpusTrials) -> Weights:
         """Load weights, or train them by the options given."""
         from ....surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
         from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
@@ -181,17 +181,17 @@ class Table1(Study):
             config = with_batch(config, self.batch) if self.batch else config
         config = replace(config, steps=self.steps or config.steps)
         weights = train_gradients(tested.training, config)
-        if network in LEARNED_MOTION and self._sequences and self.recurrence_steps:
-            table = Table(tested.corpus, "sequences", "train", partial=self.partial)
+        if network in LEARNED_MOTION and tested.manifest.counts.sequences and self.recurrence_steps:
+            table = tested.table("sequences", "train")
             moving = RecurrenceTraining(steps=self.recurrence_steps)
-            weights = train_recurrence(weights, table, find_mean_pivot(tested.heads), moving)
+            weights = train_recurrence(weights, table, find_mean_pivot(tested.faces.heads), moving)
         if self.trained:
             Path(self.trained).mkdir(parents=True, exist_ok=True)
             weights.save(kept)
         return weights
 
-    def _scores(self, method: Method, tested: OnCorpus) -> list[Score]:
-        faces, heads = tested.faces, tested.heads
+    def _scores(self, method: Binds, contest: Contest) -> list[Score]:
+        tested, faces = contest.tested, contest.tested.faces
         varies = np.array([bool(faces.coefficients(k)[:, 1:].any()) for k in range(len(faces))])
         has_frames = np.array([bool(len(rows)) for rows in faces.frames_of])
         parts = {KINDS[0]: np.flatnonzero(~varies & has_frames)}
@@ -200,25 +200,18 @@ class Table1(Study):
         scores = []
         for kind, chosen in parts.items():
             if len(chosen):
-                found = evaluate([method], faces, heads, chosen=chosen.tolist())
+                found = evaluate([method], tested.static(chosen.tolist()))
                 scores += [replace(score, kind=kind) for score in found if score.kind == ALL]
-        if self._sequences and tested.looseness is not None and method.name != ENERGY:
-            moving = evaluate_dynamic(
-                [method], tested.corpus, tested.split, heads, tested.looseness, partial=self.partial
-            )
+        if contest.has_motion and method.name != ENERGY:
+            assert contest.looseness is not None
+            moving = evaluate_motion([method], tested, contest.looseness)
             scores += [score for score in moving if score.kind == DYNAMIC]
         if self.external:
-            other = self._tested(self.external, "all")
-            outside = evaluate([self._elsewhere(method, other)], other.faces, other.heads)
+            outside = evaluate([method], self._open(self.external, "all").tested.static())
             scores += [replace(score, kind=KINDS[3]) for score in outside if score.kind == ALL]
         return scores
 
-    @staticmethod
-    def _elsewhere(method: Method, other: OnCorpus) -> Method:
-        """Return the method for another corpus' people: what carries skins asks these people's heads."""
-        return other.make_ready(method.name) if method.name in READY else method
-
-    def tables(self, rows: Sequence[Row]) -> Sequence[Tabled]:
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The paper's numbers beside ours, method by method."""
         return [tabulate([row for row in rows if row.done])]
 
@@ -246,7 +239,7 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(names) if names else "none"
 
 
-def tabulate(rows: Sequence[Row]) -> Tabled:
+def tabulate(rows: Sequence[Row]) -> Table:
     """Lay Table 1 out: a line per method, the paper's error and time beside ours."""
     shown = (("static", KINDS[0]), ("dynamic", KINDS[2]), ("external", KINDS[3]))
     head = ["method", "steps", "fit [s]"]
@@ -268,4 +261,4 @@ def tabulate(rows: Sequence[Row]) -> Tabled:
         cells += ["" if first is None else first[1], "" if frame is None else round(frame, 2)]
         lines.append(cells)
     note = "Errors are means over all vertices; per cent are of |T - carried(S)| over the vertices that it moves."
-    return Tabled("Table 1: the paper's numbers beside ours", head, lines, note)
+    return Table("Table 1: the paper's numbers beside ours", head, lines, note)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,7 +16,6 @@ from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import added_laws, added_solvers
-from ....reference.face.settle import carry_skin
 from ....surrogate.methods import (
     BLENDSHAPES,
     CARRIED,
@@ -163,12 +162,12 @@ class WorkPrecision(OfPerson):
         of, problem = self.person(), _pose(self, text, FACE)
         weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
-        bind = _make_binds(of)[label]
-        bind()  # not counted, like the first solve
-        watch = Stopwatch()
-        step = bind()
+        method = METHODS[label]
+        method.bind(of.face(Parameters()))  # not counted, like the first solve
+        face, watch = of.face(Parameters()), Stopwatch()
+        step = method.bind(face).frame
         seconds = watch.lap()[0]
-        skin, times = step(weights), []
+        skin, times = step(weights).astype(np.float64), []
         for _ in range(10 * self.repeats):
             watch.lap()
             step(weights)
@@ -323,30 +322,6 @@ class _Run:
     trace: Trace
     positions: Floats
     linear_iterations: float | None
-
-
-def _make_binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
-    """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
-    from ....surrogate import Surrogate, derivatives_rig
-    from ....surrogate.heads import solve_neutral
-
-    head, parameters, network = of.head, Parameters(), Surrogate.load()
-    shapes = of.space.expression_deltas(of.code)
-    given: dict = {"skin": head.skin, "code": of.code, "parameters": parameters, "expressions": shapes}
-    blend = network.bind(**given).blend
-
-    def shift(by: Callable[[], Floats]) -> Callable:
-        offset = by().astype(np.float32)
-        return lambda weights: blend(weights) + offset
-
-    return {
-        NETWORK: lambda: network.bind(**given).frame,
-        NETWORK_AND_DERIVATIVES: lambda: network.bind(**given, exact=True, head=head).frame,
-        DERIVATIVES: lambda: derivatives_rig(head, shapes).frame,
-        SETTLED: lambda: shift(lambda: solve_neutral(head, parameters) - head.skin.vertices),
-        CARRIED: lambda: shift(lambda: carry_skin(head, parameters)),
-        BLENDSHAPES: lambda: blend,
-    }
 
 
 @lru_cache(maxsize=2)
