@@ -42,7 +42,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "ranks": "scaling.ranks:Ranks",
         "parts": "scaling.parts:Parts",
         "mixed": "scaling.mixed:Mixed",
-        "corotated": "scaling.corotated:OperatorSplitting",
     },
     "What can a scene leave out?": {
         "minimal": "scaling.minimal:Minimal",

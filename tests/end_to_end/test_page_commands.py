@@ -90,7 +90,6 @@ ELSEWHERE = [
     "softdeca bench score my-jaw.vtu --archive face-benchmark.zip",
     "softdeca bench mixed",
     "softdeca bench parts",
-    "softdeca bench corotated --sources FastCorotatedFEM",
     "softdeca bench ranks",
     "softdeca corpus generate plan.toml --out corpus --workers 2",
     "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run",

@@ -332,7 +332,6 @@ NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "t
 NOTHING |= {
     "contact corpus": "the poses alone",
     "dial external": "nobody",
-    "corotated sources": "theirs is skipped",
     "closures frames": "the whole take",
     "closures parameters": "the defaults",
 }
