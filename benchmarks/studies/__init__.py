@@ -48,9 +48,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "Which heads work?": {
         "heads": "heads.fit:Heads",
-        "registration": "heads.registration:Registrations",
         "depth": "heads.depth:Depth",
-        "closures": "heads.closures:Closures",
     },
 }
 """A reader's questions, and the studies that answer each, in the order of lists and reports.

@@ -332,8 +332,6 @@ NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "t
 NOTHING |= {
     "contact corpus": "the poses alone",
     "dial external": "nobody",
-    "closures frames": "the whole take",
-    "closures parameters": "the defaults",
 }
 """Texts that may be empty, of any command or of one, and what that means: the work would begin, and is not tried."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)

@@ -82,8 +82,6 @@ WRONG = [
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("bench effects --effect slimming", "unknown effect 'slimming'"),
     ("bench convergence --expression grin", "grin"),
-    ("bench registration --upon nobody", "nobody"),
-    ("bench registration", "Missing option '--upon'"),
     ("bench depth --skull head.npz", "Missing option '--skin'"),
     ("bench depth --skin head.npz", "Missing option '--skull'"),
     ("bench depth --skin none.ply --skull head.npz", "none.ply: no such file"),
