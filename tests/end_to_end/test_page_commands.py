@@ -66,7 +66,7 @@ ELSEWHERE = [
     "softdeca bench hard",
     "softdeca bench hard --laws",
     "softdeca bench convergence",
-    "softdeca bench contact --corpus corpus",
+    "softdeca bench contact",
     "softdeca bench dynamics",
     "softdeca bench heads --count 1000",
     "softdeca bench heads --count 2 --head own.npz",

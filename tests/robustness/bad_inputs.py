@@ -330,7 +330,6 @@ def commands() -> Iterator[Case]:
 
 NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "those that are shipped"}
 NOTHING |= {
-    "contact corpus": "the poses alone",
     "dial external": "nobody",
 }
 """Texts that may be empty, of any command or of one, and what that means: the work would begin, and is not tried."""

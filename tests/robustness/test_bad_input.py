@@ -128,7 +128,6 @@ WRONG = [
     ("head train-regressor --unit mm", "--unit is of DIR, which is not given"),
     ("animate conversation:1 --exact", "without --accuracy none no rig is alone; leave out --exact"),
     ("animate conversation:1 --beyond refuse", "leave out --beyond"),
-    ("bench contact --people 4", "--people is of --corpus, which is not given"),
     ("bench material --jaw 0", "No such option '--jaw'"),
     ("bench shapes --gallery 0", "No such option '--gallery'"),
     ("bench dial --workers 2", "No such option '--workers'"),

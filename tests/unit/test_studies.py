@@ -86,8 +86,6 @@ WRONG = [
     (Agreement, {"expressions": ("jaw",)}, "'jaw'"),
     (Agreement, {"identities": "nobody"}, "'nobody'"),
     (Contact, {"poses": ("kiss",)}, "unknown pose 'kiss'"),
-    (Contact, {"people": 0}, "people and frames: must be at least 1, got 0"),
-    (Contact, {"corpus": "nowhere"}, "corpus nowhere"),
     (Convergence, {"expressions": ()}, "none"),
     (Dynamics, {"level": 4}, "level: there are 1, 2"),
     (Dynamics, {"frames": 3}, "at least 8"),
