@@ -37,7 +37,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "work-precision": "work_precision.study:WorkPrecision",
         "arena": "arena.study:Arena",
         "throughput": "scaling.throughput:Throughput",
-        "scaling": "scaling.iterations:Scaling",
         "unknowns": "scaling.unknowns:Unknowns",
         "ranks": "scaling.ranks:Ranks",
         "parts": "scaling.parts:Parts",

@@ -61,7 +61,6 @@ ELSEWHERE = [
     "softdeca bench arena",
     "softdeca bench work-precision",
     "softdeca bench throughput",
-    "softdeca bench scaling",
     "softdeca bench minimal",
     "softdeca bench hard",
     "softdeca bench hard --laws",

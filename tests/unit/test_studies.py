@@ -28,7 +28,6 @@ from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
 from ..refusals import refused
 
 CHEAP = {
-    "SphereScaling": {"level": 1, "levels": ("1", "2"), "frames": ("2", "4"), "processes": (), "repeats": 1},
     "SphereUnknowns": {"up_to": 50_000},
     "SphereConvergence": {"level": 1, "expressions": ("jawOpen",)},
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
