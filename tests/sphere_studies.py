@@ -17,7 +17,6 @@ from softdeca.benchmarks.studies.mesh.convergence import Convergence
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.locking import Locking
 from softdeca.benchmarks.studies.person import Person
-from softdeca.benchmarks.studies.scaling.iterations import Scaling
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
@@ -51,11 +50,6 @@ class OfSphere:
 
     def person(self, level=None, seed=None):
         return sphere(level or self.level)
-
-
-@dataclass(frozen=True)
-class SphereScaling(OfSphere, Scaling):
-    pass
 
 
 @dataclass(frozen=True)

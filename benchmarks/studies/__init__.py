@@ -37,22 +37,17 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "work-precision": "work_precision.study:WorkPrecision",
         "arena": "arena.study:Arena",
         "throughput": "scaling.throughput:Throughput",
-        "scaling": "scaling.iterations:Scaling",
         "unknowns": "scaling.unknowns:Unknowns",
         "ranks": "scaling.ranks:Ranks",
         "parts": "scaling.parts:Parts",
         "mixed": "scaling.mixed:Mixed",
-        "timing": "scaling.timing:Timing",
-        "corotated": "scaling.corotated:OperatorSplitting",
     },
     "What can a scene leave out?": {
         "minimal": "scaling.minimal:Minimal",
     },
     "Which heads work?": {
         "heads": "heads.fit:Heads",
-        "registration": "heads.registration:Registrations",
         "depth": "heads.depth:Depth",
-        "closures": "heads.closures:Closures",
     },
 }
 """A reader's questions, and the studies that answer each, in the order of lists and reports.

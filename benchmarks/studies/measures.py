@@ -205,11 +205,6 @@ def count_work(solution: Solution) -> dict:
     }
 
 
-def merge_repeats(rows: Sequence[Values]) -> dict:
-    """Rows of one measure, repeated, as one: times as lists, what does not differ as it is."""
-    return {key: [row[key] for row in rows] if key.endswith("_s") else value for key, value in rows[0].items()}
-
-
 def count_unfinished(rows: Sequence[Values]) -> int:
     """Count the solves of the rows' values that did not reach what was asked."""
     return sum(not values["converged"] for values in rows)

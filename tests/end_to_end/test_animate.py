@@ -21,7 +21,6 @@ from softdeca.animation.play import Output
 from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
-from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.head_file import save_head
 from softdeca.reference import Face, Parameters, SceneError, Sequence, settle, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
@@ -478,27 +477,6 @@ def test_a_heads_file_is_served(command, tmp_path):
         *("--out", tmp_path / "take"),
     )
     assert ended.status == 0 and "6 frames (6 network)" in ended.out
-
-
-def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):
-    # Frames in which conversation 0 blinks.
-    ended = command(
-        *("bench", "closures", "--frames", "20:27", "--level", 1, "--dynamic"),
-        *("--out", tmp_path, "--json"),
-    )
-    assert ended.status == 0
-    results = json.loads(ended.out)
-    assert set(list_missing(results)) <= {"clean tree", "commit"} and results["options"]["level"] == 1
-    (row,) = results["rows"]
-    rows = row["values"]["rows"]
-    assert {line["gap"] for line in rows} == {"left lids", "right lids", "lips"} and len(rows) == 9
-    lids = np.array(row["values"]["widths_mm"]["PD"])[:, 0]
-    assert lids[0] - lids[-1] > 2.0, "the blink closes them"
-    # The network knows level 2, whose simulated lids close .45 mm farther than those of level 1.
-    off = {(line["gap"], line["by"]): line["largest"] for line in rows}
-    plain = {gap: largest for (gap, method), largest in off.items() if method == "blendshapes"}
-    assert all(largest < 0.6 * plain[gap] for (gap, method), largest in off.items() if method != "blendshapes")
-    assert (tmp_path / row["values"]["widths"]).read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_frequency_that_a_rate_of_frames_cannot_show_is_refused(command, tmp_path):

@@ -6,15 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.agreement.dynamics import (
-    OWN_MASS,
-    RELEASED,
-    SHAKEN,
-    Dynamics,
-    let_go,
-    release_tissue,
-    shake,
-)
+from softdeca.benchmarks.studies.agreement.dynamics import RELEASED, SHAKEN, Dynamics, let_go, shake
 from softdeca.benchmarks.studies.agreement.release import Release, swing
 
 
@@ -39,11 +31,7 @@ def test_a_swing_of_few_values_is_not_taken_for_a_faster_one():
 
 
 def rows_of(release, frames):
-    found = {
-        RELEASED: let_go(release, frames),
-        OWN_MASS: {"rows": release_tissue(release, frames)},
-        SHAKEN: shake(release, frames),
-    }
+    found = {RELEASED: let_go(release, frames), SHAKEN: shake(release, frames)}
     return [Row(case, "all marches", "done", "", values, 1.0, None, 0.0, "") for case, values in found.items()]
 
 
@@ -60,10 +48,7 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
     assert euler["damping"] == pytest.approx(0.2, abs=0.01)
     assert euler["frequency"] / exact["frequency"] == pytest.approx(0.97, abs=0.01)
     assert exact["frequency"] == pytest.approx(4.0, abs=0.2) and abs(exact["damping"]) < 5e-3
-    own = {row["name"]: row for row in rows[1].values["rows"]}
-    damped = own["springs, all, Rayleigh damping"]
-    assert damped["to_a_tenth_s"] == pytest.approx(-np.log(0.1) * 0.055, abs=1.5 / 60)
-    assert "FEM, implicit Euler: " in study.words(rows) and len(study.tables(rows)) == 1
+    assert "FEM, implicit Euler: " in study.words(rows)
     assert "<svg" in next(iter(study.pictures(rows).values()))
 
 

@@ -335,11 +335,7 @@ def commands() -> Iterator[Case]:
 
 NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "those that are shipped"}
 NOTHING |= {
-    "contact corpus": "the poses alone",
     "dial external": "nobody",
-    "corotated sources": "theirs is skipped",
-    "closures frames": "the whole take",
-    "closures parameters": "the defaults",
 }
 """Texts that may be empty, of any command or of one, and what that means: the work would begin, and is not tried."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)

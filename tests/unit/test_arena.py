@@ -75,8 +75,7 @@ def test_each_solver_conforms(name):
         findings = conform(name, budget=1.0)
     except MissingDependencyError as missing:
         pytest.skip(str(missing))
-    # XPBD's energy has no shear stiffness at rest: nothing brings the far end of a carried block all the way.
-    assert [finding for finding in findings if not finding.passed and name != "newton_xpbd"] == []
+    assert [finding for finding in findings if not finding.passed] == []
 
 
 def test_failures_are_rows(small, solver, monkeypatch):

@@ -1,4 +1,4 @@
-"""The study of contact: both codes on a stamp, its gates, pictures of what is cut, and frames of a corpus."""
+"""The study of contact: both codes on a stamp, its gates, and pictures of what is cut."""
 
 from dataclasses import replace
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.agreement import contact
 from softdeca.benchmarks.studies.agreement.contact import (
-    OF_CORPUS,
-    PD,
+    BOTH,
     Contact,
     compare_contact,
     measure_pushes,
@@ -18,10 +16,6 @@ from softdeca.benchmarks.studies.agreement.contact import (
 from softdeca.benchmarks.studies.agreement.effect_pictures import cut_tets
 from softdeca.reference import Reason, solve, terms
 from softdeca.reference.problems import meshes
-from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.people import OfSpace
-from softdeca.surrogate.corpus.plan import PRESETS
-from softdeca.surrogate.sphere import Spheres
 
 from .test_contact import two_bars
 
@@ -57,7 +51,7 @@ def rows_of(**changes):
         "done": True, "reasons": [str(Reason.CONVERGED)] * 2, "depth_after_mm": 0.1, "moved_mean_mm": 0.4,
         "apart_mean_mm": 0.02, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
     }  # fmt: skip
-    return [Row("lips pressed", PD, "done", "", values | changes, 1.0, None, 0.0, "")]
+    return [Row("lips pressed", BOTH, "done", "", values | changes, 1.0, None, 0.0, "")]
 
 
 def test_gates_miss_a_code_without_contact_and_one_that_stops():
@@ -76,30 +70,3 @@ def test_a_cut_box_has_the_area_of_its_side():
     polygons = cut_tets(X - [1.3, 0.0, 0.0], tets)
     areas = [0.5 * abs(np.sum(p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1])) for p in polygons]
     assert sum(areas) == pytest.approx(10.0) and cut_tets(X + [1.0, 0.0, 0.0], tets) == []
-
-
-def with_mouth_and_eyes(head):
-    x, y, z = head.skin_wrap.vertices.T
-    regions = {"face": z > 0, "neck": y < -80}
-    regions |= dict.fromkeys(("lips", "mouth"), (z > 0) & (np.abs(y + 40) < 25))
-    return replace(head, regions=regions | dict.fromkeys(("lids", "eyes", "teeth", "ears"), (z > 0) & (y > 40)))
-
-
-def test_frames_of_a_corpus_are_solved_with_contact(tmp_path, monkeypatch):
-    """Of spheres that have a mouth and eyes: nothing crosses, so contact moves nothing."""
-    space = Spheres(2)
-    people = OfSpace(space, space.mean, lambda skin: with_mouth_and_eyes(space.fit(skin)))
-    plan = replace(PRESETS["tiny"], references=0, identities=2)
-    Corpus(tmp_path, plan, people, {"identities": "spheres:2", "level": 2}).generate()
-    monkeypatch.setattr(contact, "people_from_text", lambda text, level: people)
-    study = Contact(poses=(), corpus=str(tmp_path), people=1, frames=2)
-    (task,) = study.tasks()
-    assert task.method == OF_CORPUS and task.case == "person 0 of the corpus"
-    values = study.measure(task)
-    assert len(values["frames"]) == 2 and values["accepted"] >= 2
-    for frame in values["frames"]:
-        assert frame["pairs_before"] == frame["kept_crossings"] == 0 and frame["moved_mm"] == 0.0
-    crossed = values["frames"][0] | {"pairs_before": 3, "depth_before_mm": 0.5}
-    rows = [Row(task.case, OF_CORPUS, "done", "", {"frames": [crossed, values["frames"][1]]}, 1.0, None, 0.0, "")]
-    assert "Of 2 frames of the corpus, lips or lids cross in 1, at most 0.50 mm deep" in study.words(rows)
-    assert study.gates(rows) == [] and len(study.tables(rows)[0].rows) == 1

@@ -1,4 +1,4 @@
-"""Effects: where they act, how a face settles under them, random starts, and what a run of them has to show."""
+"""Effects: where they act, how a face settles under them, and what a run of them has to show."""
 
 import copy
 from dataclasses import replace
@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.agreement import fan as fan_module
 from softdeca.benchmarks.studies.agreement.effect import (
     EFFECTS,
     Effect,
@@ -18,8 +17,7 @@ from softdeca.benchmarks.studies.agreement.effect import (
     run_effect,
     simulate_expression,
 )
-from softdeca.benchmarks.studies.agreement.effects import STARTS, Effects
-from softdeca.benchmarks.studies.agreement.fan import SUSPECTS, fan
+from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.measures import NEO_HOOKEAN, PD_ENERGY
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
@@ -199,21 +197,6 @@ def test_palsy_is_measured(head):
     assert record["to_other_start_mm"] < 0.01 and record["to_own_limit_mm"] < 0.01
 
 
-def test_random_starts_end_in_one_minimum(head):
-    counted = []
-    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 4, tell=counted.append)
-    assert counted == [1, 2, 3, 4]
-    assert [row["jitter_mm"] for row in found["starts"]] == [1.0, 2.0, 10.0, 1.0]
-    assert [row["moved"] for row in found["starts"]] == ["vertices"] * 3 + ["waves"]
-    assert found["spread_mm"] < 1e-3 and found["suspects"] == {}
-
-
-def test_starts_that_part_are_traced_to_a_term(head, monkeypatch):
-    monkeypatch.setattr(fan_module, "ONE_MINIMUM", -1.0)
-    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 2)
-    assert set(found["suspects"]) == set(SUSPECTS)
-
-
 def solved_run(**changes) -> dict:
     run = {"iterations": 3, "seconds": 1.0, "gradient_ratio": 9e-7, "monotone": True, "largest_rise": 0.0}
     return run | {"inverted_tets": 0, "smallest_volume_ratio": 0.5, "soft_volume_percent": -0.1} | changes
@@ -257,32 +240,24 @@ def by_laws(**changes) -> dict:
     )
 
 
-def rows_of(*records, spread=None) -> list[Row]:
-    values = [(record.get("name", "jaw"), record) for record in records]
-    if spread is not None:
-        values.append((STARTS, {"spread_mm": spread, "starts": [start()], "suspects": {"no skin": 1e-5}}))
-    return [Row(case, "PD", "done", "", found, 1.0, None, 0.0, "") for case, found in values]
-
-
-def start() -> dict:
-    found = {"seed": 0, "moved": "waves", "jitter_mm": 1.0, "iterations": 7, "converged": True, "energy": 1.5}
-    return found | {"inverted_tets": 0, "to_lowest_mm": 0.25}
+def rows_of(*records) -> list[Row]:
+    return [Row(record.get("name", "jaw"), "PD", "done", "", record, 1.0, None, 0.0, "") for record in records]
 
 
 def test_gates_miss_what_is_missed(record):
     study = Effects()
-    assert all(gate["passed"] for gate in study.gates(rows_of(record, by_laws(), spread=1e-4)))
+    assert all(gate["passed"] for gate in study.gates(rows_of(record, by_laws())))
     worse = copy.deepcopy(record)
     worse["runs"]["without"] |= {"gradient_ratio": 2e-6, "monotone": False}
     worse["to_other_start_mm"] = 0.02
-    gates = study.gates(rows_of(record, worse, by_laws(), by_laws(same_mm=0.02, done=False), spread=0.5))
-    assert len(gates) == 6 and not any(gate["passed"] for gate in gates)
+    gates = study.gates(rows_of(record, worse, by_laws(), by_laws(same_mm=0.02, done=False)))
+    assert len(gates) == 5 and not any(gate["passed"] for gate in gates)
     assert len(study.gates(rows_of(record))) == 3
 
 
-def test_methods_insides_scenes_and_starts_are_told(record):
-    rows = rows_of(record | {"max_mm": 2.0, "to_pd": {CARRIED: figures(0.2)}}, by_laws(), spread=0.25)
-    methods, inside, jaw, scenes, starts, suspects = Effects().tables(rows)
+def test_methods_insides_and_scenes_are_told(record):
+    rows = rows_of(record | {"max_mm": 2.0, "to_pd": {CARRIED: figures(0.2)}}, by_laws())
+    methods, inside, jaw, scenes = Effects().tables(rows)
     assert [row[1:] for row in methods.rows] == [
         (PD, None, None, None, 0.04, 0.4, 0.04),
         (FENICSX_NEO_HOOKEAN, 0.04, 0.4, 0.04, None, None, None),
@@ -291,7 +266,6 @@ def test_methods_insides_scenes_and_starts_are_told(record):
     assert inside.rows == [("jaw", 0.05, 0.625, *(0.3, 1.0) * 4)]
     assert jaw.rows == [("jaw", 0.1, 0.2, 4.0, 500.0, 4.0, None, 500.0, None)]
     assert [row[:2] for row in scenes.rows] == [("jaw", "with"), ("jaw", "without")]
-    assert starts.rows[0][1] == "waves" and suspects.rows == [("no skin", 1e-5)]
     words = Effects().words(rows)
     assert "jaw changes the expression most, by 2.0 mm" in words
     # The largest over all vertices stands beside the skin's, which targets hold.

@@ -296,7 +296,7 @@ GIVEN = {
     "bench agreement --jaw 0 --push 0 --volume 1 --expression jawOpen": {
         "jaw": 0.0, "push": 0.0, "volume": 1.0, "expressions": ("jawOpen",), "gravity": 3.0,
     },
-    "bench effects --fan 0": {"fan": 0, "reference": "fenicsx"},
+    "bench effects --level 1 --seed 0": {"level": 1, "seed": 0, "reference": "fenicsx"},
     "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
     "bench dial --seed 0": {"seed": 0, "faces": 6},
     "bench table-1 --recurrence-steps 0 --steps 0 --external ''": {

@@ -47,7 +47,7 @@ def test_each_package_imported_is_a_dependency():
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"}
     elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "websockets"}
     # Contact's check; and the arena's solvers, some in environments of their own, with what they share as scripts.
-    elsewhere |= {"ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem", "pypbd"}
+    elsewhere |= {"ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem"}
     assert {other_names.get(name, name) for name in names} - elsewhere == listed
 
 

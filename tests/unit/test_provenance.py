@@ -83,7 +83,7 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
         assert commit() == clean
         (root / "head.npz").write_text("made by a command")
         assert commit() == clean
-        for name in ("study.py", "kernels.c", "corotated.cpp", "page.css", "weights.bin"):
+        for name in ("study.py", "kernels.c", "kernels.cpp", "page.css", "weights.bin"):
             new = root / "benchmarks" / name
             new.write_text("new")
             assert commit() == clean + provenance.DIRTY

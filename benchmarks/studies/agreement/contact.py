@@ -1,24 +1,17 @@
-"""PD's contact of lips and lids beside ipctk's barrier, and what a corpus leaves out that simulates no contact."""
+"""PD's contact of lips and lids beside ipctk's barrier."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
-from ....lhm.base.errors import InputError
-from ....lhm.base.limits import STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
-from ....surrogate.corpus.manifest import read_manifest
-from ....surrogate.corpus.people import people_from_text
-from ....surrogate.corpus.reading import Table as CorpusTable
-from ....surrogate.corpus.simulator import settle_neutral
-from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances
 from ..person import OfPerson, check_known
 
@@ -29,7 +22,7 @@ POSES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "lids shut": ("eyeBlinkLeft+eyeBlinkRight", LIDS),
 }
 """Expressions in which the regions beside them would go through each other."""
-PD, BARRIER, OF_CORPUS = "PD's contact and ipctk's barrier", "ipctk's barrier", "PD with and without contact"
+BOTH = "PD's contact and ipctk's barrier"
 AROUND = 5
 """Edges about the regions in contact, up to which tets are solved for: two more than contact reaches."""
 STEPS = 4
@@ -44,11 +37,11 @@ ALIKE = 0.5
 
 @dataclass(frozen=True)
 class Contact(OfPerson):
-    """Lips pressed and lids shut by PD and by a barrier; with `corpus` how deep its frames overlap, too."""
+    """Lips pressed and lids shut by PD and by a barrier."""
 
     name = "contact"
     heading = "Are lips and lids parted as another code parts them?"
-    question = "How far is PD's contact from ipctk's barrier, and what does a corpus without contact leave out?"
+    question = "How far is PD's contact from ipctk's barrier?"
     columns = (
         Column("depth_before_mm", "overlap without contact [mm]"),
         Column("depth_after_mm", "with it [mm]"),
@@ -65,31 +58,19 @@ class Contact(OfPerson):
         "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
         "parts surfaces after the solve without contact; scikit-fem minimises the energy with ipctk's barrier from "
         f"rest on. Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
-        "what each vertex is pushed with, the remainder of the energy's gradient without contact. A corpus' frames "
-        "are solved again with and without contact of lips and lids."
+        "what each vertex is pushed with, the remainder of the energy's gradient without contact."
     )
 
     poses: tuple[str, ...] = option(tuple(POSES), f"of {', '.join(POSES)}; repeat for several", name="--pose")
-    corpus: str = option("", "folder of `softdeca corpus generate`, of which some frames are solved with contact")
-    people: int = option(4, "of the corpus, the first of them", bound=STUDIED_PEOPLE, needs="corpus")
-    frames: int = option(12, "static frames of each of them", bound=STUDIED_FRAMES, needs="corpus")
 
     def tasks(self) -> Sequence[Task]:
-        """List each pose, and each person of the corpus; InputError for an unknown pose, and less than one of each."""
+        """List each pose; InputError for an unknown one."""
         self.check()
         check_known("pose", self.poses, POSES)
-        if min(self.people, self.frames) < 1:
-            raise InputError(f"people and frames: must be at least 1, got {self.people} and {self.frames}")
-        tasks = [Task(pose, PD) for pose in self.poses]
-        if self.corpus:
-            identities = np.unique(_open_corpus(self.corpus, self.people).rows[:, 0])
-            tasks += [Task(f"person {identity} of the corpus", OF_CORPUS) for identity in identities]
-        return tasks
+        return [Task(pose, BOTH) for pose in self.poses]
 
     def measure(self, task: Task) -> Values:
-        """Compare a pose by both codes, or some frames of a person with and without contact."""
-        if task.method == OF_CORPUS:
-            return measure_person(self.corpus, self.people, int(task.case.split()[1]), self.frames)
+        """Compare a pose by both codes."""
         of, (text, regions) = self.person(), POSES[task.case]
         head, shape, near = of.head, of.shape(text), _find_around(of.head, regions)
 
@@ -103,7 +84,7 @@ class Contact(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that the barrier is solved, and that PD is nearer to it than a face without contact is."""
-        poses = [row.values for row in rows if row.method == PD]
+        poses = [row.values for row in rows]
         if not poses:
             return []
         failed = sum(values["reasons"][1] != str(Reason.CONVERGED) for values in poses)
@@ -114,38 +95,15 @@ class Contact(OfPerson):
         ]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell how far the codes are apart in each pose, and how many frames of the corpus overlap."""
+        """Tell how far the codes are apart in each pose."""
         sentences = [
             f"{row.case}: contact moves the skin by {row.values['moved_mean_mm']:.2f} mm on average, PD and the "
             f"barrier are {row.values['apart_mean_mm']:.3f} mm apart, and push with "
             f"{row.values['force_pd_mn']:.0f} and {row.values['force_barrier_mn']:.0f} mN"
             + ("." if row.values["done"] else f"; PD leaves an overlap of {row.values['depth_after_mm']:.2f} mm.")
             for row in rows
-            if row.method == PD
         ]
-        frames = [frame for row in rows if row.method == OF_CORPUS for frame in row.values["frames"]]
-        if frames:
-            crossed = [frame for frame in frames if frame["pairs_before"]]
-            sentences.append(
-                f"Of {len(frames)} frames of the corpus, lips or lids cross in {len(crossed)}, at most "
-                f"{max(frame['depth_before_mm'] for frame in frames):.2f} mm deep."
-            )
         return " ".join(sentences)
-
-    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate the frames of the corpus in which lips or lids cross."""
-        titles = {
-            "case": "person", "frame": "frame", "pairs_before": "crossing pairs", "depth_before_mm": "overlap [mm]",
-            "depth_after_mm": "with contact [mm]", "moved_mm": "contact moves the skin, max [mm]", "reason": "ended",
-        }  # fmt: skip
-        lines = [
-            {"case": row.case} | frame
-            for row in rows
-            if row.method == OF_CORPUS
-            for frame in row.values["frames"]
-            if frame["pairs_before"]
-        ]
-        return [Table.of("Frames of the corpus whose lips or lids cross", titles, lines)] if lines else []
 
 
 def solve_by_barrier(scene_at: Callable[[float], Scene]) -> Solution:
@@ -197,50 +155,6 @@ def measure_pushes(without: Scene, ids: Ints, positions: Floats) -> Floats:
     held = replace(without, terms=(*without.terms, terms.Fixed(ids, positions[ids])))
     reactions = solve(held, start=positions, max_iterations=0).reactions[ids]
     return np.linalg.norm(np.where(without.dirichlet()[0][ids], 0.0, reactions), axis=1)
-
-
-def measure_person(folder: str, people: int, identity: int, count: int) -> Values:
-    """Solve `count` static frames of a person of a corpus with and without contact of lips and lids."""
-    table = _open_corpus(folder, people)
-    rows = np.flatnonzero(table.rows[:, 0] == identity)
-    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(int))]
-    made_with, person = read_manifest(folder).made_with, table.person(identity)
-    of_corpus = people_from_text(made_with["identities"], level=made_with["level"])
-    head, frames, group = of_corpus.head(person), [], -1
-    for row in chosen:
-        named = table.described(row)
-        if table.groups[row, 1] != group:  # a person's frames lie group by group
-            group = table.groups[row, 1]
-            face = settle_neutral(of_corpus, head, table.parameters(row))
-            without = prepare(face.scene(person.skin.vertices))
-            with_contact = prepare(face.scene(person.skin.vertices, contact=LIPS + LIDS))
-        shape = person.skin.vertices + np.tensordot(named["weights"].astype(np.float64), person.shapes, axes=1)
-        free = without.solve(face.scene(shape), start=face.positions, tolerance=TOLERANCE)
-        scene = face.scene(shape, contact=LIPS + LIDS)
-        parted = with_contact.solve(scene, start=face.positions, tolerance=TOLERANCE)
-        moved = distances(face.skin_after(shape, free.positions), face.skin_after(shape, parted.positions))
-        frames.append(
-            {
-                "frame": f"{named['recording'].decode()} {named['frame']}",
-                "pairs_before": int(parted.detail["contact_pairs_before"]),
-                "depth_before_mm": parted.detail["contact_depth_before"],
-                "depth_after_mm": parted.detail["contact_depth_after"],
-                "moved_mm": float(moved.max()),
-                "moved_mean_mm": float(moved.mean()),
-                "kept_crossings": int(named["crossings"]),
-                "reason": str(parted.reason),
-            }
-        )
-    crossings = np.array([table.described(row)["crossings"] for row in rows])
-    return {"frames": frames, "accepted": len(rows), "accepted_that_cross": int((crossings > 0).sum())}
-
-
-@lru_cache(maxsize=1)
-def _open_corpus(folder: str, people: int) -> CorpusTable:
-    """Open the static frames of a corpus' first people."""
-    manifest = read_manifest(folder)
-    there = sum(manifest.shard_path(k).exists() for k in range(manifest.counts.identities))
-    return CorpusTable(folder, "statics", None, partial=True, share=min(1.0, people / max(there, 1)))
 
 
 def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:

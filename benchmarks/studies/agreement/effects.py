@@ -1,4 +1,4 @@
-"""Effects of SoftDECA's Figures 1 and 7 on one head, with pictures, and a fan of random starts."""
+"""Effects of SoftDECA's Figures 1 and 7 on one head, with pictures."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from ....lhm.base.errors import InputError
-from ....lhm.base.limits import RANDOM_STARTS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.expressions import weights_of
-from ....reference import SOLVERS, Parameters
+from ....reference import SOLVERS
 from ....surrogate.methods import CARRIED, NETWORK, PD, SETTLED
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import NEO_HOOKEAN, PD_ENERGY
 from ..person import OfPerson, check_known
 from .effect import (
-    BROAD_SMILE,
     EFFECTS,
     SOLVED,
     TOLERANCE,
@@ -30,7 +26,6 @@ from .effect import (
     run_effect,
 )
 from .effect_pictures import draw_effect
-from .fan import ONE_MINIMUM, fan
 from .insides import tabulate_insides
 
 ACCURACY = 0.01
@@ -41,12 +36,11 @@ the surrogate and the rules without physics, which are 0.15 to 15 mm off.
 """
 NO_REFERENCE = "none"
 METHODS = (PD, *SOLVED["fenicsx"], *SOLVED["skfem"], NETWORK, CARRIED, SETTLED)
-STARTS = "a broad smile from random starts"
 
 
 @dataclass(frozen=True)
 class Effects(OfPerson):
-    """Effects on one head; `fan` random starts of a broad smile without an effect; beside another solver."""
+    """Effects on one head, by PD and beside another solver."""
 
     name = "effects"
     heading = "What do palsy, weight and the other effects do to a face?"
@@ -66,7 +60,6 @@ class Effects(OfPerson):
         Column("law_mean_mm", "PD to neo-Hookean, skin, mean [mm]"),
         Column("law_max_mm", "max [mm]"),
         Column("law_inside_mm", "all vertices, max [mm]"),
-        Column("spread_mm", "farthest answer of the starts [mm]"),
     )
     note = (
         "PD solves each expression with and without its effect, from the settled neutral face, with a free rigid "
@@ -83,27 +76,22 @@ class Effects(OfPerson):
 
     effects: tuple[str, ...] = option((), f"of {', '.join(e.name for e in EFFECTS)}; repeat for several  [all]")
     reference: str = option("fenicsx", "by which PD's energy and a law are solved too: fenicsx, skfem or none")
-    fan: int = option(0, "random starts of a broad smile without an effect", bound=RANDOM_STARTS)
 
     def tasks(self) -> Sequence[Task]:
-        """List each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""
+        """List each effect; InputError for an unknown effect or solver."""
         self.check()
         known = [*(solver for solver in SOLVERS if solver != "projective"), NO_REFERENCE]
         check_known("reference", [self.reference], known)
-        if self.fan < 0:
-            raise InputError(f"fan: must be at least 0, got {self.fan}")
         tasks = []
         for effect in parse_effects(",".join(self.effects)):
             tasks.append(Task(effect.name, PD))
             if self.reference != NO_REFERENCE and not effect.contact:  # FEniCSx models no contact
                 tasks.append(Task(effect.name, f"both laws by {self.reference}"))
-        return tasks + ([Task(STARTS, f"PD, {self.fan} of them")] if self.fan else [])
+        return tasks
 
     def measure(self, task: Task) -> Values:
-        """Solve and draw an effect by PD; or solve its laws by finite elements, or the random starts."""
+        """Solve and draw an effect by PD; or solve its laws by finite elements."""
         of = self.person()
-        if task.case == STARTS:
-            return fan(of.head, Parameters(), of.blend(weights_of(BROAD_SMILE)[None])[0], self.fan)
         result, shape, others = _solve(self, task.case)
         if task.method != PD:
             (effect,) = parse_effects(task.case)
@@ -127,7 +115,7 @@ class Effects(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all converge to one minimum, whose energy falls, and which another solver finds."""
-        records, laws, fans = _sort_rows(rows)
+        records, laws = _sort_rows(rows)
         gates = []
         if records:
             runs = [run for record in records for run in record["runs"].values()]
@@ -145,12 +133,11 @@ class Effects(OfPerson):
                     "effects with a finite-element run that did not converge", sum(not law["done"] for law in laws), 0
                 ),
             ]
-        spread = "largest distance within the fan of random starts [mm]"
-        return gates + [at_most(spread, values["spread_mm"], ONE_MINIMUM) for values in fans]
+        return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell what changes most and how sure that is, how far the law is from PD, and the others from the law."""
-        records, laws, fans = _sort_rows(rows)
+        records, laws = _sort_rows(rows)
         sentences = []
         if records:
             most = max(records, key=lambda record: record["max_mm"])
@@ -171,15 +158,11 @@ class Effects(OfPerson):
         for method in (NETWORK, CARRIED, SETTLED):
             means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
             sentences += [f"From that law's skin, {method}: {_format_range(means)} mm on average."] if means else []
-        sentences += [
-            f"{len(values['starts'])} random starts of a broad smile end within {values['spread_mm']:.1e} mm."
-            for values in fans
-        ]
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate each method beside PD and beside the law, what lies inside, every scene, and every start."""
-        records, laws, fans = _sort_rows(rows)
+        """Tabulate each method beside PD and beside the law, what lies inside, and every scene."""
+        records, laws = _sort_rows(rows)
         columns = {
             "effect": "effect", "scene": "scene", "iterations": "iterations", "seconds": "prepare and solve [s]",
             "gradient_ratio": "gradient over its start's", "monotone": "energy falls", "largest_rise": "largest rise",
@@ -195,17 +178,6 @@ class Effects(OfPerson):
         tables += tabulate_insides(rows, PD_ENERGY, NEO_HOOKEAN)
         if scenes:
             tables.append(Table.of("Scenes", columns, scenes, "A rise by a share of 1e-12 is rounding."))
-        columns = {
-            "seed": "start", "moved": "moved", "jitter_mm": "by [mm]", "iterations": "iterations",
-            "converged": "converged", "energy": "energy [mN mm]", "inverted_tets": "inverted",
-            "to_lowest_mm": "to lowest [mm]",
-        }  # fmt: skip
-        for values in fans:
-            tables.append(Table.of("Random starts", columns, values["starts"]))
-            if values["suspects"]:
-                suspects = sorted(values["suspects"].items(), key=lambda pair: pair[1])
-                caption = "The two starts that end farthest apart, solved again with one term changed"
-                tables.append(Table(caption, ["changed", "apart [mm]"], suspects))
         return tables
 
 
@@ -237,7 +209,7 @@ def _tabulate_methods(rows: Sequence[Row]) -> Table:
         for method, figures in row.values.get("to_law", {}).items():
             to_law[row.case, method] = figures
     cells = []
-    for case in dict.fromkeys(row.case for row in rows if row.case != STARTS):
+    for case in dict.fromkeys(row.case for row in rows):
         for method in METHODS:
             of_both = [of.get((case, method), {}) for of in (to_pd, to_law)]
             if any(of_both):
@@ -247,8 +219,7 @@ def _tabulate_methods(rows: Sequence[Row]) -> Table:
     return Table("Each method beside PD, and beside the neo-Hookean law", titles, cells, note)
 
 
-def _sort_rows(rows: Sequence[Row]) -> tuple[list[Values], list[Values], list[Values]]:
-    """The effects' records of PD, those of laws, and those of the fan."""
-    effects = [row.values for row in rows if row.case != STARTS]
-    fans = [row.values for row in rows if row.case == STARTS]
-    return [v for v in effects if "runs" in v], [v for v in effects if "inside" in v], fans
+def _sort_rows(rows: Sequence[Row]) -> tuple[list[Values], list[Values]]:
+    """The effects' records of PD, and those of laws."""
+    effects = [row.values for row in rows]
+    return [v for v in effects if "runs" in v], [v for v in effects if "inside" in v]

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 
 from ....lhm import LayeredHead
 from ....lhm.base.mesh import Floats
-from ....lhm.head import FREE
 from ....reference import (
     Parameters,
     Reason,
@@ -106,21 +105,10 @@ class Release:
         for name, value in (("scene", scene), ("start", start), ("sought", drawn), ("areal", areal)):
             object.__setattr__(self, name, value)
 
-    @property
-    def passive(self) -> Scene:
-        """The scene without the springs of the expression: tissue on its bones, and on the lining of mouth and lids.
-
-        The lining has no bone behind it, and is held where it is: else it would hang 15 cm deep under 1 g.
-        """
-        lining = 2 * len(self.head.bone) + np.flatnonzero(self.head.bone == FREE)
-        held = terms.Fixed(lining, self.scene.vertices[lining])
-        springless = tuple(t for t in self.scene.terms if not isinstance(t, terms.Target))
-        return replace(self.scene, terms=(*springless, held))
-
-    def motion(self, positions: Floats, start: Floats | None = None) -> Floats:
+    def motion(self, positions: Floats) -> Floats:
         """Measure the share of the skin wrap's first displacement that is left, (k,), of positions (k, n, 3) [mm]."""
         n = len(self.head.bone)
-        first = ((self.start if start is None else start) - self.scene.vertices)[:n]
+        first = (self.start - self.scene.vertices)[:n]
         return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
 
     def by_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:

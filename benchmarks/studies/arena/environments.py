@@ -12,8 +12,8 @@ from .study import load_file
 
 SHARED = ("jax_fem_newton",)
 """Solvers that need what the system brings FEniCSx with, petsc4py and basix, but their own versions of the rest."""
-APART = ("torch_fem", "sfepy_newton", "pypbd_xpbd", *SHARED)
-"""Solvers whose packages need others than softdeca does, such as a newer pyvista or another HDF5 beside dolfinx."""
+APART = ("torch_fem", "sfepy_newton", *SHARED)
+"""Solvers whose packages need others than softdeca does, such as a newer pyvista."""
 
 
 def make_environments(names: Sequence[str] = APART) -> None:
