@@ -119,9 +119,9 @@ def animate_rig(
 ) -> tuple[AnimateResult, BoundRig]:
     """Write wanted.out's files by a rig alone, whose frames tell no error: take.vtkhdf or take.glb, preview, log.jsonl.
 
-    bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes the
-    face where there is one. Returns the rig, too. InputError if another run works in the folder, and for a take without
-    head rotation that is to be `turned`.
+    bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes
+    the face where there is one. Returns the rig, too. InputError if another run works in the folder, and for a take
+    without head rotation that is to be `turned`.
     """
     _check(wanted, take)
     begin = time.perf_counter()
