@@ -29,7 +29,7 @@ class Studies(click.Group):
 
 
 def add_files(context: click.Context, parameter: click.Parameter, files: tuple[Path, ...]) -> None:
-    """Load files of laws, solvers and studies."""
+    """Load files of laws, solvers, methods and studies."""
     from ..reference.added import add_file
 
     for path in files:
@@ -44,7 +44,7 @@ def add_files(context: click.Context, parameter: click.Parameter, files: tuple[P
     callback=add_files,
     is_eager=True,
     expose_value=False,
-    help="a Python file of laws, solvers or studies of your own; repeat for several",
+    help="a Python file of laws, solvers, methods or studies of your own; repeat for several",
 )
 def bench() -> None:
     """Single studies by name."""

@@ -204,7 +204,7 @@ METHODS: Mapping[str, Method] = {
     )
 }
 """Every way to a frame, by its label."""
-OTHER = Method("a method of one's own", no_face)
+_added: dict[str, Method] = {}
 READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
 """Methods at the price of blendshapes that learn nothing from a corpus."""
 
@@ -226,14 +226,27 @@ def bind_cheaply(
     return NETWORK_AND_DERIVATIVES if exact else NETWORK, rig
 
 
+def add_method(method: Method) -> Method:
+    """Let `softdeca evaluate` score a method of a file of one's own. InputError for a label that is taken."""
+    if method.name in METHODS or method.name in _added:
+        raise InputError(f"method {method.name!r} is there already")
+    _added[method.name] = method
+    return method
+
+
+def get_method(name: str) -> Method:
+    """Return the method of a label, or for another label one that binds no face, as figures need it."""
+    return METHODS.get(name) or _added.get(name) or Method(name, no_face)
+
+
 def ready_methods(surrogate: Surrogate) -> dict[str, Method]:
-    """Return READY with the weights of a surrogate, less what these cannot do."""
+    """Return READY with the weights of a surrogate, less what these cannot do, and the methods that were added."""
     ready = {name: METHODS[name] for name in READY}
     ready[NETWORK] = replace(METHODS[NETWORK], bind=use_network(surrogate))
     ready[NETWORK_AND_DERIVATIVES] = replace(METHODS[NETWORK_AND_DERIVATIVES], bind=use_network(surrogate, exact=True))
     if not surrogate.has_derivatives:
         del ready[NETWORK_AND_DERIVATIVES]
-    return ready
+    return ready | _added
 
 
 @check_arguments

@@ -28,6 +28,7 @@ from softdeca.reference import (
 from softdeca.reference import add_solver as add
 from softdeca.reference.materials.material import EnergyLaw, LameLaw
 from softdeca.reference.skfem.solids import ByInvariants
+from softdeca.surrogate import Surrogate, methods
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
 LAW, SOLVER = TUTORIALS / "gent.py", TUTORIALS / "quasi_newton.py"
@@ -40,6 +41,7 @@ def nothing_added(monkeypatch):
     for name in ("_files", "_laws", "_solvers"):
         monkeypatch.setattr(added, name, {})
     monkeypatch.setattr(studies, "_added", {})
+    monkeypatch.setattr(methods, "_added", {})
 
 
 def scene(*more):
@@ -356,3 +358,17 @@ def test_what_files_may_not_add(tmp_path):
         with pytest.raises(InputError, match="is there already"):
             add("mine", prepare)
             add(name, prepare)
+
+
+def test_a_method_of_a_file_is_scored_beside_the_others(tmp_path):
+    """The page's own file."""
+    page = (TUTORIALS.parent / "architecture.md").read_text().partition("## A method\n")[2]
+    file = tmp_path / "half.py"
+    file.write_text(page.partition("```{code-block} python\n")[2].partition("```")[0])
+    add_file(file)
+    ready = methods.ready_methods(Surrogate.load())
+    assert list(ready) == [*methods.READY, "half settled"] and ready["half settled"].needs == "simulator"
+    with pytest.raises(InputError, match="method 'half settled' is there already"):
+        methods.add_method(methods.Method("half settled", ready["half settled"].bind))
+    with pytest.raises(InputError, match="method 'PD' is there already"):
+        methods.add_method(methods.Method("PD", ready["half settled"].bind))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ....animation.plots import subplots
-from ....surrogate.methods import METHODS, OTHER
+from ....surrogate.methods import get_method
 
 FLOOR, TOP = 1e-9, 100.0
 """[mm] below and above which nothing is drawn."""
@@ -47,7 +47,7 @@ def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
                 continue
             style = {"lw": 0.8, "ls": ":"} if title in firsts else {"lw": 1.4}
             marker = "o" if len(points) == 1 else None
-            colour = COLOURS.get(title) or METHODS.get(title, OTHER).colour
+            colour = COLOURS.get(title) or get_method(title).colour
             (line,) = axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)
             labels.setdefault(title, line)
             firsts.add(title)
