@@ -106,11 +106,17 @@ class Binds(Protocol):
         ...
 
 
-class Learns(Binds, Protocol):
-    """A method that learns from a corpus' training faces before it binds others."""
+class Learns(Protocol):
+    """What learns from a corpus' training faces before it binds others."""
+
+    needs: Needs
 
     def fit(self, faces: Faces) -> None:
         """Learn."""
+        ...
+
+    def bind(self, face: KeptFace, /) -> Rig:
+        """Bind a face."""
         ...
 
 

@@ -34,9 +34,16 @@ LIBIGL_ARAP = "libigl ARAP"
 NETWORK, DERIVATIVES, NETWORK_AND_DERIVATIVES = "network", "derivatives", "network + derivatives"
 SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
 DIAL = "dial"
+LEARNED_RESPONSES = "learned responses (kernel ridge)"
+RIDGE, RIDGE_DIMENSIONLESS = "ridge regression, raw", "ridge regression, dimensionless"
+VERTICES_ONLY = "vertices only, z(w) L(p, h)"
+SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
+SOFTSMPL_SMALL, SOFTSMPL_LARGE, SOFTSMPL_GRU = "SoftSMPL, small", "SoftSMPL, large", "SoftSMPL, dynamic (GRU)"
+SNP, TRAINED_BY_ENERGY = "SNP", "trained by the energy"
 
 AnyFace = Face | KeptFace
-Binder = Callable[[AnyFace], Rig]
+Binder = Callable[[Any], Rig]
+"""Binds any face; what has learned from a corpus binds kept ones alone."""
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,8 @@ def swing_where_loose(looseness: Looseness, face: KeptFace, mean: Surface) -> Sw
 
 
 class Plays(Protocol):
-    """A method that learns from sequences, and plays them."""
+    """What learns from sequences, and plays them."""
 
-    name: str
     needs: Needs
 
     def fit(self, table: Table) -> None:
@@ -76,7 +75,7 @@ class Plays(Protocol):
         ...
 
 
-def as_played(method: Plays, table: Table) -> Contender:
+def as_played(name: str, method: Plays, table: Table) -> Contender:
     """Answer with a method that plays whole sequences of a table, fitted."""
 
     def answer(trial: Trial) -> Answers:
@@ -85,7 +84,7 @@ def as_played(method: Plays, table: Table) -> Contender:
         corrected = method.play(trial.sequence, table)
         return Answers(corrected, None, [(time.process_time() - begin) / len(corrected)] * len(corrected))
 
-    return Contender(method.name, answer, method.needs)
+    return Contender(name, answer, method.needs)
 
 
 def evaluate_motion(
@@ -101,7 +100,7 @@ def evaluate_motion(
     return scores[: len(moving)] + [replace(score, kind=STILL) for score in scores[len(moving) :]]
 
 
-def evaluate_played(method: Plays, tested: CorpusTrials, on_progress: OnProgress = silent) -> Score:
+def evaluate_played(name: str, method: Plays, tested: CorpusTrials, on_progress: OnProgress = silent) -> Score:
     """Score a method that learns sequences alone, of kind DYNAMIC: fitted to those of training people.
 
     It begins with the two skins that the simulation had before. Raises what `Table` raises.
@@ -110,6 +109,6 @@ def evaluate_played(method: Plays, tested: CorpusTrials, on_progress: OnProgress
     method.fit(tested.table("sequences", "train"))
     fitted = time.process_time() - begin
     trials = tested.moving(only_differentiated=False)
-    distances = measure_frames([as_played(method, tested.table("sequences"))], trials, on_progress)
+    distances = measure_frames([as_played(name, method, tested.table("sequences"))], trials, on_progress)
     (score,) = distances.scores(distances.parts(), fits=[fitted])
     return score

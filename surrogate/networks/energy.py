@@ -83,7 +83,6 @@ class _Scene:
 class EnergyTrained:
     """A method whose network has seen no simulated frame; it needs heads at bind."""
 
-    name = "trained by the energy"
     needs: Needs = "simulator"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()

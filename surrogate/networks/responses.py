@@ -24,7 +24,6 @@ PROBED = 2000
 class LearnedResponses:
     """exp(-d²/2 l²) + x·x' on the summary of p and h; length and penalty by least leave-one-out error (Allen 1974)."""
 
-    name = "learned responses (kernel ridge)"
     needs: Needs = "nothing"
 
     def fit(self, faces: Faces) -> None:

@@ -28,7 +28,6 @@ class Ridge:
 
     def __init__(self, features: Literal["raw", "dimensionless"] = "raw", components: int = 128):
         self._features, self._components = features, components
-        self.name = f"ridge regression, {features}"
 
     def fit(self, faces: Faces) -> None:
         """Fit at most FRAMES frames; the penalty is the one of least leave-one-out error (Allen 1974)."""

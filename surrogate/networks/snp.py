@@ -26,7 +26,6 @@ SEQUENCES = 256
 class SubspacePhysics:
     """A step of a sequence from the two before it; trained on whole sequences, so that its errors are its own."""
 
-    name = "SNP"
     needs: Needs = "nothing"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()

@@ -30,7 +30,6 @@ SAMPLED = 64
 class SoftSMPLInMotion:
     """A method that learns from sequences and plays them."""
 
-    name = "SoftSMPL, dynamic (GRU)"
     needs: Needs = "nothing"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()

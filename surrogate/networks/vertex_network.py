@@ -27,7 +27,6 @@ class VertexNetwork(ABC):
     """
 
     needs: Needs = "nothing"
-    name: str
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 

@@ -13,8 +13,6 @@ LATENT, POSITION, WIDTH = 32, 16, 128
 class VerticesOnly(VertexNetwork):
     """T - S = L₀(p, h, v) + Σ_k z_k(w) L_k(p, h, v)."""
 
-    name = "vertices only, z(w) L(p, h)"
-
     def draw(self, vertices: int, summary: int) -> Tensors:
         """See `VertexNetwork`."""
         network = draw_layers(perceptron_layers("expression", WEIGHTS, WIDTH, WIDTH, LATENT))

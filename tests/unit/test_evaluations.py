@@ -56,7 +56,7 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
     from softdeca.surrogate.networks.snp import SubspacePhysics
 
-    score = evaluate_played(SubspacePhysics(steps=5), CorpusTrials(corpus, heads=HEADS))
+    score = evaluate_played("SNP", SubspacePhysics(steps=5), CorpusTrials(corpus, heads=HEADS))
     assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
     # Nine people tell little of a tenth; what it was shown it has learned.
     train = Table(corpus, "sequences", "train")

@@ -27,7 +27,7 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
-from softdeca.surrogate.methods import BLENDSHAPES, METHODS, ready_methods
+from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_methods
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import (
     ModalConfig,
@@ -115,10 +115,10 @@ def score(methods, test):
     return {one.method: one for one in evaluate(methods, static_trials(test)) if one.kind == "all"}
 
 
-def learn(methods, training):
-    for method in methods:
-        method.fit(training)
-    return methods
+def learn(learners, training):
+    for learner in learners.values():
+        learner.fit(training)
+    return [Method(name, learner.bind) for name, learner in learners.items()]
 
 
 def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weights, faces):
@@ -131,7 +131,8 @@ def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weig
 
 
 def test_rivals_that_learn_are_scored_by_kind(faces):
-    methods = [*learn([LearnedResponses(), Ridge("raw"), Ridge("dimensionless")], faces["train"]), METHODS[BLENDSHAPES]]
+    rivals = {"responses": LearnedResponses(), "raw": Ridge("raw"), "dimensionless": Ridge("dimensionless")}
+    methods = [*learn(rivals, faces["train"]), METHODS[BLENDSHAPES]]
     scores = evaluate(methods, static_trials(faces["test"]))
     assert {score.kind for score in scores} <= {"all", UNSCALED, VARYING, *KINDS, *STRENGTHS}
     overall = [score for score in scores if score.kind == "all"]
@@ -141,18 +142,17 @@ def test_rivals_that_learn_are_scored_by_kind(faces):
 
 
 def test_networks_of_others_learn_and_are_bound(faces):
-    methods = learn([VerticesOnly(150)], faces["train"])
-    scores = score([*methods, METHODS[BLENDSHAPES]], faces["train"])
+    learner = VerticesOnly(150)
+    scores = score([*learn({"vertices only": learner}, faces["train"]), METHODS[BLENDSHAPES]], faces["train"])
     *learned, nothing = scores.values()
     assert all(one.everywhere < 0.95 * nothing.everywhere for one in learned)
     # In numpy or torch, a network is the same function of w, p and h.
     face, w = faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)
-    for method in methods:
-        summary = ((method._inputs.summary_of(face) - method._mean) / method._scale).astype(np.float32)[None]
-        network = {name: torch.from_numpy(value) for name, value in method.arrays.items()}
-        bound = method.bound(network, torch.from_numpy(summary))
-        answer = method._size * method.answer(network, bound, torch.from_numpy(w[None]))[0].numpy()
-        assert np.abs(method.bind(face).correct(w) - answer).max() < 1e-4
+    summary = ((learner._inputs.summary_of(face) - learner._mean) / learner._scale).astype(np.float32)[None]
+    network = {name: torch.from_numpy(value) for name, value in learner.arrays.items()}
+    bound = learner.bound(network, torch.from_numpy(summary))
+    answer = learner._size * learner.answer(network, bound, torch.from_numpy(w[None]))[0].numpy()
+    assert np.abs(learner.bind(face).correct(w) - answer).max() < 1e-4
 
 
 def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):

@@ -12,7 +12,14 @@ from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
 from ....surrogate.dynamics import Looseness
 from ....surrogate.evaluate import Binds, Cost, Learns, measure_bind
-from ....surrogate.methods import Method, ready_methods
+from ....surrogate.methods import (
+    LEARNED_RESPONSES,
+    RIDGE,
+    RIDGE_DIMENSIONLESS,
+    VERTICES_ONLY,
+    Method,
+    ready_methods,
+)
 from ....surrogate.networks.responses import LearnedResponses
 from ....surrogate.networks.ridge import Ridge
 from ....surrogate.trials import CorpusTrials
@@ -29,9 +36,12 @@ def list_learners() -> Mapping[str, Callable[[], Learns]]:
     """
     from ....surrogate.networks.vertices_only import VerticesOnly
 
-    makers: list[Callable[[], Learns]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
-    makers += [VerticesOnly]
-    return {make().name: make for make in makers}
+    return {
+        LEARNED_RESPONSES: LearnedResponses,
+        RIDGE_DIMENSIONLESS: lambda: Ridge("dimensionless"),
+        RIDGE: lambda: Ridge("raw"),
+        VERTICES_ONLY: VerticesOnly,
+    }
 
 
 def parse_people(people: str) -> Split | None:

@@ -16,7 +16,7 @@ from ....lhm.base.option import option
 from ....lhm.base.progress import silent
 from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
-from ....surrogate.methods import NETWORK, ready_methods
+from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
 from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
@@ -26,7 +26,6 @@ from .frames import draw_worst_frames
 from .gates import describe_defeats, make_gates
 from .methods import Contest, list_learners, load_network, open_contest, parse_people
 
-SNP = "SNP"
 SEEN = 24
 """Training faces, of people that all networks of a curve know, on which each is tried, too."""
 CURVE = "over the number of people"
@@ -230,7 +229,8 @@ def score_static(contest: Contest, name: str) -> list[Score]:
     learner, begin = list_learners()[name](), time.process_time()
     learner.fit(contest.tested.training)
     fitted = time.process_time() - begin
-    scores = evaluate([learner], contest.tested.static(), contest.measure_cost(learner))
+    method = Method(name, learner.bind, learner.needs)
+    scores = evaluate([method], contest.tested.static(), contest.measure_cost(method))
     return [replace(score, fit_seconds=fitted) for score in scores]
 
 
@@ -239,7 +239,7 @@ def score_moving(contest: Contest, name: str) -> list[Score]:
     if name == SNP:
         from ....surrogate.networks.snp import SubspacePhysics
 
-        return [evaluate_played(SubspacePhysics(), contest.tested)]
+        return [evaluate_played(SNP, SubspacePhysics(), contest.tested)]
     assert contest.looseness is not None
     return evaluate_motion([contest.methods[name]], contest.tested, contest.looseness)
 

@@ -14,8 +14,25 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....surrogate import Surrogate
 from ....surrogate.corpus.manifest import OWNER
-from ....surrogate.evaluate import ALL, Binds, Score, evaluate
-from ....surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, NETWORK, SETTLED, Method, use_network
+from ....surrogate.evaluate import ALL, Learns, Score, evaluate
+from ....surrogate.methods import (
+    BLENDSHAPES,
+    CARRIED,
+    DERIVATIVES,
+    FACE_WISE,
+    NETWORK,
+    SETTLED,
+    SNP,
+    SOFTDECA,
+    SOFTDECA_OURS,
+    SOFTSMPL_GRU,
+    SOFTSMPL_LARGE,
+    SOFTSMPL_SMALL,
+    TRAINED_BY_ENERGY,
+    VERTICES_ONLY,
+    Method,
+    use_network,
+)
 from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.networks.weights import Weights
 from ....surrogate.trials import DYNAMIC, CorpusTrials
@@ -23,25 +40,24 @@ from ...harness.study import Column, Row, Study, Table, Task, Values
 from .methods import Contest, list_learners, open_contest, parse_people
 
 GRADIENTS = {
-    "paper": "SoftDECA as printed",
-    "hyper": "SoftDECA, our form",
-    "softsmpl-small": "SoftSMPL, small",
-    "softsmpl-large": "SoftSMPL, large",
-    "face-wise": "face-wise",
+    "paper": SOFTDECA,
+    "hyper": SOFTDECA_OURS,
+    "softsmpl-small": SOFTSMPL_SMALL,
+    "softsmpl-large": SOFTSMPL_LARGE,
+    "face-wise": FACE_WISE,
 }
-"""Names of `softdeca train --network`, as the table has them."""
-GRU, SNP, ENERGY = "SoftSMPL, dynamic (GRU)", "SNP", "trained by the energy"
+"""Labels by the names of `softdeca train --network`."""
 TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
 LEARNED_MOTION = ("paper", "hyper")
 """Networks that learn Eq. 21 where the corpus has sequences."""
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    GRADIENTS["paper"]: {"static": (0.23, 7.45), "dynamic": (0.41, 9.87), "external": (0.44, 7.45)},
-    GRADIENTS["softsmpl-small"]: {"static": (1.67, 7.62)},
-    GRADIENTS["softsmpl-large"]: {"static": (0.16, 46.61)},
-    GRU: {"dynamic": (0.22, 47.39)},
+    SOFTDECA: {"static": (0.23, 7.45), "dynamic": (0.41, 9.87), "external": (0.44, 7.45)},
+    SOFTSMPL_SMALL: {"static": (1.67, 7.62)},
+    SOFTSMPL_LARGE: {"static": (0.16, 46.61)},
+    SOFTSMPL_GRU: {"dynamic": (0.22, 47.39)},
     SNP: {"dynamic": (0.14, 46.61)},
-    GRADIENTS["face-wise"]: {"static": (0.17, 34.92)},
-    "vertices only, z(w) L(p, h)": {"static": (0.16, 0.72)},
+    FACE_WISE: {"static": (0.17, 34.92)},
+    VERTICES_ONLY: {"static": (0.16, 0.72)},
 }
 """The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for SNP, besides."""
 KINDS = ("static", "static, p over the face", DYNAMIC, "external")
@@ -94,8 +110,8 @@ class Table1(Study):
         tested = self._open(self.corpus, "test").tested
         if not len(tested.faces):
             raise InputError(f"corpus {self.corpus}: no test people")
-        moving = [GRU, SNP] if tested.manifest.counts.sequences else []
-        names = [*TRIVIAL, NETWORK, *GRADIENTS.values(), *moving, ENERGY, *list_learners()]
+        moving = [SOFTSMPL_GRU, SNP] if tested.manifest.counts.sequences else []
+        names = [*TRIVIAL, NETWORK, *GRADIENTS.values(), *moving, TRAINED_BY_ENERGY, *list_learners()]
         return [Task(Path(self.corpus).name, name) for name in names]
 
     def _open(self, corpus: str, people: str) -> Contest:
@@ -113,7 +129,7 @@ class Table1(Study):
                 "test": len(np.unique(tested.faces.groups[:, 0])),
             },
         }
-        if task.method in (GRU, SNP):
+        if task.method in (SOFTSMPL_GRU, SNP):
             return about | self._play(task.method, tested)
         method, seconds, said = self._fitted(task.method, contest)
         rows = [replace(score, method=task.method, fit_seconds=seconds) for score in self._scores(method, contest)]
@@ -130,10 +146,10 @@ class Table1(Study):
             rate = self.learning_rate or 1e-4
             steps = self.steps or 200_000
             method = SoftSMPLInMotion(TrainerConfig(steps=steps, learning_rate=rate, clip=1.0, validate_every=steps))
-        score = evaluate_played(method, tested)
-        return {"steps": method.steps, "rows": [asdict(replace(score, method=name))]}
+        score = evaluate_played(name, method, tested)
+        return {"steps": method.steps, "rows": [asdict(score)]}
 
-    def _fitted(self, name: str, contest: Contest) -> tuple[Binds, float | None, dict[str, Any]]:
+    def _fitted(self, name: str, contest: Contest) -> tuple[Method, float | None, dict[str, Any]]:
         """Return a method that is ready, the processor seconds of its training, and what is said of that."""
         if name in contest.methods:
             return contest.methods[name], None, {}
@@ -150,20 +166,20 @@ class Table1(Study):
             )
         from ....surrogate.networks.vertex_network import VertexNetwork
 
-        method: Any
+        learner: Learns
         said: dict[str, Any] = {}
-        if name == ENERGY:
+        if name == TRAINED_BY_ENERGY:
             from ....surrogate.networks.energy import EnergyTrained, EnergyTraining
 
-            method = EnergyTrained(EnergyTraining(steps=self.energy_steps, faces=self.energy_faces))
+            learner = EnergyTrained(EnergyTraining(steps=self.energy_steps, faces=self.energy_faces))
             said = {"steps": self.energy_steps}
         else:
-            method = list_learners()[name]()
-            if isinstance(method, VertexNetwork) and self.steps:
-                method = type(method)(self.steps)
+            learner = list_learners()[name]()
+            if isinstance(learner, VertexNetwork) and self.steps:
+                learner = type(learner)(self.steps)
                 said = {"steps": self.steps}
-        method.fit(contest.tested.training)
-        return method, time.process_time() - begin, said
+        learner.fit(contest.tested.training)
+        return Method(name, learner.bind, learner.needs), time.process_time() - begin, said
 
     def _weights(self, network: str, tested: CorpusTrials) -> Weights:
         """Load weights, or train them by the options given."""
@@ -190,19 +206,19 @@ class Table1(Study):
             weights.save(kept)
         return weights
 
-    def _scores(self, method: Binds, contest: Contest) -> list[Score]:
+    def _scores(self, method: Method, contest: Contest) -> list[Score]:
         tested, faces = contest.tested, contest.tested.faces
         varies = np.array([bool(faces.coefficients(k)[:, 1:].any()) for k in range(len(faces))])
         has_frames = np.array([bool(len(rows)) for rows in faces.frames_of])
         parts = {KINDS[0]: np.flatnonzero(~varies & has_frames)}
-        if method.name not in (GRADIENTS["softsmpl-small"], GRADIENTS["softsmpl-large"]):
+        if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
             parts[KINDS[1]] = np.flatnonzero(varies & has_frames)
         scores = []
         for kind, chosen in parts.items():
             if len(chosen):
                 found = evaluate([method], tested.static(chosen.tolist()))
                 scores += [replace(score, kind=kind) for score in found if score.kind == ALL]
-        if contest.has_motion and method.name != ENERGY:
+        if contest.has_motion and method.name != TRAINED_BY_ENERGY:
             assert contest.looseness is not None
             moving = evaluate_motion([method], tested, contest.looseness)
             scores += [score for score in moving if score.kind == DYNAMIC]
