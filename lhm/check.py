@@ -106,7 +106,7 @@ class HeadReport:
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
     `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
-    sealed lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
+    lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
     of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
     `jaw_drop`: how far jawOpen lowers the skin of the lower lip, on average. `sideways`: how far jawLeft, jawRight,
     mouthLeft and mouthRight move the lips to their own side, on average; the least of the four. `own_side`: share of
@@ -422,8 +422,7 @@ def _moved_sideways(
     if rigged is None or found is None:
         return values
     (rig, weights), (middle, axes) = rigged, found
-    still = {*rig.missing, *(name for name in rig.doubtful if not rig.deltas[ARKIT.index(name)].any())}
-    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in still}
+    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in rig.missing}
     x = (skin.vertices - middle) @ axes
     lips = weights @ np.asarray(regions.get("lips", np.zeros(len(wrap))), dtype=np.float64) > 0.5
     lower = lips & (x[:, 1] < ((wrap[regions["mouth"]] - middle) @ axes)[:, 1].mean())
@@ -456,8 +455,7 @@ def _off(wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, An
 
 
 INVERTED = 100
-"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may
-stay below it: `jaw_open_torn` tells those."""
+"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68."""
 
 
 def check_posed(head: LayeredHead, volume_ratios: Callable[[Floats], Floats]) -> tuple[Figure, ...]:

@@ -134,7 +134,7 @@ def own_head(scan: Path) -> bytes:
 
     if not scan.is_file():
         raise SystemExit(f"own-head: no scan at {scan}; name the file by --scan")
-    head = scans.fit_scan(scan, load_template())
+    head = scans.fit_scan(load_template(), scan)
     panels = [Panel("a scan, fitted", head.skin)]
     for name, weights in (("jawOpen", {"jawOpen": 0.7}), ("smile", SMILE), ("browInnerUp", {"browInnerUp": 1.0})):
         shape = head.expression(expressions.weights_of(weights))

@@ -20,7 +20,6 @@ from ....lhm.base.geometry.rays import visible_sky
 from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats, Floats32, Surface
 from ....lhm.base.option import option
-from ....lhm.fit import transfer_rig
 from ....lhm.identities import LinearSpace
 from ....lhm.identities.space import OUTSIDE
 from ....lhm.registration.alignment import Target
@@ -82,7 +81,7 @@ class Registrations(Study):
                 | {"median_mm": float(np.median(away)), "p95_mm": float(np.quantile(away, 0.95))}
                 | {"points": len(away), "crossings": forth.crossings}
             )
-            rig = transfer_rig(space, forth).deltas
+            rig = transfer_shapes(space, forth)
             groups = {
                 f"shapes, {space.name} to {upon.name}": measure_agreement(rig, upon.expressions, upon.parts == OUTSIDE)
             }
@@ -118,6 +117,12 @@ def find_visible_face(space: LinearSpace) -> Mask:
     return find_face(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
+def transfer_shapes(space: LinearSpace, laid: Registration) -> Floats32:
+    """Transfer a space's expressions to its laid mean skin, and from there to the skin that it lies on [mm]."""
+    deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
+    return np.stack([laid.skin_weights @ delta for delta in deltas]).astype(np.float32)
+
+
 def measure_agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
     """Measure by shape the cosine between displacements (52, n, 3), and their mean distance [mm], where visible."""
     rows = []
@@ -138,7 +143,7 @@ def _compare_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, A
     # Other numbers for its vertices, so that nothing can be known of the points.
     order = np.random.default_rng(seed).permutation(len(skin.vertices))
     other = Surface(skin.vertices[order], np.argsort(order)[skin.triangles])
-    found = transfer_rig(space, register(space.mean, space.parts, other)).deltas
+    found = transfer_shapes(space, register(space.mean, space.parts, other))
     return {
         "a person, exact points": measure_agreement(exact, space.expressions, visible),
         "a person, registered": measure_agreement(found, space.expressions[:, order], visible[order]),
