@@ -159,14 +159,13 @@ class HeadReport:
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
     lid_detour: float | None = _figure("", "at least", 1.4)
-    # Sealed lips: 1,100 to 3,200; lips that were opened: 50 to 120, and 800 where a scan's were ragged.
+    # Lips that are one surface: 1,100 to 3,200; parted ones 0 to 120, those of a scan's own shapes too.
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
-    # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
+    # Lids drawn over a closed eye: 490 and more; heads have 0.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear or crumple, lips that streaks cross: 220
-    # and more.
+    # Heads 0 to 5, by a scan's own shapes 20; corners that tear or crumple, lips that streaks cross: 220 and more.
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
-    # Random identities 14 to 61; jagged lids 240.
+    # Random identities and scans 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
     # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.87 to 0.94.
     jaw_drop: float | None = _figure("mm", "at least", 1.0)

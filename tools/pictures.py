@@ -243,7 +243,7 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "collisions.png": (collisions, (*HEAD, *CUT)),
-    "own-head.png": (own_head, (*HEAD, *DRAWING)),
+    "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
