@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -71,7 +71,6 @@ class Fit:
     no_repair: bool = option(
         False, "take the mesh as it is, or refuse it; default: repair it and list the changes", needs="skin"
     )
-    keep_sealed: bool = option(False, "keep a sealed mouth closed; default: open it between the lips", needs="skin")
     landmarks: Path | None = option(
         None, "JSON of named points on --skin, in its own unit or in mm", type=FILE, needs="skin"
     )
@@ -111,18 +110,13 @@ class Fit:
             if self.skin is None:
                 surface = space.mean if self.seed is None else space.sample(np.random.default_rng(self.seed))[1]
                 fitted = fit_head(template, surface, regressor=regressor, progress=progress)
-            elif (own := scans.read_same_topology(self.skin, template, hints)) is not None:
-                surface, notes = own
-                self._tell(notes)
-                fitted = replace(fit_head(template, surface, regressor=regressor, progress=progress), notes=notes)
             else:
-                scan = scans.read_head_scan(self.skin, template, hints, repair=not self.no_repair, progress=progress)
-                self._tell(scan.notes)
-                fitted = scans.fit_head_scan(
-                    scan, template, regressor=regressor, unseal=not self.keep_sealed, progress=progress
+                fitted = scans.fit_scan(
+                    template, self.skin, hints, repair=not self.no_repair, regressor=regressor, progress=progress
                 )
-                self._tell(fitted.notes[len(scan.notes) :])
             progress("head", 1.0)
+        for note in fitted.notes:
+            click.echo(f"softdeca: {self.skin}: {note}", err=True)
         save_head(self.out, fitted)
         written = [self.out, *(export_vtk(self.vtk, fitted) if self.vtk is not None else ())]
         if self.picture is not None:
@@ -130,7 +124,6 @@ class Fit:
 
             write_whole(self.picture, draw_cut_away(fitted))
             written.append(self.picture)
-        warn_of_doubtful(self.skin or self.out, {} if fitted.rig is None else fitted.rig.doubtful)
         report_gates(check_head(fitted), self.json, written, notes=fitted.notes, posed=check_posed(fitted))
         return 0
 
@@ -144,12 +137,8 @@ class Fit:
         if self.find_landmarks is not None:
             refuse_given(
                 "--find-landmarks writes landmarks of --skin or the mean alone",
-                "landmarks", "seed", "regressor", "keep_sealed", "out", "vtk", "picture", "json",
+                "landmarks", "seed", "regressor", "out", "vtk", "picture", "json",
             )  # fmt: skip
-
-    def _tell(self, notes: Sequence[str]) -> None:
-        for note in notes:
-            click.echo(f"softdeca: {self.skin}: {note}", err=True)
 
     def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:
         """Write the landmarks of the scan, or of the template, and their picture."""
@@ -161,8 +150,8 @@ class Fit:
         places = np.array(list(points.values()))
         there = places
         if self.skin is not None:
-            scan = scans.read_head_scan(self.skin, template, hints, repair=not self.no_repair, progress=progress)
-            surface, points = scan.skin, scans.suggest_landmarks(scan, template, progress=progress)
+            scan = scans.place_scan(template, self.skin, hints, repair=not self.no_repair, progress=progress)
+            surface, points = scan.skin, scans.suggest_landmarks(template, scan, progress=progress)
             places = np.array(list(points.values()))
             there = scan.placement.inverse(places)
         text = {name: [float(f"{c:.6g}") for c in point] for name, point in zip(points, there, strict=True)}
@@ -213,7 +202,6 @@ class Check:
         """Read and report."""
         with naming_damage(self.file, "a layered head"):
             parts = read_parts(self.file)
-            warn_of_doubtful(self.file, {} if parts.rig is None else parts.rig.doubtful)
             report = parts.report()
             # A head with inverted tets at rest cannot be moved.
             moves = report.inverted_tets == 0 and report.least_volume > 0
@@ -227,9 +215,8 @@ class Check:
 class Personalise:
     """Fit the expressions of HEAD to scans of its person; half a minute for each scan.
 
-    WEIGHTS names the scans beside it and guesses what each shows: JSON, {"smile.obj": {"mouthSmileLeft": 1}, ...}, or
-    CSV with the header "scan,mouthSmileLeft,..." and a line per scan. Other expressions stay as they are. Exit
-    status 1 if the new head misses a gate that HEAD did not.
+    WEIGHTS names the scans beside it and guesses what each shows: JSON, {"smile.obj": {"mouthSmileLeft": 1}, ...}.
+    Other expressions stay as they are. Exit status 1 if the new head misses a gate that HEAD did not.
     """
 
     head: Path = argument("HEAD", type=FILE)
@@ -269,13 +256,6 @@ class Personalise:
         if new:
             raise FitError(f"{self.out} is written, but misses {'; '.join(new)}")
         return 0
-
-
-def warn_of_doubtful(file: Path, doubtful: Mapping[str, str]) -> None:
-    """Print a line for each reason why expressions will not look right."""
-    for reason in dict.fromkeys(doubtful.values()):
-        names = ", ".join(name for name, why in doubtful.items() if why == reason)
-        click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
 
 
 def check_posed(moved: LayeredHead) -> tuple[Figure, ...]:

@@ -14,7 +14,7 @@ from ..lhm.base.errors import InputError, quote
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
 from ..lhm.head_file import export_vtk, load_head
-from .head import head, warn_of_doubtful
+from .head import head
 from .options import FILE, argument, as_command, option, refuse_given
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ
@@ -44,8 +44,6 @@ class Show:
         shown = load_head(self.file)
         for note in shown.notes:
             click.echo(f"softdeca: {self.file}: {note}", err=True)
-        if shown.rig is not None and self.identities is None:
-            warn_of_doubtful(self.file, shown.rig.doubtful)
         with show_progress() as progress:
             progress("pictures", 0.0)
             pose = None

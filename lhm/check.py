@@ -106,7 +106,7 @@ class HeadReport:
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
     `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
-    sealed lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
+    lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
     of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
     `jaw_drop`: how far jawOpen lowers the skin of the lower lip, on average. `sideways`: how far jawLeft, jawRight,
     mouthLeft and mouthRight move the lips to their own side, on average; the least of the four. `own_side`: share of
@@ -159,14 +159,13 @@ class HeadReport:
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
     lid_detour: float | None = _figure("", "at least", 1.4)
-    # Sealed lips: 1,100 to 3,200; lips that were opened: 50 to 120, and 800 where a scan's were ragged.
+    # Lips that are one surface: 1,100 to 3,200; parted ones 0 to 120, those of a scan's own shapes too.
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
-    # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
+    # Lids drawn over a closed eye: 490 and more; heads have 0.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear or crumple, lips that streaks cross: 220
-    # and more.
+    # Heads 0 to 5, by a scan's own shapes 20; corners that tear or crumple, lips that streaks cross: 220 and more.
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
-    # Random identities 14 to 61; jagged lids 240.
+    # Random identities and scans 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
     # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.87 to 0.94.
     jaw_drop: float | None = _figure("mm", "at least", 1.0)
@@ -422,8 +421,7 @@ def _moved_sideways(
     if rigged is None or found is None:
         return values
     (rig, weights), (middle, axes) = rigged, found
-    still = {*rig.missing, *(name for name in rig.doubtful if not rig.deltas[ARKIT.index(name)].any())}
-    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in still}
+    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in rig.missing}
     x = (skin.vertices - middle) @ axes
     lips = weights @ np.asarray(regions.get("lips", np.zeros(len(wrap))), dtype=np.float64) > 0.5
     lower = lips & (x[:, 1] < ((wrap[regions["mouth"]] - middle) @ axes)[:, 1].mean())
@@ -456,8 +454,7 @@ def _off(wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, An
 
 
 INVERTED = 100
-"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may
-stay below it: `jaw_open_torn` tells those."""
+"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68."""
 
 
 def check_posed(head: LayeredHead, volume_ratios: Callable[[Floats], Floats]) -> tuple[Figure, ...]:

@@ -13,18 +13,18 @@ from scipy.spatial import cKDTree
 from .arkit import ARKIT
 from .base.checks import check_arguments
 from .base.errors import InputError
+from .base.files.surface_file import Scan
 from .base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
 from .base.mesh import Floats, Ints, Surface
 from .base.progress import OnProgress, silent
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .identities.space import LinearSpace
-from .registration import Registration, register, register_by_mapping
+from .registration import register, register_by_mapping
 from .registration.landmarks import Pairs
 from .regressor.depths import DepthRegressor
 from .rig import Rig
 from .skin import check_outward
 from .template import Template
-from .transfer import transfer_expressions
 from .wraps import inner
 from .wraps.skull import SkullFit
 
@@ -79,73 +79,53 @@ def fit_head(
     own: Mapping[str, Floats] | None = None,
     progress: OnProgress = silent,
 ) -> LayeredHead:
-    """Fit the layered head of a neutral skin [mm].
+    """Fit the layered head of a neutral skin [mm], in the template's triangles.
 
     In the paper's order: the template's wraps are warped with the skin (Eq. 3); `regressor` (default: the template's)
     says how deep the skull wrap lies, and Eq. 4 finds it; the muscle wrap follows by the ten-percent rule; columns
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
-    A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
-    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the
-    head's skin is then the given one, tied to the wraps through the other.
+    A skin with the template's triangles is the head's skin. On another topology the template's skin is laid, and is
+    the head's: by `mapping` (as in `register_by_mapping`), or by `register` (half a minute), from `landmarks` if given.
 
-    The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
-    2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
+    The head's rig has the expressions of the template's space, but for those in `own`: displacements [mm], shape
+    (n, 3), of the given skin by ARKit names. A laid template gets the former by deformation transfer (Sumner and
+    Popović 2004), and the latter from the points that it lies on.
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
     InputError for a skin of the template's triangles, or a mapped template, whose size, direction or order of vertices
     is not the template's; MeshError for one that faces inwards; and what `register` and `register_by_mapping` raise.
     """
-    same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
-        skin.triangles, template.skin.triangles
-    )
-    if same and mapping is None:
+    if mapping is None and has_triangles_of(template, skin):
         _check_place(template.skin, skin)
-        rig = None if template.space is None else add_own_expressions(rig_from_space(template.space, skin), own)
-        return replace(_fitted(template, skin, regressor), rig=rig)
+        return replace(_fitted(template, skin, regressor), rig=_rig(template.space, skin, own or {}))
     if mapping is None:
-        laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
+        laid = register(template.skin, template.parts, skin, landmarks=landmarks, stiff_lids=True, progress=progress)
     else:
         laid = register_by_mapping(template.skin, template.parts, mapping, skin)
         _check_place(template.skin, laid.surface)
         check_outward(skin)
-    return fit_registered(template, skin, laid, regressor=regressor, own=own)
+    carried = {name: laid.template_weights @ delta for name, delta in (own or {}).items()}
+    rig = _rig(template.space, laid.surface, carried, laid=True)
+    off = laid.residual
+    note = f"registered: the face lies {off.mean:.2f} mm off the scan on average, 95 % of it within {off.p95:.2f} mm"
+    return replace(_fitted(template, laid.surface, regressor), rig=rig, notes=(note,))
 
 
-def fit_registered(
-    template: Template,
-    skin: Surface,
-    laid: Registration,
-    *,
-    regressor: DepthRegressor | None = None,
-    own: Mapping[str, Floats] | None = None,
-) -> LayeredHead:
-    """Fit the layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
-    head = _fitted(template, laid.surface, regressor)
-    rig = None if template.space is None else add_own_expressions(transfer_rig(template.space, laid), own)
-    return replace(
-        head,
-        skin=skin,
-        rig=rig,
-        registered=laid.surface,
-        wrap_from_skin=(head.wrap_from_skin @ laid.template_weights).tocsr(),
-        skin_from_wrap=(laid.skin_weights @ head.skin_from_wrap).tocsr(),
-    )
+def has_triangles_of(template: Template, skin: Surface | Scan) -> bool:
+    """Whether a skin has the template's vertices, by their number, and its triangles."""
+    same = skin.vertices.shape == template.skin.vertices.shape
+    return same and np.array_equal(skin.triangles, template.skin.triangles)
 
 
-def rig_from_space(space: LinearSpace, skin: Surface) -> Rig:
-    """Take a space's expressions of a skin of its own topology."""
-    return Rig(space.shapes_on(skin).astype(np.float32), space.name, space.missing)
+def _rig(space: LinearSpace | None, skin: Surface, own: Mapping[str, Floats], *, laid: bool = False) -> Rig | None:
+    if space is None:
+        return None
+    shapes = space.transfer_to(skin) if laid else space.shapes_on(skin)
+    return add_own_expressions(Rig(shapes.astype(np.float32), space.name, space.missing), own)
 
 
-def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:
-    """Transfer a space's expressions to its registered mean skin, and from there to the skin that it lies on."""
-    deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
-    carried = np.stack([laid.skin_weights @ delta for delta in deltas])
-    return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
-
-
-def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
+def add_own_expressions(rig: Rig, own: Mapping[str, Floats]) -> Rig:
     """Put the expressions in `own`, by ARKit names, in place of those of a rig."""
     if not own:
         return rig
@@ -153,7 +133,7 @@ def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     for name, delta in own.items():
         deltas[ARKIT.index(name)] = delta
     source = f"{len(own)} of its own" + (f", the others {rig.source}" if len(own) < len(ARKIT) else "")
-    return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
+    return Rig(deltas, source, tuple(name for name in rig.missing if name not in own))
 
 
 def is_upright(template: Surface, skin: Surface) -> bool:

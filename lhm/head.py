@@ -29,8 +29,8 @@ class LayeredHead:
     that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
     `muscles` and `skull`: the surfaces under the inner wraps, where the template has them.
     `volume`: `soft` and `muscle` where they are no prisms; their first 3 n vertices are the stacked wraps'.
-    `rig`: what the 52 expressions do to the skin; `registered`: the template's skin as it lies on this one, where that
-    has another topology; `notes`: what was found and changed on the way from a file to this head.
+    `rig`: what the 52 expressions do to the skin; `notes`: what was found and changed on the way from a file to this
+    head.
     Raises MeshError for wraps of different triangles, inverted tets by index, and a volume over other vertices.
     """
 
@@ -46,7 +46,6 @@ class LayeredHead:
     skull: Surface | None = field(default=None, repr=False)
     volume: tuple[TetMesh, TetMesh] | None = field(default=None, repr=False)
     rig: Rig | None = field(default=None, repr=False)
-    registered: Surface | None = field(default=None, repr=False)
     notes: tuple[str, ...] = field(default=(), repr=False)
     soft: TetMesh = field(init=False, repr=False)
     muscle: TetMesh = field(init=False, repr=False)

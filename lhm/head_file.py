@@ -68,7 +68,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
     arrays |= _rig_to_arrays(head.rig)
-    arrays |= surface_to_arrays("registered", head.registered) | {"notes": np.array(json.dumps(head.notes))}
+    arrays |= {"notes": np.array(json.dumps(head.notes))}
     with refusing_to_write(path):
         _parts(arrays).check_bones()
     write_arrays(path, arrays)
@@ -88,7 +88,7 @@ def _rig_to_arrays(rig: Rig | None) -> dict[str, np.ndarray]:
     if rig is None:
         return {}
     moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
-    about = {"source": rig.source, "missing": rig.missing, "doubtful": dict(rig.doubtful)}
+    about = {"source": rig.source, "missing": rig.missing}
     shape = np.array(rig.deltas.shape[1])
     arrays = {"rig_vertices": shape, "rig_moved": moved, "rig_deltas": rig.deltas[:, moved]}
     return arrays | {"rig_about": np.array(json.dumps(about))}
@@ -182,7 +182,6 @@ class HeadParts:
     skull: Surface | None
     volume: tuple[Floats, Ints, Ints] | None
     rig: Rig | None
-    registered: Surface | None
     notes: tuple[str, ...]
 
     def head(self) -> LayeredHead:
@@ -204,7 +203,6 @@ class HeadParts:
             skull=self.skull,
             volume=volume,
             rig=self.rig,
-            registered=self.registered,
             notes=self.notes,
         )
         self.check_bones()
@@ -266,6 +264,11 @@ def _read_parts(path: str | os.PathLike[str]) -> HeadParts:
     arrays = read_arrays(path, of="a layered head")
     if arrays.get("format", np.array("")).tolist() != FORMAT:
         raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    if "registered_vertices" in arrays:
+        raise InputError(
+            f"{path}: a scan in its own triangles, as earlier versions made it; fit the scan again by "
+            f"`softdeca head fit --skin`, in the template's triangles"
+        )
     return _parts(arrays)
 
 
@@ -281,7 +284,7 @@ def _parts(arrays: Mapping[str, np.ndarray]) -> HeadParts:
     if not len(skin_wrap.triangles):
         raise InputError("triangles: there are none")
     surfaces = {"skin": skin, **dict(zip(_WRAPS, wraps, strict=True))}
-    more = {name: read_surface_arrays(arrays, name) for name in (*_INSIDE, "registered")}
+    more = {name: read_surface_arrays(arrays, name) for name in _INSIDE}
     extent = check_extent(surfaces | {name: surface for name, surface in more.items() if surface is not None})
     return HeadParts(
         skin,
@@ -354,17 +357,15 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
     about = parse_json(checks.text("rig_about", arrays["rig_about"]))
     deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)
     deltas[:, moved] = given
-    if not isinstance(about, dict) or not isinstance(about.get("doubtful"), dict):
-        raise InputError("rig_about: expected source, missing and doubtful")
+    if not isinstance(about, dict):
+        raise InputError("rig_about: expected source and missing")
     missing = checks.texts("rig_about: missing", about.get("missing"))
-    source, *reasons = checks.texts("rig_about", [about.get("source"), *about["doubtful"].values()])
-    for name in (*missing, *about["doubtful"]):
+    (source,) = checks.texts("rig_about", [about.get("source")])
+    for name in missing:
         if name not in ARKIT:
             raise InputError(f"rig_about: {quote(name)} is none of ARKit's expressions")
-    for reason in (source, *reasons):
-        NOTE_LETTERS.check("rig_about", len(reason))
-    doubtful = {name: escape(reason) for name, reason in zip(about["doubtful"], reasons, strict=True)}
-    return Rig(deltas, escape(source), missing, doubtful)
+    NOTE_LETTERS.check("rig_about", len(source))
+    return Rig(deltas, escape(source), missing)
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +18,13 @@ from .identities.space import LinearSpace
 class Rig:
     """`deltas` [mm], float32, shape (52, n, 3): what each expression adds to a neutral skin, in ARKit's order.
 
-    `source` says in words where they come from; `missing` names those that nothing is known of (zero), `doubtful` those
-    that will not look right on this skin, each with its reason. Raises MeshError for another shape, or values that are
-    not finite.
+    `source` says in words where they come from; `missing` names those that nothing is known of (zero). Raises MeshError
+    for another shape, or values that are not finite.
     """
 
     deltas: NDArray[np.float32]
     source: str
     missing: tuple[str, ...] = ()
-    doubtful: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         numbers = array_of_kind("rig", self.deltas, "fiub", "displacements", error=MeshError)
@@ -46,18 +43,6 @@ class Rig:
             raise InputError(f"weights: expected shape ({len(ARKIT)},), got {values.shape}")
         used = np.flatnonzero(values)
         return np.tensordot(values[used], self.deltas[used].astype(np.float64), axes=1)
-
-    def without(self, still: Mapping[str, str]) -> Rig:
-        """Let some expressions do nothing, each by its ARKit name with the reason."""
-        if not still:
-            return self
-        deltas = np.array(self.deltas)
-        deltas[[ARKIT.index(name) for name in still]] = 0.0
-        return replace(self, deltas=deltas, doubtful={**self.doubtful, **still})
-
-    def doubting(self, doubtful: Mapping[str, str]) -> Rig:
-        """Name more expressions that will not look right, each with its reason."""
-        return replace(self, doubtful={**self.doubtful, **doubtful})
 
 
 @check_arguments

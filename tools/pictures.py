@@ -134,7 +134,7 @@ def own_head(scan: Path) -> bytes:
 
     if not scan.is_file():
         raise SystemExit(f"own-head: no scan at {scan}; name the file by --scan")
-    head = scans.fit_scan(scan, load_template())
+    head = scans.fit_scan(load_template(), scan)
     panels = [Panel("a scan, fitted", head.skin)]
     for name, weights in (("jawOpen", {"jawOpen": 0.7}), ("smile", SMILE), ("browInnerUp", {"browInnerUp": 1.0})):
         shape = head.expression(expressions.weights_of(weights))
@@ -244,7 +244,7 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "collisions.png": (collisions, (*HEAD, *CUT)),
-    "own-head.png": (own_head, (*HEAD, *DRAWING)),
+    "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),

@@ -2,8 +2,8 @@
 # # Bring your own head
 #
 # A mesh of any topology, unit and orientation becomes a head: what is wrong with it is repaired and told, a face is
-# found on it, the template is registered to it, and its layers are fitted. Here the file is a random person whose
-# mesh was turned, scaled to metres and shuffled, as a scan would come.
+# found on it, the template's skin is laid onto it, and its layers are fitted. The head is in the template's triangles.
+# Here the file is a random person whose mesh was turned, scaled to metres and shuffled, as a scan would come.
 
 # %%
 import tempfile
@@ -48,7 +48,7 @@ trimesh.Trimesh(turned, np.argsort(order)[someone.triangles], process=False).exp
 
 # %%
 template = load_template(level=1)
-head = scans.fit_scan(out / "scan.ply", template)
+head = scans.fit_scan(template, out / "scan.ply")
 for note in head.notes:
     print(note)
 
@@ -76,7 +76,7 @@ Picture(draw_sections(head, head.vertices, head.skin))
 # %% [markdown]
 # ## Simulate
 #
-# The head has all 52 expressions, of its own topology. Under 1.4 times the soft tissue it is first settled, and the
+# The head has all 52 expressions. Under 1.4 times the soft tissue it is first settled, and the
 # expression's scene starts from there.
 
 # %%
@@ -92,7 +92,7 @@ assert solution.converged and heavier.solution.converged
 # %% [markdown]
 # ## Play
 #
-# No network knows this head, so its rig takes the simulator's derivatives; a frame is then as cheap as blendshapes.
+# A rig takes the simulator's derivatives; a frame is then as cheap as blendshapes.
 
 # %%
 rig = METHODS["derivatives"].bind(Face(head, head.rig.deltas))

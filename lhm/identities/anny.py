@@ -67,6 +67,10 @@ class TransferredSpace(LinearSpace):
             self._last.update(key=key, shapes=shapes)
         return self._last["shapes"]
 
+    def transfer_to(self, skin: Surface) -> Floats:
+        """Transfer as to everybody: `shapes_on`."""
+        return self.shapes_on(skin)
+
     @cached_property
     def _last(self) -> dict:
         """The last person's shapes: callers blend many frames of one person."""

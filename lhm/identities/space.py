@@ -11,6 +11,7 @@ import numpy as np
 from ..base.checks import array_of_kind, check_arguments
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
+from ..transfer import transfer_expressions
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
@@ -108,6 +109,13 @@ class LinearSpace:
     def shapes_on(self, skin: Surface) -> Floats:
         """The displacements [mm] of the 52 expressions of a skin of the space's triangles, shape (52, n, 3)."""
         return self.expressions
+
+    def transfer_to(self, skin: Surface) -> Floats:
+        """Transfer the 52 expressions to a skin that is none of the space's people [mm], shape (52, n, 3).
+
+        Raises MeshError for other triangles and for a triangle without area.
+        """
+        return transfer_expressions(self.mean, self.expressions, skin)
 
     def fingerprint(self) -> str:
         """Hash all that a template depends on."""

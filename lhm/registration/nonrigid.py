@@ -37,6 +37,10 @@ REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
 """Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
 exact."""
+LIDS, LID_ZONE = 30.0, 8.0
+"""How many times as stiff lids and sockets are, and how near [mm] to the lids' rims: eyes then shut, also
+where a scan's lids are closed or stone, whose folds would draw each vertex its own way. Faces are .03 mm farther
+off."""
 LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
@@ -45,11 +49,12 @@ class SmoothAffine:
 
     E = sum over edges, both ways, |x_j - x_i - A_i (X_j - X_i)|² + |X_j - X_i|² |A_i - A_j|² / 2, plus per vertex
     RETURN h² |A_i - I|² with h the mean length of its edges, plus TIE |ties (x - X)|² for the rows of `ties` (k, n),
-    differences of points that should move together. But for the last two it vanishes for every affine map of
-    the start (Amberg, Romdhani and Vetter, CVPR 2007, Eq. 4, written about each vertex in place of the origin).
+    differences of points that should move together. An edge counts as the smaller `weight` (n,) of its ends. But for
+    the last two it vanishes for every affine map of the start (Amberg, Romdhani and Vetter, CVPR 2007, Eq. 4, written
+    about each vertex in place of the origin).
     """
 
-    def __init__(self, start: Floats, triangles: Ints, ties: csr_matrix):
+    def __init__(self, start: Floats, triangles: Ints, ties: csr_matrix, weight: Floats | float = 1.0):
         n = self.n = len(start)
         pairs = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -58,11 +63,12 @@ class SmoothAffine:
         h = np.bincount(i, length, n) / np.maximum(np.bincount(i, minlength=n), 1)
         # Unknowns, for each coordinate alike: n positions, then 3 n gradients.
         at_i, at_j = (n + 3 * k[:, None] + np.arange(3) for k in (i, j))
-        edges = np.arange(len(i))
-        values = np.concatenate([np.ones(len(i)), -np.ones(len(i)), -along.ravel()])
+        weight = np.broadcast_to(weight, n)
+        edges, root = np.arange(len(i)), np.sqrt(np.minimum(weight[i], weight[j]))
+        values = np.concatenate([root, -root, -(root[:, None] * along).ravel()])
         places = np.concatenate([edges, edges, np.repeat(edges, 3)]), np.concatenate([j, i, at_i.ravel()])
         stretch = csc_matrix((values, places), shape=(len(i), 4 * n))
-        size, rows = np.repeat(length, 3), np.arange(3 * len(i))
+        size, rows = np.repeat(root * length, 3), np.arange(3 * len(i))
         values = np.concatenate([size, -size])
         change = csc_matrix((values, (np.tile(rows, 2), np.append(at_i, at_j))), shape=(3 * len(i), 4 * n))
         back = np.concatenate([np.zeros(n), RETURN * np.repeat(h**2, 3)])
@@ -83,7 +89,14 @@ class SmoothAffine:
 
 
 def lay_onto(
-    start: Surface, parts: Ints, places: Landmarks, target: Target, marks: Pairs | None, progress: OnProgress
+    start: Surface,
+    parts: Ints,
+    places: Landmarks,
+    target: Target,
+    marks: Pairs | None,
+    progress: OnProgress,
+    *,
+    stiff_lids: bool = False,
 ) -> tuple[Floats, int]:
     """Lay a template that stands at `start` onto a skin: its vertices (n, 3) [mm], and how many pairs cross anew.
 
@@ -91,11 +104,15 @@ def lay_onto(
     Visible vertices are drawn to their matches; those in hidden `parts`, those that see no sky but at the lips, and
     those without a match are carried along. Points of the skin that draw the template too hardly lessen its slides
     (.42 and .53 mm in place of .43 and .54 between two heads), and draw a chin down where there is another below it.
-    Facing points of the two lips keep their gap. Where the surface comes to cross itself its vertices lose their
+    With `stiff_lids` each eye's lids and socket move nearly as one affine map. Facing points of the two lips keep their
+    gap. Where the surface comes to cross itself its vertices lose their
     match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
     """
     x, triangles = start.vertices, start.triangles
-    model = SmoothAffine(x, triangles, vstack([lip_ties(start, places.rim), flap_ties(start, parts)]).tocsr())
+    weight = np.ones(len(x))
+    if stiff_lids:
+        weight[(parts == EYES) | (distance_to(x, x[places.lids]) < LID_ZONE)] = LIDS
+    model = SmoothAffine(x, triangles, vstack([lip_ties(start, places.rim), flap_ties(start, parts)]).tocsr(), weight)
     edges = neighbours(triangles, len(x))
     pockets = (parts == MOUTH) | (parts == EYES)
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)

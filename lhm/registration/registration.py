@@ -65,6 +65,7 @@ def register(
     skin: Surface,
     *,
     landmarks: Pairs | None = None,
+    stiff_lids: bool = False,
     progress: OnProgress = silent,
 ) -> Registration:
     """Lay a template's skin onto a neutral skin [mm] of any topology, open or closed (about half a minute).
@@ -72,7 +73,8 @@ def register(
     `parts` (n,) are the template's, OUTSIDE, MOUTH, EYES or CAP; `landmarks` are template vertices and the points
     [mm] on the skin that belong to them, at least four. Without landmarks the skin has to look along +z with +y up,
     as the template does. Visible vertices come to lie on the skin; the mouth's lining, the eye sockets and what
-    the skin lacks are carried along smoothly.
+    the skin lacks are carried along smoothly. With `stiff_lids` the lids keep the template's shape, but for an affine
+    map of each eye: they shut and part also where the skin's are closed, or stone.
 
     Raises MeshError for a skin that is empty, not manifold, facing inwards or of another unit; InputError for
     landmarks that are too few, out of range, off the skin or mirrored; FitError if no face is found in the skin or
@@ -95,7 +97,7 @@ def register(
         check_placed(template_skin.vertices, landmarks, whole)
         motion = fit_similarity(template_skin.vertices[landmarks[0]], landmarks[1])
     start = template_skin.with_vertices(motion(template_skin.vertices))
-    vertices, crossings = lay_onto(start, parts, places, target, landmarks, progress)
+    vertices, crossings = lay_onto(start, parts, places, target, landmarks, progress, stiff_lids=stiff_lids)
     done = _registration(template_skin.with_vertices(vertices), parts, face, skin, crossings)
     if done.residual.mean > WORST_FACE:
         raise FitError(

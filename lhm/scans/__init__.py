@@ -1,6 +1,6 @@
-"""Scans of heads: read from any usual file, repaired, put upright in millimetres, fitted."""
+"""Scans of heads: read from any usual file, repaired, put upright in mm, fitted in the template's triangles."""
 
-from .intake import HeadScan, Hints, fit_head_scan, fit_scan, read_head_scan, read_same_topology, suggest_landmarks
+from .intake import Hints, PlacedScan, fit_scan, place_scan, suggest_landmarks
 from .personal import Personal, describe_rig, personalise_head, read_guesses
 from .placing import AXES, UNITS, Placement, find_placement
 from .repair import Repaired, repair_scan
@@ -8,19 +8,17 @@ from .repair import Repaired, repair_scan
 __all__ = [
     "AXES",
     "UNITS",
-    "HeadScan",
+    "Hints",
     "Personal",
+    "PlacedScan",
     "Placement",
     "Repaired",
-    "Hints",
-    "fit_head_scan",
-    "fit_scan",
-    "suggest_landmarks",
-    "personalise_head",
-    "find_placement",
-    "read_guesses",
-    "read_head_scan",
-    "repair_scan",
     "describe_rig",
-    "read_same_topology",
+    "find_placement",
+    "fit_scan",
+    "personalise_head",
+    "place_scan",
+    "read_guesses",
+    "repair_scan",
+    "suggest_landmarks",
 ]

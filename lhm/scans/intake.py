@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,39 +16,23 @@ from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
-from ..base.mesh import Floats, Ints, Surface
+from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from ..fit import fit_registered, is_upright
+from ..fit import fit_head, has_triangles_of, is_upright
 from ..head import LayeredHead
+from ..registration.alignment import Similarity
 from ..registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..registration.registration import find_face, register
 from ..regressor.depths import DepthRegressor
 from ..skin import check_skin
 from ..template import Template
 from .placing import Placement, find_placement, millimetres
-from .repair import Repaired, repair_scan
-from .seals import keep_seals, mark_rig, open_seals
+from .repair import repair_scan
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
 OFF = 0.08
 """Landmarks in a file's own coordinates lie within this share of its extent off the mesh."""
-
-
-@dataclass(frozen=True, eq=False)
-class HeadScan:
-    """A scan ready to be fitted: `skin` [mm], upright, +z the front; what was done on the way stands in `notes`.
-
-    `own`: displacements [mm], shape (n, 3), of the morph targets that have ARKit names; `landmarks`: pairs of template
-    vertices and points on the skin [mm], or None; `origin` (n,): the file's vertex that each of the skin's is.
-    """
-
-    skin: Surface
-    own: Mapping[str, Floats] = field(repr=False)
-    landmarks: Pairs | None = field(repr=False)
-    origin: Ints = field(repr=False)
-    placement: Placement = field(repr=False)
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -63,114 +48,135 @@ class Hints:
     landmarks: Mapping[str, Any] | None = None
 
 
-def read_head_scan(
-    path: str | os.PathLike[str],
+@dataclass(frozen=True, eq=False)
+class PlacedScan:
+    """A scan ready to be fitted: `skin` [mm], upright, +z the front; what was done on the way stands in `notes`.
+
+    `own`: displacements [mm], shape (n, 3), of the morph targets that have ARKit names; `landmarks`: pairs of template
+    vertices and points on the skin [mm], or None.
+    """
+
+    skin: Surface
+    own: Mapping[str, Floats] = field(repr=False)
+    landmarks: Pairs | None = field(repr=False)
+    placement: Placement = field(repr=False)
+    notes: tuple[str, ...]
+
+
+def fit_scan(
     template: Template,
+    scan: str | os.PathLike[str] | Surface,
+    hints: Hints = Hints(),  # noqa: B008 (frozen)
+    *,
+    repair: bool = True,
+    regressor: DepthRegressor | None = None,
+    progress: OnProgress = silent,
+) -> LayeredHead:
+    """Fit the layered head of a scan, in the template's triangles, with the scan's own expressions where it has some.
+
+    scan: a file (OBJ, PLY, STL, glTF, NPZ) or a surface of a head, of any topology, unit and orientation; `hints` and
+    `repair` as in `place_scan`, `regressor` as in `fit_head`. The template's skin is laid onto the scan; a scan in the
+    template's triangles and order is taken vertex by vertex. The head's notes say what was found and changed.
+
+    Raises InputError that names the file for what cannot be read, is no head, or needs a hint, and FitError as in
+    `fit_head`.
+    """
+    placed = place_scan(template, scan, hints, repair=repair, progress=progress)
+    head = fit_head(
+        template, placed.skin, regressor=regressor, landmarks=placed.landmarks, own=placed.own, progress=progress
+    )
+    return replace(head, notes=(*placed.notes, *head.notes))
+
+
+def place_scan(
+    template: Template,
+    scan: str | os.PathLike[str] | Surface,
     hints: Hints = Hints(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
     progress: OnProgress = silent,
-) -> HeadScan:
-    """Read a scan (OBJ, PLY, STL, glTF, NPZ) of a head in any unit and orientation.
+) -> PlacedScan:
+    """Read and repair a scan, and put it upright in millimetres; what the `hints` leave open is found.
 
-    What the `hints` leave open is found; without `repair` the mesh is taken as it is. Raises InputError that names the
-    file for what cannot be read, is no head, or needs a hint.
+    Without `repair` the mesh is taken as it is. A scan in the template's triangles is not repaired; it stays where it
+    stands if it has a head's size and looks along +z. Raises InputError that names the file.
     """
-    scan = read_scan(path)
+    if isinstance(scan, Surface):
+        return _place(template, Scan(scan.vertices, scan.triangles), hints, repair, progress)
+    read = read_scan(scan)
+    with _naming(scan):
+        return _place(template, read, hints, repair, progress)
+
+
+def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgress = silent) -> dict[str, Floats]:
+    """Find the landmarks [mm] of an upright skin, by the names of `landmark_ids` (half a minute).
+
+    They are where the registered template's are: on Lee Perry-Smith's scan .7 to 6 mm from those picked by hand. For a
+    person to look at, correct and give back to `fit_scan`; given back as they are they say nothing new.
+    """
+    laid = register(
+        template.skin, template.parts, scan.skin, landmarks=scan.landmarks, stiff_lids=True, progress=progress
+    )
+    ids = landmark_ids(template.skin, template.parts)
+    return {name: laid.vertices[vertex] for name, vertex in ids.items()}
+
+
+@contextmanager
+def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
-        done = repair_scan(scan) if repair else Repaired.of(scan)
-        return _upright(done, template, hints, progress)
+        yield
     except SoftdecaError as error:
         raise InputError(str(error) if one_line(str(path)) in str(error) else f"{Path(path)}: {error}") from None
 
 
-def read_same_topology(
-    path: str | os.PathLike[str],
-    template: Template,
-    hints: Hints = Hints(),  # noqa: B008 (frozen)
-) -> tuple[Surface, tuple[str, ...]] | None:
-    """Read the skin [mm] of a file whose triangles are the template's, and notes; None if they are others.
-
-    It is taken as it stands where it has a head's size and looks along +z, else put upright in millimetres. Raises
-    InputError that names the file for a skin that is no head in any unit.
-    """
-    scan = read_scan(path)
-    if not np.array_equal(scan.triangles, template.skin.triangles) or scan.morphs:
-        return None
-    try:
-        skin, notes = scan.surface, tuple[str, ...]()
-        if not np.ptp(skin.vertices, axis=0).max() > 0:
-            raise MeshError("skin: all its vertices are in one place")
-        if (hints.unit, hints.up, hints.front) != (None, None, None) or not is_upright(template.skin, skin):
-            rest = template.skin.vertices
-            where = find_placement(
-                skin, (rest, rest), landmarks=(rest, skin.vertices), unit=hints.unit, up=hints.up, front=hints.front
-            )
-            skin, notes = Surface(where.motion(skin.vertices), skin.triangles), where.notes
-        check_skin(skin)
-    except SoftdecaError as error:
-        raise InputError(f"{Path(path)}: {error}") from None
-    return skin, notes
-
-
-def fit_scan(
-    path: str | os.PathLike[str],
-    template: Template,
-    hints: Hints = Hints(),  # noqa: B008 (frozen)
-    *,
-    repair: bool = True,
-    unseal: bool = True,
-    progress: OnProgress = silent,
-) -> LayeredHead:
-    """Fit the layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
-    scan = read_head_scan(path, template, hints, repair=repair, progress=progress)
-    return fit_head_scan(scan, template, unseal=unseal, progress=progress)
-
-
-def _upright(done: Repaired, template: Template, hints: Hints, progress: OnProgress) -> HeadScan:
-    skin = done.scan.surface
-    _, face = find_face(template.skin, template.parts)
-    points, normals = template.skin.vertices[face], template.skin.vertex_normals[face]
+def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress: OnProgress) -> PlacedScan:
+    notes: list[str] = []
     pairs = None
-    if hints.landmarks is not None:
-        pairs = _in_file(pair_landmarks(template.skin, template.parts, hints.landmarks), done.scan, hints.unit)
-    known = None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1])
-    where = find_placement(
-        skin, (points, normals), landmarks=known, unit=hints.unit, up=hints.up, front=hints.front, progress=progress
-    )
-    notes = [*done.notes, *where.notes, _told_openings(skin)]
+    if same := has_triangles_of(template, scan):
+        where = _place_same(template, scan, hints)
+    else:
+        if repair:
+            done = repair_scan(scan)
+            scan, notes = done.scan, [*done.notes]
+        if hints.landmarks is not None:
+            pairs = _in_file(pair_landmarks(template.skin, template.parts, hints.landmarks), scan, hints.unit)
+        _, face = find_face(template.skin, template.parts)
+        where = find_placement(
+            scan.surface,
+            (template.skin.vertices[face], template.skin.vertex_normals[face]),
+            landmarks=None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1]),
+            unit=hints.unit,
+            up=hints.up,
+            front=hints.front,
+            progress=progress,
+        )
+    notes += where.notes
+    skin = Surface(where.motion(scan.vertices), scan.triangles)
+    if same:
+        check_skin(skin)
+    else:
+        notes.append(_describe_openings(skin))
     own = {}
-    morphs = find_arkit_morphs(done.scan.morphs)
+    morphs = find_arkit_morphs(scan.morphs)
     if len(morphs) >= ENOUGH:
         turn = where.motion.scale * where.motion.rotation
         own = {name: delta @ turn.T for name, delta in morphs.items()}
-        notes.append(f"expressions: {len(own)} of the file's {len(done.scan.morphs)} morph targets are ARKit's")
+        notes.append(f"expressions: {len(own)} of the file's {len(scan.morphs)} morph targets are ARKit's")
     if pairs is not None:
         pairs = pairs[0], where.motion(pairs[1])
-    upright = Surface(where.motion(skin.vertices), skin.triangles)
-    return HeadScan(upright, own, pairs, done.origin, where, tuple(notes))
+    return PlacedScan(skin, own, pairs, where, tuple(notes))
 
 
-def fit_head_scan(
-    scan: HeadScan,
-    template: Template,
-    *,
-    regressor: DepthRegressor | None = None,
-    unseal: bool = True,
-    progress: OnProgress = silent,
-) -> LayeredHead:
-    """Fit the head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`.
-
-    With `unseal` a mouth that is sealed is opened; closed and solid eyes, and a mouth that stays sealed, are named in
-    the notes with the expressions that will not work, which the head's rig names too.
-    """
-    laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
-    open_ = open_seals if unseal else keep_seals
-    done = open_(template, laid, scan.skin, scan.own)
-    head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
-    if head.rig is not None:
-        head = replace(head, rig=mark_rig(head.rig, done, head))
-    return replace(head, notes=(*scan.notes, *done.notes))
+def _place_same(template: Template, scan: Scan, hints: Hints) -> Placement:
+    """Where a scan of the template's triangles stands: as it is, or by all its vertices."""
+    rest = template.skin.vertices
+    if not np.ptp(scan.vertices, axis=0).max() > 0:
+        raise MeshError("skin: all its vertices are in one place")
+    if (hints.unit, hints.up, hints.front) == (None, None, None) and is_upright(template.skin, scan.surface):
+        return Placement(Similarity(1.0, np.eye(3), np.zeros(3)), 0.0, ())
+    return find_placement(
+        scan.surface, (rest, rest), landmarks=(rest, scan.vertices), unit=hints.unit, up=hints.up, front=hints.front
+    )
 
 
 def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
@@ -193,7 +199,7 @@ def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
     return ids, points * tried[name]
 
 
-def _told_openings(skin: Surface) -> str:
+def _describe_openings(skin: Surface) -> str:
     try:
         loops = find_openings(skin.triangles)
     except MeshError:
@@ -201,17 +207,5 @@ def _told_openings(skin: Surface) -> str:
     if not loops:
         return "openings: none, the surface is closed"
     sizes = [float(np.linalg.norm(np.ptp(skin.vertices[loop], axis=0))) for loop in loops]
-    extent = float(np.ptp(skin.vertices, axis=0).max())
-    large = sum(size > 0.05 * extent for size in sizes)
-    return f"openings: {len(loops)} ({large} of them large); they stay open"
-
-
-def suggest_landmarks(scan: HeadScan, template: Template, *, progress: OnProgress = silent) -> dict[str, Floats]:
-    """Find the landmarks [mm] of an upright skin, by the names of `landmark_ids` (half a minute).
-
-    They are where the registered template's are: on Lee Perry-Smith's scan .7 to 6 mm from those picked by hand. For a
-    person to look at, correct and give back to `fit`; given back as they are they say nothing new.
-    """
-    laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
-    ids = landmark_ids(template.skin, template.parts)
-    return {name: laid.vertices[vertex] for name, vertex in ids.items()}
+    large = sum(size > 0.05 * float(np.ptp(skin.vertices, axis=0).max()) for size in sizes)
+    return f"openings: {len(loops)} ({large} of them large); the template's skin closes them"

@@ -1,42 +1,36 @@
 """A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these.
 
-`read_guesses` reads which expressions the scans show, by guess, as JSON or CSV; the scans lie beside that file.
+`read_guesses` reads which expressions the scans show, by guess, from JSON; the scans lie beside that file:
 
 {"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
-
-scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
-smile.obj,,1,1
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..arkit import ARKIT, weights_of
 from ..base.errors import FitError, InputError, SoftdecaError
 from ..base.files.surface_file import read_scan
-from ..base.files.text import find_beside, parse_json, parse_number, read_bytes
+from ..base.files.text import find_beside, read_json
 from ..base.geometry.warp import rigid_motion
-from ..base.limits import JSON_BYTES
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..expressions.rigging import PersonalRig, personalise
+from ..fit import has_triangles_of
 from ..head import LayeredHead
 from ..registration.alignment import Target, find_start, fit_similarity, tukey_weights
 from ..registration.nonrigid import lay_onto
-from ..registration.registration import WORST_FACE, WORST_START, find_face, skin_ties
+from ..registration.registration import WORST_FACE, WORST_START, find_face
 from ..rig import Rig
 from ..skin import check_registrable
 from ..template import Template
-from ..transfer import transfer_expressions
+from ..wraps.landmarks import Landmarks
 from .placing import UNITS, find_placement
 from .repair import repair_scan
 
@@ -45,8 +39,6 @@ CALM = 0.5
 SAME_SIZE = 0.03
 """A scan of the same person differs from the head by less than this; what is beyond is its unit."""
 STEPS = 30
-MOVED, TRANSFERRED = 1.0, 0.1
-"""[mm] Where a shape moves the skin by more than the one, it is the template's if it is within the other of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +68,15 @@ def personalise_head(
         raise InputError("head: it has no expressions to start from; fit it anew")
     if not guesses:
         raise InputError("scans: none given")
-    laid = head.skin if head.registered is None else head.registered
-    if not np.array_equal(laid.triangles, template.skin.triangles) or template.space is None:
+    if not np.array_equal(head.skin.triangles, template.skin.triangles):
         raise InputError(f"head: it was not fitted from the template {template.name!r}; name its --identities")
     used = np.flatnonzero(np.any(list(guesses.values()), axis=0))
-    start = _Start.of(head, laid, template, used)
+    laying = _Laying(head.skin, head.rig.deltas.astype(np.float64), template, used)
     examples, notes = [], []
     for number, (path, weights) in enumerate(guesses.items()):
         progress(f"laying the head upon {path.name}", number / len(guesses))
         try:
-            example, note = start.example(path, weights)
+            example, note = laying.example(path, weights)
         except SoftdecaError as error:
             raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
         examples.append(example)
@@ -94,45 +85,31 @@ def personalise_head(
     fitted = personalise(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
     source = f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
     missing = tuple(name for name in head.rig.missing if ARKIT.index(name) not in used)
-    rig = Rig(fitted.deltas.astype(np.float32), source, missing, head.rig.doubtful)
+    rig = Rig(fitted.deltas.astype(np.float32), source, missing)
     return Personal(replace(head, rig=rig, notes=(*head.notes, source)), fitted, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
-    """What all scans of a person share: the head, the template's skin laid on it, and what moves that."""
+class _Laying:
+    """Lays a head's `skin` [mm] upon scans; its rig's `deltas` [mm], shape (52, n, 3), those `used` by the guesses."""
 
-    head: LayeredHead
-    laid: Surface
-    template: Template
+    skin: Surface
     deltas: Floats
+    template: Template
     used: np.ndarray
-
-    @classmethod
-    def of(cls, head: LayeredHead, laid: Surface, template: Template, used: np.ndarray) -> _Start:
-        if template.space is None or head.rig is None:
-            raise InputError("head: it and its template need expressions")
-        if head.registered is None:
-            return cls(head, laid, template, head.rig.deltas.astype(np.float64), used)
-        deltas = transfer_expressions(template.space.mean, template.space.expressions, laid)
-        return cls(head, laid, template, deltas, used)
 
     def example(self, path: Path, weights: Floats) -> tuple[Floats, str]:
         """Make the head's skin [mm] in a scan's expression, and what is said of it."""
         scan = read_scan(path)
-        skin = self.head.skin
-        for same in (scan, repair_scan(scan).scan):
-            if np.array_equal(same.triangles, skin.triangles) and len(same.vertices) == len(skin.vertices):
-                return self._aligned(same.vertices)
-        return self._registered(repair_scan(scan).scan.surface, weights)
+        places, face = find_face(self.template.skin, self.template.parts)
+        if has_triangles_of(self.template, scan):
+            return self._aligned(scan.vertices, face)
+        return self._laid(repair_scan(scan).scan.surface, weights, places, face)
 
-    def _aligned(self, points: Floats) -> tuple[Floats, str]:
+    def _aligned(self, points: Floats, face: np.ndarray) -> tuple[Floats, str]:
         """Points of the skin's own triangles, in any unit and place, where the expressions move the skin least."""
-        skin = self.head.skin
-        face = np.asarray(self.head.skin_from_wrap @ self.head.regions["face"].astype(float)).ravel() > 0.5
-        if self.head.rig is None:
-            raise InputError("head: it has no expressions")
-        calm = _calm(self.head.rig.deltas[self.used], face)
+        skin = self.skin
+        calm = _calm(self.deltas[self.used], face)
         similarity = fit_similarity(points[calm], skin.vertices[calm])
         scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / similarity.scale)))
         scale = scale if abs(scale / similarity.scale - 1) < SAME_SIZE else similarity.scale
@@ -143,12 +120,10 @@ class _Start:
             raise FitError(f"it has the head's triangles, but is {off:.1f} mm off where the expressions are calm")
         return aligned, f"the head's own triangles; {off:.2f} mm off where the expressions are calm"
 
-    def _registered(self, scan: Surface, weights: Floats) -> tuple[Floats, str]:
-        """The skin carried along with the template's, which is laid upon the scan from the guessed expression."""
-        places, face = find_face(self.template.skin, self.template.parts)
-        shape = self.laid.vertices + np.tensordot(weights, self.deltas, axes=1)
-        start = self.laid.with_vertices(shape)
-        normals = start.vertex_normals
+    def _laid(self, scan: Surface, weights: Floats, places: Landmarks, face: np.ndarray) -> tuple[Floats, str]:
+        """The skin, laid upon the scan from the guessed expression."""
+        start = self.skin.with_vertices(self.skin.vertices + np.tensordot(weights, self.deltas, axes=1))
+        shape, normals = start.vertices, start.vertex_normals
         where = find_placement(scan, (shape[face], normals[face]))
         upright = check_registrable(Surface(where.motion(scan.vertices), scan.triangles))
         motion, score = find_start(shape[face], normals[face], Target(upright))
@@ -162,25 +137,7 @@ class _Start:
         off = float(target.tree.closest(x[face])[2].mean())
         if off > WORST_FACE:
             raise FitError(f"skin: the face laid upon it is {off:.1f} mm off, at most {WORST_FACE:g}; another guess?")
-        carried = self._carried(x - self.laid.vertices, weights)
-        return self.head.skin.vertices + carried, f"{where.notes[0]}; laid upon it to {off:.2f} mm"
-
-    def _carried(self, motion: Floats, weights: Floats) -> Floats:
-        """A motion of the template's skin [mm], shape (n, 3), as one of the head's.
-
-        Shapes that the head has from the template are taken from its rig, which tells the lips of an opened mouth
-        apart; only what a scan adds to them goes by the closest points.
-        """
-        if self.head.registered is None or self.head.rig is None:
-            return motion
-        ties = skin_ties(self.laid, self.head.skin)
-        carried: Floats = ties @ motion
-        for k in np.flatnonzero(weights):
-            own, tied = self.head.rig.deltas[k].astype(np.float64), ties @ self.deltas[k]
-            moved = np.linalg.norm(own, axis=1) > MOVED
-            if moved.any() and np.median(np.linalg.norm(own - tied, axis=1)[moved]) < TRANSFERRED:
-                carried += weights[k] * (own - tied)
-        return carried
+        return x, f"{where.notes[0]}; laid upon it to {off:.2f} mm"
 
 
 def _calm(deltas: Floats, face: np.ndarray) -> np.ndarray:
@@ -214,20 +171,18 @@ def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
     """Read weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
     path = Path(path)
-    if path.suffix.lower() not in (".json", ".csv"):
-        raise InputError(f"{path}: unknown kind of file; expected .json or .csv")
-    content = read_bytes(path, JSON_BYTES)
+    rows = read_json(path, "a JSON file of guesses")
     try:
-        rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
-        guesses = _weights(rows, path)
+        return _weights(rows, path)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return guesses
 
 
-def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], path: Path) -> dict[Path, Floats]:
+def _weights(rows: object, path: Path) -> dict[Path, Floats]:
+    if not isinstance(rows, dict):
+        raise InputError('expected weights by scan, {"smile.obj": {"mouthSmileLeft": 1}, ...}')
     by_scan: dict[Path, Floats] = {}
-    for name, named in rows:
+    for name, named in rows.items():
         scan = find_beside(path, name)
         if scan in by_scan:
             raise InputError(f"{name:.80}: it stands there twice")
@@ -238,37 +193,3 @@ def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], path: Path) -> dict[
     if not any(weights.any() for weights in by_scan.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
     return by_scan
-
-
-def _of_json(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
-    rows = parse_json(content)
-    if not isinstance(rows, dict):
-        raise InputError('expected weights by scan, {"smile.obj": {"mouthSmileLeft": 1}, ...}')
-    return list(rows.items())
-
-
-def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
-    try:
-        text = content.decode("utf-8-sig")
-        head, *rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(row)]
-    except UnicodeDecodeError:
-        raise InputError("it is no text") from None
-    except (csv.Error, ValueError):
-        raise InputError("no lines of scan and weights in it") from None
-    if head[0].lower() != "scan":
-        raise InputError(f"line 1: begins with {head[0][:40]!r}, expected: scan,jawOpen,...")
-    if len(set(head)) < len(head):
-        raise InputError("line 1: names an expression twice")
-    weighted: list[tuple[str, Mapping[str, Any]]] = []
-    for row in rows:
-        if len(row) != len(head):
-            raise InputError(f"{row[0]}: {len(row) - 1} weights, the first line names {len(head) - 1}")
-        weighted.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
-    return weighted
-
-
-def _number(cell: str) -> Any:
-    try:
-        return parse_number(cell)
-    except ValueError:
-        return cell

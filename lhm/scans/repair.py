@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -23,16 +23,10 @@ HAIR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Repaired:
-    """A scan that is one piece, its file's vertex that each of its own is (`origin`, shape (n,)), and what was done."""
+    """A scan that is one piece, and what was done."""
 
     scan: Scan
-    origin: Ints = field(repr=False)
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, scan: Scan) -> Repaired:
-        """Take the scan as it is."""
-        return cls(scan, np.arange(len(scan.vertices)), ())
+    notes: tuple[str, ...] = ()
 
 
 def repair_scan(scan: Scan) -> Repaired:
@@ -43,7 +37,7 @@ def repair_scan(scan: Scan) -> Repaired:
     neighbours are turned the same way round, and all of them outwards; of several pieces the main one is kept: the one
     that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if nothing is left.
     """
-    done = Repaired.of(scan)
+    done = Repaired(scan)
     for step in (_merged, _sound, _manifold, _oriented, _one_piece, _outwards):
         done = step(done)
     return done
@@ -186,7 +180,7 @@ def _over(given: Repaired, ids: Ints, triangles: Ints, *notes: str) -> Repaired:
     """Over the vertices `ids` of the given scan."""
     scan = given.scan
     morphs: Mapping[str, Floats] = {name: delta[ids] for name, delta in scan.morphs.items()}
-    return Repaired(Scan(scan.vertices[ids], triangles, morphs), given.origin[ids], (*given.notes, *notes))
+    return Repaired(Scan(scan.vertices[ids], triangles, morphs), (*given.notes, *notes))
 
 
 def _extent(scan: Scan) -> float:

@@ -68,7 +68,7 @@ def test_fitting_again_gives_the_same_head(space, template):
 
 
 def test_a_skin_of_another_topology_by_a_mapping(template):
-    """The same skin with its vertices in another order: the layers are the same, the ties lead to the new numbers."""
+    """The same skin with its vertices in another order: the head is the same, in the template's triangles."""
     skin = template.skin
     order = np.random.default_rng(0).permutation(len(skin.vertices))
     place = np.argsort(order)
@@ -76,8 +76,6 @@ def test_a_skin_of_another_topology_by_a_mapping(template):
     mapping = csr_matrix((np.ones(len(order)), (np.arange(len(order)), place)))
     head, own = fit_head(template, other, mapping=mapping), fit_head(template, skin)
     np.testing.assert_array_equal(head.vertices, own.vertices)
-    assert head.skin is other
-    moved = skin.vertices + np.sin(skin.vertices / 30.0)
-    # Facing skins of lips and lids touch in places, where the closest point may be the other's.
-    gap = np.linalg.norm(head.wrap_targets(moved[order]) - own.wrap_targets(moved), axis=1)
-    assert np.quantile(gap, 0.95) < 0.05
+    np.testing.assert_array_equal(head.skin.vertices, skin.vertices)
+    np.testing.assert_allclose(head.rig.deltas, own.rig.deltas, atol=1e-5)
+    assert head.notes == ("registered: the face lies 0.00 mm off the scan on average, 95 % of it within 0.00 mm",)

@@ -8,11 +8,9 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
-from scipy.sparse import identity
 
 from softdeca.benchmarks.studies.arena.conformance import conform
 from softdeca.lhm import expressions, load_template
-from softdeca.lhm.registration import register_by_mapping
 from softdeca.reference import Parameters, facial_scene, solve
 from softdeca.reference.problems.meshes import box, triangles_at
 from softdeca.surrogate.corpus.folder import Corpus
@@ -148,13 +146,6 @@ def test_a_head_of_ones_own(tmp_path, monkeypatch):
     template = load_template(level=1)
     skin = template.skin
     trimesh.Trimesh(1e-3 * skin.vertices, skin.triangles, process=False).export("scan.glb")
-    # The scan is the template's skin, vertex by vertex; registration has tests of its own.
-    monkeypatch.setattr(
-        "softdeca.lhm.scans.intake.register",
-        lambda mean, parts, scan, **_: register_by_mapping(
-            mean, parts, identity(len(scan.vertices), format="csr"), scan
-        ),
-    )
     names = ran("fit_scan", level=1)
     # The mouth opens by as much as the template's own.
     chin = template.space.expressions[expressions.index("jawOpen")][:, 1].min()

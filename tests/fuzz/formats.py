@@ -74,7 +74,6 @@ def all_formats() -> Iterator[Format]:
         yield Format(f"tets{suffix}", read_tets, text)
     yield Format("landmarks.json", read_points, tree)
     yield Format("guesses.json", lambda path: list(read_guesses(path).values()), tree)
-    yield Format("guesses.csv", lambda path: list(read_guesses(path).values()), mutations.of_csv)
     yield Format("take.json", read_take, tree, ("take: ",))
     yield Format("take.csv", read_take, mutations.of_csv, ("take: ",))
     yield Format("options.toml", read_options, mutations.of_toml)
@@ -112,7 +111,7 @@ def read_head(path: Path) -> list[np.ndarray]:
     weights[ARKIT.index("jawOpen")] = 1.0
     expression = made.skin.vertices if made.rig is None else made.expression(weights)
     moved = [expression, made.wrap_targets(expression), made.skin_after(expression, made.skin_wrap.vertices)]
-    surfaces = (made.skin, made.skin_wrap, made.muscle_wrap, made.skull_wrap, made.muscles, made.skull, made.registered)
+    surfaces = (made.skin, made.skin_wrap, made.muscle_wrap, made.skull_wrap, made.muscles, made.skull)
     return [*moved, *(array for each in surfaces for array in of_surface(each)), made.bone]
 
 

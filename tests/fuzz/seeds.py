@@ -189,7 +189,6 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made["people/parts.json", "whole"] = json.dumps([0] * len(wrap.vertices)).encode()
     made["landmarks.json", "whole"] = b'{"nose tip": [0, 1.5, 90], "chin": [0, -50, 70]}'
     made["guesses.json", "whole"] = b'{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 0.5}}'
-    made["guesses.csv", "whole"] = b"scan,jawOpen,mouthSmileLeft\nsmile.obj,,1\n"
     lists = {"rate": 30, "names": ["jawOpen", "cheekPuff"], "frames": [[0.2, 0.1], [0.3, 0], [0, 1]]}
     objects = {"fps": 30, "frames": [{"jawOpen": 0.5}, {}, {"cheekPuff": 1}]}
     timed = {"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0.0}, {"weights": [0.6], "time": 0.04}]}

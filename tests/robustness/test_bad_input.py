@@ -122,7 +122,6 @@ WRONG = [
     ("evaluate nowhere", "no corpus"),
     # Options that nothing would read.
     ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
-    ("head fit --keep-sealed", "--keep-sealed is of --skin, which is not given"),
     ("head fit --find-landmarks l.json --vtk layers", "leave out --vtk"),
     ("head mesh head.npz --size 3 --layers 1,1", "leave out --layers"),
     ("head train-regressor --unit mm", "--unit is of DIR, which is not given"),

@@ -132,7 +132,7 @@ def test_a_damage_is_mended(tmp_path, head, name):
     done = repair_scan(read)
     scan = done.scan
     assert words in "; ".join(done.notes)
-    np.testing.assert_array_equal(read.vertices[done.origin], scan.vertices)
+    assert cKDTree(read.vertices).query(scan.vertices)[0].max() == 0.0
     assert is_closed(close_openings(scan.surface).triangles)
     assert scan.surface.areas.sum() == pytest.approx(Surface(x, triangles).areas.sum(), rel=1e-3)
     edges = np.sort(scan.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -168,7 +168,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
     assert ended.status == 0, ended.errors
     head = load_head(out)
-    assert check_head_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
+    assert check_head_file(out).problems == () and np.array_equal(head.skin.triangles, triangles)
     assert any("taken for in" in note for note in head.notes)
     # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
     used = np.unique(torn)

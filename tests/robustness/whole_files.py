@@ -141,7 +141,7 @@ def head() -> LayeredHead:
     weights = identity(len(x), format="csr")
     deltas = np.zeros((52, len(x), 3))
     deltas[ARKIT.index("jawOpen"), :9] = 1.0
-    rig = Rig(deltas, "a test", ("cheekPuff",), {"jawForward": "no teeth"})
+    rig = Rig(deltas, "a test", ("cheekPuff",))
     regions = {"lips": x[:, 2] > 80, "face": x[:, 2] > 0}
     return LayeredHead(
         wraps[0], *wraps, bone, weights, weights, regions, muscles=wraps[1], skull=wraps[2], rig=rig, notes=("a note",)

@@ -9,7 +9,7 @@ import trimesh
 
 from softdeca.lhm import MeshError, Surface, check_head, fit_head
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.base.geometry.deformation import folded_length
+from softdeca.lhm.base.geometry.deformation import folded_length, greatest_stretches, torn_area
 from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
 from softdeca.lhm.base.geometry.triangles import fan_crossings
 from softdeca.lhm.check import Figure, check_layers
@@ -239,3 +239,40 @@ def test_a_mouth_whose_corners_tear_misses_its_gate_and_no_other(template):
     deltas[ARKIT.index("jawOpen"), lips, 2] += np.random.default_rng(0).choice([-1.5, 1.5], len(lips))
     report = check_head(replace(head, rig=replace(head.rig, deltas=deltas)))
     assert missed(report) == {"jaw_open_folded"} and report.jaw_open_folded > 100
+
+
+def test_stretches_are_the_singular_values_of_the_gradient():
+    rng = np.random.default_rng(0)
+    rest = rng.standard_normal((3, 3))
+    gradient = rng.standard_normal((3, 3))
+    plane = np.linalg.qr((rest[1:] - rest[0]).T)[0]
+    expected = np.linalg.svd(gradient @ plane, compute_uv=False)[0]
+    triangle = np.array([[0, 1, 2]])
+    assert greatest_stretches(rest, rest @ gradient.T, triangle)[0] == pytest.approx(expected)
+    assert torn_area(rest, 6 * rest, triangle) == pytest.approx(36 * Surface(rest, triangle).areas[0])
+    assert torn_area(rest, 4 * rest, triangle) == 0.0
+
+
+def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
+    wrap, regions = template.skin_wrap, template.regions
+    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    turned = wrap.vertices @ turn.T + [3.0, 4, 5]
+    lids, there = (lid_path(x, wrap.triangles, regions) for x in (wrap.vertices, turned))
+    assert lids == pytest.approx(there)
+    assert lip_path(wrap.vertices, wrap.triangles, regions) == pytest.approx(lip_path(turned, wrap.triangles, regions))
+
+
+def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypatch):
+    from softdeca.reference.face import check
+
+    head = fit_head(template, template.skin)
+    jaw, blink = check.check_posed_head(head)
+    assert 0 <= jaw.value < 20 and 0 <= blink.value < 20 and not jaw.missed and not blink.missed
+    # A jaw that opens twice as wide tears through the neck.
+    deltas = np.array(head.rig.deltas)
+    deltas[ARKIT.index("jawOpen")] *= 2.2
+    wide = replace(head, rig=replace(head.rig, deltas=deltas))
+    assert check.check_posed_head(wide)[0].value > jaw.value
+    monkeypatch.setattr("softdeca.lhm.check.INVERTED", check.check_posed_head(wide)[0].value - 1)
+    assert check.check_posed_head(wide)[0].missed
+    assert check.check_posed_head(template.head) == ()

@@ -97,6 +97,19 @@ def test_affine_maps_carry_what_is_not_held():
     assert error.max() < 0.3 * np.linalg.norm(x @ matrix.T - x, axis=1).max()
 
 
+def test_where_edges_weigh_more_a_surface_moves_as_one_affine_map():
+    x, triangles = geodesic_sphere(5)
+    x = 100 * x
+    patch = x[:, 2] > 70
+    goals = x + 8 * np.sin(x[:, [1, 2, 0]] / 15)
+    left = []
+    for weight in (1.0, np.where(patch, 30.0, 1.0)):
+        moved = SmoothAffine(x, triangles, csr_matrix((0, len(x))), weight).solve(0.1, np.ones(len(x)), goals)[patch]
+        affine = np.column_stack([x[patch], np.ones(patch.sum())])
+        left.append(np.linalg.norm(moved - affine @ np.linalg.lstsq(affine, moved, rcond=None)[0], axis=1).mean())
+    assert left[1] < 0.5 * left[0], left
+
+
 def test_below_an_open_neck_displacements_fade_to_those_of_the_crown():
     # A tube of rings 5 mm apart, of which the skin has the upper ones: what is harmonic on the rest falls evenly.
     rings, around = 21, 12

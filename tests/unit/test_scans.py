@@ -141,14 +141,15 @@ def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(
         np.savez(tmp_path / "skin.npz", vertices=vertices, triangles=rest.triangles)
         return tmp_path / "skin.npz"
 
-    skin, notes = scans.read_same_topology(written(factor * rest.vertices @ turn.T), template)
-    np.testing.assert_allclose(skin.vertices, rest.vertices, atol=1e-9)
-    assert f"taken for {unit}," in notes[0] and notes[1] == "axes: z is up, x the front"
+    placed = scans.place_scan(template, written(factor * rest.vertices @ turn.T))
+    np.testing.assert_allclose(placed.skin.vertices, rest.vertices, atol=1e-9)
+    assert f"taken for {unit}," in placed.notes[0] and placed.notes[1] == "axes: z is up, x the front"
     # As it stands where it stands as a head does, a child's too.
-    skin, notes = scans.read_same_topology(written(0.6 * rest.vertices), template)
-    np.testing.assert_array_equal(skin.vertices, 0.6 * rest.vertices)
-    assert notes == ()
+    child = 0.6 * rest.vertices + [1000.0, 0, 0]
+    placed = scans.place_scan(template, written(child))
+    np.testing.assert_array_equal(placed.skin.vertices, child)
+    assert placed.notes == ()
     with pytest.raises(InputError, match="skin.npz: skin: in that unit its face is 0.0+1 times .* another --unit"):
-        scans.read_same_topology(written(1e-3 * rest.vertices), template, scans.Hints(unit="mm"))
+        scans.place_scan(template, written(1e-3 * rest.vertices), scans.Hints(unit="mm"))
     with pytest.raises(InputError, match="skin.npz: skin: all its vertices are in one place"):
-        scans.read_same_topology(written(0 * rest.vertices), template)
+        scans.place_scan(template, written(0 * rest.vertices))
