@@ -17,22 +17,10 @@ from .dolfinx_version import PETSc, free_dropped
 from .linear_solvers import Factorisation, LinearAnswer, hold, multiply, petsc_vector, solve_with
 from .multigrid import Multigrid, set_options
 from .parallel import dot, irregular_vector
+from .policy import DEFAULT, FenicsxPolicy, LinearPolicy, SaddlePolicy
 from .problem import Problem, State
 
-PENALTY = 30.0
-"""kappa by the shear modulus: the error of p₀ falls to a tenth or less per minimisation, in two or three steps each."""
 SADDLES = ("cg", "mumps", "block")
-LARGE_SADDLE = 4_000
-"""Unknowns, from which on "cg" is GMRES. Factors, which count the inertia, win below: a block takes .13 s by them and
-.18 by GMRES at 1,093 unknowns, .52 and .43 at 4,209, 3.8 and 3.3 at 15,468. They take twice the memory at 76,000."""
-RESTART = 200  # vectors that GMRES keeps
-MAX_LINEAR_ITERATIONS = 400
-PATIENCE = 2  # times as slow as the hardest projected system so far, GMRES counts a system as indefinite
-# Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
-WEIGHT = 10.0
-STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
-MODES, MODE = 6, 1e-2  # how many soft motions are kept, and how far GMRES goes to meet them
-ALIKE = 1e-10  # of the largest product of soft motions: what they have less in common with the others is rounding
 _PREFIX, _PRESSURE_PREFIX = "softdeca_block_", "softdeca_pressure_"
 _OPTIONS = {
     "fieldsplit_0_ksp_type": "preonly",
@@ -58,7 +46,7 @@ class SaddleMatrix:
     has.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, policy: SaddlePolicy = DEFAULT.saddle):
         self.problem, self.comm, self.H = problem, problem.comm, problem.matrix
         self.displacements, self.pressures = 3 * problem.numbering.nodes.owned, problem.pressures.owned
         self.idle = problem.idle_pressures()
@@ -67,7 +55,7 @@ class SaddleMatrix:
         softness = seam.cell_numbers(space.mesh, np.arange(len(problem.solids.softness)), problem.solids.softness)
         self.B = _assemble_form(ufl.div(v) * p * ufl.dx)
         self.mass = _assemble_form(softness * p * q * ufl.dx)
-        self.D, self.springs = self.mass.copy(), 1.0 / PENALTY
+        self.D, self.springs = self.mass.copy(), 1.0 / policy.penalty
         self._transposed = self.B.transpose(PETSc.Mat())
         self._whole = PETSc.Mat()
 
@@ -106,14 +94,14 @@ def _assemble_form(form) -> PETSc.Mat:
 class PressureSolver:
     """-D by conjugate gradients: as a mass matrix is, it is well conditioned whatever the mesh."""
 
-    def __init__(self, matrix: SaddleMatrix):
+    def __init__(self, matrix: SaddleMatrix, policy: SaddlePolicy = DEFAULT.saddle):
         self._idle = matrix.idle
         self._matrix = matrix.D.copy()
         self._ksp = PETSc.KSP().create(matrix.comm)
         self._ksp.setOptionsPrefix(_PRESSURE_PREFIX)
         self._ksp.setType(PETSc.KSP.Type.CG)
         self._ksp.getPC().setType(PETSc.PC.Type.JACOBI)
-        self._ksp.setTolerances(rtol=1e-12, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        self._ksp.setTolerances(rtol=1e-12, atol=0.0, max_it=policy.max_iterations)
 
     def take(self, D: PETSc.Mat):
         """Solve by the present values of D from now on."""
@@ -134,11 +122,13 @@ def _set_diagonal(matrix: PETSc.Mat, rows: Ints, value: float):
     matrix.zeroRows((first + rows).astype(PETSc.IntType), diag=value)
 
 
-def make_saddle_solver(kind: str, matrix: SaddleMatrix, held: Ints) -> FactoredSaddle | BlockSaddle:
+def make_saddle_solver(
+    kind: str, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = DEFAULT
+) -> FactoredSaddle | BlockSaddle:
     """The solver of a name in SADDLES: "mumps" by factors, "block" by GMRES, "cg" either by the number of unknowns."""
     size = 3 * matrix.problem.numbering.nodes.total + matrix.problem.pressures.total
-    iterative = kind == "block" or (kind == "cg" and size >= LARGE_SADDLE)
-    return BlockSaddle(matrix, held) if iterative else FactoredSaddle(matrix, held)
+    iterative = kind == "block" or (kind == "cg" and size >= policy.saddle.large)
+    return BlockSaddle(matrix, held, policy) if iterative else FactoredSaddle(matrix, held, policy.linear)
 
 
 class FactoredSaddle:
@@ -148,11 +138,11 @@ class FactoredSaddle:
     pivots as pressures.
     """
 
-    def __init__(self, matrix: SaddleMatrix, held: Ints):
+    def __init__(self, matrix: SaddleMatrix, held: Ints, policy: LinearPolicy = DEFAULT.linear):
         self._matrix, self._displacements = matrix, held
         self._held: Ints = np.concatenate([held, matrix.displacements + matrix.idle])
         self._expected = matrix.comm.allreduce(matrix.pressures - len(matrix.idle))
-        self._factors = Factorisation()
+        self._factors = Factorisation(policy)
         self.factored = self.iterations = 0
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
@@ -200,15 +190,16 @@ class BlockSaddle:
     """See FactoredSaddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
-    along the answer, which then is no descent direction, or GMRES is PATIENCE times as slow as for the first matrix or
-    one after a failure: both are projected, so those get all iterations. `newton_step` looks further, for it ends a
+    along the answer, which then is no descent direction, or GMRES is `patience` times as slow as for the first matrix
+    or one after a failure: both are projected, so those get all iterations. `newton_step` looks further, for it ends a
     solve: at the softest motions. Where these curve the energy downwards, later matrices are asked about them before
     GMRES is. FactoredSaddle takes over for one step where GMRES does not find that.
     """
 
-    def __init__(self, matrix: SaddleMatrix, held: Ints):
+    def __init__(self, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = DEFAULT):
+        self._policy = policy.saddle
         self._matrix, self._held, self._comm = matrix, held, matrix.comm
-        self.direct = FactoredSaddle(matrix, held)
+        self.direct = FactoredSaddle(matrix, held, policy.linear)
         self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
         self._per_decade, self._failed, self._by_factors = 0.0, False, False
         self._softest: Floats | None = None
@@ -240,7 +231,7 @@ class BlockSaddle:
         self._set_up()
         known = np.concatenate([b, -moved])
         known[self._held] = 0.0
-        z, why = self._solve(known, relative, np.inf if is_projected else PATIENCE * self._per_decade)
+        z, why = self._solve(known, relative, np.inf if is_projected else self._policy.patience * self._per_decade)
         if is_projected and not why:
             self._per_decade = max(self._per_decade, self._last / -np.log10(relative))
         x = z[: len(b)]
@@ -261,7 +252,7 @@ class BlockSaddle:
         stiffness, self._softest = self._soften(motions, stiffened)
         step, why = np.zeros(0), ""
         if stiffness[0] > 0.0:
-            step, why = self._solve(-residual, STEP)
+            step, why = self._solve(-residual, self._policy.step)
             self._by_factors = bool(why)
             motions = np.concatenate([step[None, : matrix.displacements], self._softest])
             stiffness, self._softest = self._soften(motions, stiffened)
@@ -272,7 +263,9 @@ class BlockSaddle:
 
     def simplified_step(self, residual: Floats) -> Floats:
         """See FactoredSaddle; by the same preconditioner."""
-        return self.direct.simplified_step(residual) if self._by_factors else self._solve(-residual, FOLLOWING)[0]
+        if self._by_factors:
+            return self.direct.simplified_step(residual)
+        return self._solve(-residual, self._policy.following)[0]
 
     def _find_motions(self) -> Floats:
         """Displacements (k, n) by which GMRES comes from rest to what irregular forces do to what is set up.
@@ -291,14 +284,14 @@ class BlockSaddle:
 
         assert self._ksp is not None
         self._ksp.setMonitor(remember)
-        self._solve(forces, MODE, PATIENCE * self._per_decade or np.inf)
+        self._solve(forces, self._policy.mode, self._policy.patience * self._per_decade or np.inf)
         self._ksp.cancelMonitor()
         motions = np.diff(places, axis=0)
         motions[:, self._held] = 0.0
         return motions
 
     def _soften(self, motions: Floats, D: PETSc.Mat) -> tuple[Floats, Floats]:
-        """Ritz values (k,) [mN/mm] and motions (k, n), softest first and at most MODES, of H - B D⁻¹ Bᵀ.
+        """Ritz values (k,) [mN/mm] and motions (k, n), softest first and at most `modes`, of H - B D⁻¹ Bᵀ.
 
         They are those in the space of some displacements (m, n).
         """
@@ -308,10 +301,10 @@ class BlockSaddle:
             return np.full(1, np.inf), motions
         vectors = motions[lengths > 0.0] / lengths[lengths > 0.0, None]
         values, turned = np.linalg.eigh(self._comm.allreduce(vectors @ vectors.T))
-        kept = values > ALIKE * values[-1]
+        kept = values > self._policy.alike * values[-1]
         basis = (turned[:, kept] / np.sqrt(values[kept])).T @ vectors
         bent = np.array([multiply(matrix.H, motion) for motion in basis])
-        pressures = PressureSolver(matrix)
+        pressures = PressureSolver(matrix, self._policy)
         pressures.take(D)
         for row, motion in enumerate(basis):
             volumes, forces = np.zeros(matrix.pressures), np.zeros(matrix.displacements)
@@ -321,7 +314,7 @@ class BlockSaddle:
             bent[row] += forces
         products = self._comm.allreduce(basis @ bent.T)
         stiffness, turned = np.linalg.eigh((products + products.T) / 2)
-        return stiffness[:MODES], turned[:, :MODES].T @ basis
+        return stiffness[: self._policy.modes], turned[:, : self._policy.modes].T @ basis
 
     def _set_up(self):
         """Make GMRES anew for the matrix' present values, where held dofs are held in H."""
@@ -329,7 +322,7 @@ class BlockSaddle:
         matrix = self._matrix
         free = np.ones(matrix.displacements, dtype=bool)
         free[self._held] = False
-        self._scale = WEIGHT * matrix.problem.force_per_volume(matrix.H.getDiagonal().array_r[free])
+        self._scale = self._policy.volume_weight * matrix.problem.force_per_volume(matrix.H.getDiagonal().array_r[free])
         B, D = matrix.B.copy(), matrix.D.copy()
         B.scale(self._scale)
         B.zeroRows((B.getOwnershipRange()[0] + self._held).astype(PETSc.IntType), diag=0.0)
@@ -345,7 +338,7 @@ class BlockSaddle:
         self._ksp = PETSc.KSP().create(matrix.comm)
         self._ksp.setOptionsPrefix(_PREFIX)
         self._ksp.setType(PETSc.KSP.Type.FGMRES)
-        self._ksp.setGMRESRestart(RESTART)
+        self._ksp.setGMRESRestart(self._policy.restart)
         self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         self._ksp.setOperators(system)
@@ -381,7 +374,7 @@ class BlockSaddle:
             is_slow = iteration > slowest * (1.0 + np.log10(first / residual))
             return reasons.DIVERGED_MAX_IT if is_slow else reasons.ITERATING
 
-        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=self._policy.max_iterations)
         self._ksp.setConvergenceTest(judge)
         answer, why = solve_with(self._ksp, known, 1)
         answer[self._matrix.displacements :] *= self._scale
