@@ -202,8 +202,8 @@ def march(
     `scenes` gives the scene by time: it may differ in targets, held positions, loads, limits and volumes sought.
     positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
     recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
-    Options of fenicsx: `element`, "P1" or "P2", and `policy`, its constants. What it has `prepared` for this scene lends element, mesh, forms and
-    matrix; `prepared.march(...)` is short for it.
+    Options of fenicsx: `element`, "P1" or "P2", and `policy`, its constants. What it has `prepared` for this scene
+    lends element, mesh, forms and matrix; `prepared.march(...)` is short for it.
 
     Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or no mass at all, and what
     the solver cannot model; MissingDependencyError if its packages are not installed.
