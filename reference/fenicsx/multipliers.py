@@ -25,7 +25,8 @@ from .parallel import dot, norm
 from .policy import DEFAULT, FenicsxPolicy
 from .problem import Problem, State
 from .run import Attempt, Run
-from .saddle import PressureSolver, SaddleMatrix, make_saddle_solver
+from .saddle import PressureSolver, SaddleMatrix
+from .saddle_block import make_saddle_solver
 
 
 class Condensed:
@@ -163,7 +164,8 @@ class MultiplierDescent:
                 state, reason = self._alternate(state)
         finally:
             self._saddle.release()
-        record.add(self._iterations, linear_solves=self._saddle.factored, linear_iterations=self._saddle.iterations)
+        work = self._saddle.work
+        record.add(self._iterations, linear_solves=work.systems, linear_iterations=work.iterations)
         record.detail["load_share"] = int(reason is Reason.CONVERGED)
         return Attempt(reason, run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
@@ -232,15 +234,15 @@ class MultiplierDescent:
             step = self._saddle.newton_step(residual)
             if step is None:
                 return state, None
-            u = state.u + self._nodes.spread(step[:m].reshape(-1, 3))
-            after = condensed.beside(u, state.p + step[m:], state.share)
+            u = state.u + self._nodes.spread(step.x[:m].reshape(-1, 3))
+            after = condensed.beside(u, state.p + step.x[m:], state.share)
             if not np.isfinite(after.energy):
                 return state, None
             residual, norm_after = self._residual(after)
             converged = norm_after <= last
             if not (converged or norm_after <= fall * norm):
-                following = self._saddle.simplified_step(residual)
-                if not self._norm(following[:m]) <= fall * self._norm(step[:m]):
+                following = step.follow(residual)
+                if not self._norm(following[:m]) <= fall * self._norm(step.x[:m]):
                     return state, None
             state, norm = after, norm_after
             self._iterations += 1

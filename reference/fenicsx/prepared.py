@@ -38,7 +38,8 @@ from .parallel import anywhere, check_same
 from .policy import DEFAULT, FenicsxPolicy
 from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
-from .saddle import SADDLES, SaddleMatrix
+from .saddle import SaddleMatrix
+from .saddle_block import SADDLES
 from .solids import check_solids
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
