@@ -236,6 +236,8 @@ def prepare(
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
         raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
+    if not isinstance(policy, ProjectivePolicy):
+        raise SceneError(f"projective: policy: expected a ProjectivePolicy, got {quote(policy)}")
     if linear_solver is not None:
         one_of("linear solver", linear_solver, get_args(LinearSolver))  # also where nothing is left to factor
     if like is not None and not (isinstance(like, ProjectivePrepared) and linear_solver == "cholmod"):
