@@ -10,8 +10,9 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..corpus.face import Face
+from ..rig import WEIGHTS
 from .features import EFFECTS, Features, Inputs
-from .modal import LAYERS, PARTS, QUIET, TABLES, WITHOUT_BIAS, ModalConfig
+from .modal import PARTS, QUIET, WITHOUT_BIAS, ModalConfig, modal_layers, modal_shapes
 from .modal_faces import LessonFaces, NeutralMotion, relaxing, settling
 from .response_tables import expand
 from .ridge import find_components
@@ -38,11 +39,7 @@ def continue_network(start: Weights, data: LessonFaces, config: ModalConfig) -> 
     if start.kind != "modal":
         raise InputError(f"training: the weights to begin with are of a {start.kind} network, not of a modal one")
     start.check_mesh(data.corpus.mean)
-    sizes = config.sizes(data.features, data.code_size)
-    expected: dict[str, tuple[int, ...]] = {
-        f"{name}.weight": (sizes[outputs], sizes[inputs]) for name, (outputs, inputs) in LAYERS.items()
-    }
-    expected |= {name: tuple(sizes[axis] for axis in axes) for name, axes in TABLES.items()}
+    expected = modal_shapes(config, data.features, data.code_size)
     if any(start.network[name].shape != shape for name, shape in expected.items()):
         raise InputError("training: the weights to begin with have other sizes than the network's config")
     network = {name: value for name, value in start.network.items() if name not in SOLVED}
@@ -80,16 +77,14 @@ def draw_network(
     arrays: dict[str, np.ndarray] = {"effects": effects}
     for number, (name, (modes, size)) in enumerate(zip(PARTS, parts, strict=True)):
         arrays |= {f"modes.{number}": modes.reshape(len(modes), n, 3) * np.sqrt(3 * n), f"size_{name}": size}
-    sizes = config.sizes(features, data.code_size)
-    layers = {name: (sizes[outputs], sizes[inputs]) for name, (outputs, inputs) in LAYERS.items()}
-    network = draw_layers(layers, WITHOUT_BIAS)
+    network = draw_layers(modal_layers(config, features, data.code_size), WITHOUT_BIAS)
     for name in QUIET:
         network[f"{name}.weight"] *= policy.quiet
         network[f"{name}.bias"] *= 0.0
     network["remainder_linear.weight"] *= 0.0
     for name in ("position", "response_position"):
         arrays[name] = draw_positions(data.corpus.mean, config.position, rng)
-    arrays["tables"] = np.zeros((sizes["tables"], sizes["weights"], n, 3))
+    arrays["tables"] = np.zeros((config.response_tables + 1, WEIGHTS, n, 3))
     for name, motions, rows, (modes, _) in zip(PARTS[:2], unexplained, summaries, parts[:2], strict=True):
         arrays[f"{name}_linear.weight"] = _fit_linear(rows, motions @ modes.T, policy.linear_penalty).T
     return network | {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}

@@ -599,7 +599,7 @@ def test_the_study_asks_the_surrogate_for_its_faces(surrogate):
     [
         ("remainder_in.weight", lambda array: array[:, :51], "network remainder_in.weight: expected shape"),
         ("gain_out.bias", lambda array: array[:-1], "network gain_out.bias: expected shape"),
-        ("settled.2.weight", lambda array: array[:-1], "network settled.4.weight: expected shape"),
+        ("settled.2.weight", lambda array: array[:-1], "network settled.2.weight: expected shape"),
         ("modes.1", lambda array: array.reshape(-1), "network modes.1: expected shape"),
         ("lag.weight", lambda array: array * np.nan, "network lag.weight: .* not finite"),
         ("effects", lambda array: array + 3e4, "network effects: .* is too large"),
