@@ -30,7 +30,7 @@ from .masses import accelerations, mass_matrix, times
 from .newton import Newton
 from .numbering import Numbering, ranks_for
 from .parallel import anywhere, check_same, dot, norm
-from .policy import DEFAULT, FenicsxPolicy
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
@@ -102,7 +102,7 @@ class Chord:
     `held` are the dofs that keep their place within a step (sorted, flat).
     """
 
-    def __init__(self, problem: MovingProblem, held: Ints, policy: FenicsxPolicy = DEFAULT):
+    def __init__(self, problem: MovingProblem, held: Ints, policy: FenicsxPolicy = POLICY):
         self._problem, self._held, self._policy = problem, held, policy.march
         self._limit = policy.march.max_iterations
         matrix = problem.problem.matrix
@@ -189,7 +189,7 @@ class March:
     `problem`, one of the motion's scene, lends mesh, forms and matrix; what they are set to is changed.
     """
 
-    def __init__(self, motion: Motion, problem: Problem, policy: FenicsxPolicy = DEFAULT):
+    def __init__(self, motion: Motion, problem: Problem, policy: FenicsxPolicy = POLICY):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
         self.comm = ranks_for(motion.scene)
         check_same(self.comm, motion.scene)

@@ -11,7 +11,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc, free_dropped
 from .multigrid import CoarseLevel, Multigrid
-from .policy import DEFAULT, LinearPolicy
+from .policy import POLICY, LinearPolicy
 
 _PREFIX = "softdeca_cg_"
 INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames either for a matrix that is
@@ -42,7 +42,7 @@ class ConjugateGradients:
     it has cost that much in iterations beyond those that it took when it was new. `levels` are as of `Multigrid`.
     """
 
-    def __init__(self, matrix: PETSc.Mat, levels: Sequence[CoarseLevel] = (), *, policy: LinearPolicy = DEFAULT.linear):
+    def __init__(self, matrix: PETSc.Mat, levels: Sequence[CoarseLevel] = (), *, policy: LinearPolicy = POLICY.linear):
         self._matrix, self._multigrid, self._policy = matrix, Multigrid(matrix, levels), policy
         self._start_over()
 
@@ -102,7 +102,7 @@ class Factorisation:
     of another one 0 or 1 by the sign of its determinant.
     """
 
-    def __init__(self, policy: LinearPolicy = DEFAULT.linear):
+    def __init__(self, policy: LinearPolicy = POLICY.linear):
         self._policy = policy
         self._ksp: PETSc.KSP | None = None
         self.negative = 0
@@ -175,7 +175,7 @@ class Factorisation:
 class Mumps:
     """MUMPS' LDLᵀ; its count of negative pivots says whether the matrix is positive definite."""
 
-    def __init__(self, matrix: PETSc.Mat, *, policy: LinearPolicy = DEFAULT.linear):
+    def __init__(self, matrix: PETSc.Mat, *, policy: LinearPolicy = POLICY.linear):
         self._matrix, self._factors = matrix, Factorisation(policy)
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:

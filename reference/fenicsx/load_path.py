@@ -24,7 +24,7 @@ from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
 from .linear_solvers import Factorisation, hold, multiply, petsc_vector
 from .parallel import anywhere, largest_size, norm
-from .policy import DEFAULT, FenicsxPolicy
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem
 from .run import Attempt, Run
 from .saddle import SaddleMatrix
@@ -62,7 +62,7 @@ class Continuation:
         descent: Descent | None = None,
         *,
         saddle: SaddleMatrix | None = None,
-        policy: FenicsxPolicy = DEFAULT,
+        policy: FenicsxPolicy = POLICY,
     ):
         self._policy = policy.load_path
         self._run, self._problem, self._descent = run, problem, descent

@@ -11,7 +11,7 @@ from ..terms import Traction
 from .bodies import RigidProblem
 from .linear_solvers import LinearSolver
 from .newton import AnyState, Newton, Work
-from .policy import DEFAULT, FenicsxPolicy
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 from .run import Attempt, Run
 
@@ -31,7 +31,7 @@ class Minimisation:
         linear: LinearSolver,
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
-        policy: FenicsxPolicy = DEFAULT,
+        policy: FenicsxPolicy = POLICY,
     ):
         self._policy = policy
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes

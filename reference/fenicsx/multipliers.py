@@ -22,7 +22,7 @@ from .equilibrium import Equilibrium
 from .linear_solvers import multiply
 from .newton import AnyState, Newton, Work
 from .parallel import dot, norm
-from .policy import DEFAULT, FenicsxPolicy
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 from .run import Attempt, Run
 from .saddle import PressureSolver, SaddleMatrix
@@ -35,7 +35,7 @@ class Condensed:
     `centre` is p₀ [kPa], a vector (n_p,), and `matrix` the saddle point's, whose springs are kappa's.
     """
 
-    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None, *, policy: FenicsxPolicy = DEFAULT):
+    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None, *, policy: FenicsxPolicy = POLICY):
         self.problem, self.comm, self._policy = problem, problem.comm, policy
         self.matrix = SaddleMatrix(problem, policy.saddle) if matrix is None else matrix
         self.centre: Floats = np.zeros(self.matrix.pressures)
@@ -126,7 +126,7 @@ class MultiplierDescent:
         *,
         linear_solver: str = "cg",
         find_start: Callable[[Run], Run] | None = None,
-        policy: FenicsxPolicy = DEFAULT,
+        policy: FenicsxPolicy = POLICY,
     ):
         self._policy = policy
         self._run, self._condensed, self._comm = run, condensed, condensed.comm

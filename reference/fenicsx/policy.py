@@ -2,7 +2,7 @@
 
 `prepare(scene, solver="fenicsx", policy=FenicsxPolicy(...))` takes others:
 
-    patient = replace(DEFAULT, newton=replace(DEFAULT.newton, longest_step=1.0))
+    patient = replace(POLICY, newton=replace(POLICY.newton, longest_step=1.0))
 """
 
 from __future__ import annotations
@@ -134,5 +134,5 @@ class FenicsxPolicy:
     large: int = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
 
-DEFAULT = FenicsxPolicy()
+POLICY = FenicsxPolicy()
 """The constants as they were measured."""

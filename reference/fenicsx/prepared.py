@@ -35,7 +35,7 @@ from .minimise import Minimisation
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same
-from .policy import DEFAULT, FenicsxPolicy
+from .policy import POLICY, FenicsxPolicy
 from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
 from .saddle import SaddleMatrix
@@ -54,7 +54,7 @@ FORCE_DEGREE = 6
 
 @check_arguments
 def prepare(
-    scene: Scene, *, element: str = "P1", linear_solver: str = "cg", policy: FenicsxPolicy = DEFAULT
+    scene: Scene, *, element: str = "P1", linear_solver: str = "cg", policy: FenicsxPolicy = POLICY
 ) -> PreparedFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
@@ -101,7 +101,7 @@ class PreparedFenicsx:
         scene: Scene,
         element: str,
         linear_solver: str,
-        policy: FenicsxPolicy = DEFAULT,
+        policy: FenicsxPolicy = POLICY,
         *,
         alone: bool = False,
     ):
@@ -251,7 +251,7 @@ class PreparedFenicsx:
         return Sampling(self._end.numbering, degree).fields(self._end.u, at_cells)
 
 
-def soften(scene: Scene, bulk: float = DEFAULT.start_bulk) -> Scene:
+def soften(scene: Scene, bulk: float = POLICY.start_bulk) -> Scene:
     """Give every law's place to a neo-Hookean one of the same shear modulus and lmbda = `bulk` mu."""
     terms: list[Term] = []
     for term in scene.terms:
@@ -271,7 +271,7 @@ def check_motion(motion: Motion, element: str):
         raise SceneError("march: ranks have this scene in parts; solver 'fenicsx' marches whole ones")
 
 
-def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = DEFAULT) -> Trajectory:
+def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = POLICY) -> Trajectory:
     """Prepare a motion's scene and march; see `softdeca.reference.march`."""
     check_motion(motion, element)
     return prepare(motion.scene, element=element, policy=policy).carry_out(motion)

@@ -15,7 +15,7 @@ from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc
 from .linear_solvers import Factorisation, LinearAnswer, hold, solve_with
-from .policy import DEFAULT, LinearPolicy, SaddlePolicy
+from .policy import POLICY, LinearPolicy, SaddlePolicy
 from .problem import Problem, State
 
 _PRESSURE_PREFIX = "softdeca_pressure_"
@@ -31,7 +31,7 @@ class SaddleMatrix:
     has.
     """
 
-    def __init__(self, problem: Problem, policy: SaddlePolicy = DEFAULT.saddle):
+    def __init__(self, problem: Problem, policy: SaddlePolicy = POLICY.saddle):
         self.problem, self.comm, self.H = problem, problem.comm, problem.matrix
         self.displacements, self.pressures = 3 * problem.numbering.nodes.owned, problem.pressures.owned
         self.idle = problem.idle_pressures()
@@ -79,7 +79,7 @@ def _assemble_form(form) -> PETSc.Mat:
 class PressureSolver:
     """-D by conjugate gradients: as a mass matrix is, it is well conditioned whatever the mesh."""
 
-    def __init__(self, matrix: SaddleMatrix, policy: SaddlePolicy = DEFAULT.saddle):
+    def __init__(self, matrix: SaddleMatrix, policy: SaddlePolicy = POLICY.saddle):
         self._idle = matrix.idle
         self._matrix = matrix.D.copy()
         self._ksp = PETSc.KSP().create(matrix.comm)
@@ -137,7 +137,7 @@ class FactoredSaddle:
         self,
         matrix: SaddleMatrix,
         held: Ints,
-        policy: LinearPolicy = DEFAULT.linear,
+        policy: LinearPolicy = POLICY.linear,
         work: SaddleWork | None = None,
     ):
         self._matrix, self._displacements = matrix, held

@@ -16,7 +16,7 @@ from .dolfinx_version import PETSc, free_dropped
 from .linear_solvers import LinearAnswer, hold, multiply, petsc_vector, solve_with
 from .multigrid import Multigrid, set_options
 from .parallel import dot, irregular_vector
-from .policy import DEFAULT, FenicsxPolicy, SaddlePolicy
+from .policy import POLICY, FenicsxPolicy, SaddlePolicy
 from .saddle import SAME_PATTERN, FactoredSaddle, PressureSolver, SaddleMatrix, SaddleStep, SaddleWork, set_diagonal
 
 SADDLES = ("cg", "mumps", "block")
@@ -36,7 +36,7 @@ _OPTIONS = {
 
 
 def make_saddle_solver(
-    kind: str, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = DEFAULT
+    kind: str, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = POLICY
 ) -> FactoredSaddle | BlockSaddle:
     """The solver of a name in SADDLES: "mumps" by factors, "block" by GMRES, "cg" either by the number of unknowns."""
     size = 3 * matrix.problem.numbering.nodes.total + matrix.problem.pressures.total
@@ -76,7 +76,7 @@ class BlockSaddle:
     takes over for one step where GMRES does not find that. All that a call leaves for later ones is `experience`.
     """
 
-    def __init__(self, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = DEFAULT):
+    def __init__(self, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = POLICY):
         self._matrix, self._held, self._policy = matrix, held, policy.saddle
         self.work, self.experience = SaddleWork(), Experience()
         self.direct = FactoredSaddle(matrix, held, policy.linear, self.work)

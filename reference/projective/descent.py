@@ -18,7 +18,7 @@ from ...lhm.base.mesh import Floats
 from ..solution import Reason, Recorder
 from .coordinates import Place
 from .memory import Memory
-from .policy import DEFAULT, DescentPolicy
+from .policy import POLICY, DescentPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Watch:
         rest: Floats,
         threshold: float,
         max_iterations: int,
-        policy: DescentPolicy = DEFAULT.descent,
+        policy: DescentPolicy = POLICY.descent,
     ):
         self._recorder, self._rest, self._policy = recorder, rest, policy
         self._threshold, self._max_iterations = threshold, max_iterations

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
 from .descent import Point, Problem
-from .policy import DEFAULT, NewtonStepPolicy
+from .policy import POLICY, NewtonStepPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class NewtonStep:
 
 
 def newton_step(
-    problem: Problem, point: Point, vertices: Ints | slice, policy: NewtonStepPolicy = DEFAULT.newton_step
+    problem: Problem, point: Point, vertices: Ints | slice, policy: NewtonStepPolicy = POLICY.newton_step
 ) -> NewtonStep:
     """Solve for Newton's step by conjugate gradients (Nocedal and Wright 2006, Algorithm 7.1).
 

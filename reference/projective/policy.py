@@ -69,5 +69,5 @@ class ProjectivePolicy:
         return self.volume_share_lbfgs if method == "lbfgs" else self.volume_share
 
 
-DEFAULT = ProjectivePolicy()
+POLICY = ProjectivePolicy()
 """The constants as they were measured."""

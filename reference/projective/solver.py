@@ -23,7 +23,7 @@ from .descent import Descent, Point, Problem, Watch, after_untangling, anderson,
 from .energy import PARTS, Energy, recover
 from .memory import Memory
 from .newton_step import newton_step
-from .policy import DEFAULT, ProjectivePolicy
+from .policy import POLICY, ProjectivePolicy
 from .system import System
 from .tangent import Pattern, Tangent
 from .tets import TetBlocks
@@ -89,7 +89,7 @@ class ProjectivePrepared:
     system: System
     contact: ContactSolver | None
     spent: Seconds
-    policy: ProjectivePolicy = DEFAULT
+    policy: ProjectivePolicy = POLICY
 
     @check_arguments
     def solve(
@@ -220,7 +220,7 @@ def prepare(
     linear_solver: LinearSolver | None = None,
     like: ProjectivePrepared | None = None,
     threads: int = 1,
-    policy: ProjectivePolicy = DEFAULT,
+    policy: ProjectivePolicy = POLICY,
 ) -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 

@@ -20,7 +20,7 @@ from ..solution import Limits, Reason, Recorder
 from .discretisation import Discretisation
 from .energy import Energy
 from .newton import OnStep, Scales, minimise, solve_semidefinite
-from .policy import DEFAULT, SkfemPolicy
+from .policy import POLICY, SkfemPolicy
 from .unknowns import Unknowns
 
 
@@ -34,7 +34,7 @@ class Descent:
     unknowns: Unknowns
     scales: Scales
     recorder: Recorder
-    policy: SkfemPolicy = DEFAULT
+    policy: SkfemPolicy = POLICY
     _told: Floats | None = field(default=None, init=False)
     _stop: bool = field(default=False, init=False)
 
@@ -108,7 +108,7 @@ def is_tangled(scene: Scene, at: Discretisation, x: Floats) -> bool:
 
 
 def carry(
-    energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: Scales, policy: SkfemPolicy = DEFAULT
+    energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: Scales, policy: SkfemPolicy = POLICY
 ) -> tuple[Floats, float] | None:
     """Move the degrees of freedom that are not `free`, a mask, from x, of finite energy, to `goal` [mm], shape (size,).
 

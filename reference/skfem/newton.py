@@ -13,7 +13,7 @@ from ...lhm.base.geometry import cholesky
 from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .energy import Energy
-from .policy import DEFAULT, NewtonPolicy
+from .policy import POLICY, NewtonPolicy
 from .unknowns import Unknowns
 
 OnStep = Callable[[Floats, float, float], bool]
@@ -47,7 +47,7 @@ def minimise(
     threshold: Callable[[float], float],
     max_iterations: int,
     on_step: OnStep,
-    policy: NewtonPolicy = DEFAULT.newton,
+    policy: NewtonPolicy = POLICY.newton,
 ) -> tuple[Floats, Reason, int]:
     """Minimise over the unknowns from x, where the energy must be finite and bodies have their shapes.
 
@@ -164,7 +164,7 @@ def _superlu(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
 
 
 def solve_semidefinite(
-    matrix: csc_matrix, right: Floats, *, scale: float, shifts: tuple[float, ...] = DEFAULT.newton.shifts
+    matrix: csc_matrix, right: Floats, *, scale: float, shifts: tuple[float, ...] = POLICY.newton.shifts
 ) -> Floats | None:
     """For a semidefinite matrix: the first of `shifts` of `scale` that makes it definite is added to the diagonal.
 

@@ -38,5 +38,5 @@ class SkfemPolicy:
     max_iterations: int = 200
 
 
-DEFAULT = SkfemPolicy()
+POLICY = SkfemPolicy()
 """The constants as they were measured."""

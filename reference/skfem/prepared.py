@@ -20,7 +20,7 @@ from .descent import Descent, carry
 from .discretisation import DEGREES, Discretisation
 from .energy import TERMS, Energy
 from .newton import Scales
-from .policy import DEFAULT, SkfemPolicy
+from .policy import POLICY, SkfemPolicy
 from .solids import LAWS, Tets
 from .unknowns import Body, Unknowns
 
@@ -32,7 +32,7 @@ class Prepared:
     scene: Scene
     discretisation: Discretisation
     spent: Seconds
-    policy: SkfemPolicy = DEFAULT
+    policy: SkfemPolicy = POLICY
 
     @check_arguments
     def solve(
@@ -99,7 +99,7 @@ class Prepared:
 
 
 @check_arguments
-def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = DEFAULT) -> Prepared:
+def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 
     Quadratic tets have nodes on their edges too. Their start is the mean of the ends'; a node is held, or part of a

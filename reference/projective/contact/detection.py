@@ -14,7 +14,7 @@ from ....lhm.base.geometry.triangles import crossed_edges, parting_shifts
 from ....lhm.base.mesh import FACES, Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
-from ..policy import DEFAULT, ContactPolicy
+from ..policy import POLICY, ContactPolicy
 from .constraints import Constraints
 
 
@@ -36,7 +36,7 @@ class ContactSurface:
     policy: ContactPolicy = ContactPolicy()
 
     @classmethod
-    def from_term(cls, scene: Scene, term: Contact, policy: ContactPolicy = DEFAULT.contact) -> ContactSurface:
+    def from_term(cls, scene: Scene, term: Contact, policy: ContactPolicy = POLICY.contact) -> ContactSurface:
         """The surface of a term and what lies behind it.
 
         Raises SceneError for a triangle that is no face of the tets' surface or is seen from inside, and for a vertex

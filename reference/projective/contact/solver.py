@@ -20,7 +20,7 @@ from ...solution import Reason
 from ...terms import Contact
 from ..coordinates import Place
 from ..descent import Point, Problem, Watch, lbfgs
-from ..policy import DEFAULT, ContactPolicy
+from ..policy import POLICY, ContactPolicy
 from ..system import System
 from .constraints import Constraints, Elasticity
 from .detection import ContactSurface, Detection, detect
@@ -49,7 +49,7 @@ class ContactSolver:
     policy: ContactPolicy = ContactPolicy()
 
     @classmethod
-    def from_scene(cls, scene: Scene, system: System, policy: ContactPolicy = DEFAULT.contact) -> ContactSolver:
+    def from_scene(cls, scene: Scene, system: System, policy: ContactPolicy = POLICY.contact) -> ContactSolver:
         """Raise SceneError for triangles that are not the tets' surface."""
         surfaces = tuple(ContactSurface.from_term(scene, term, policy) for term in scene.of(Contact))
         vertices = np.unique(np.concatenate([surface.ids for surface in surfaces]))
@@ -128,7 +128,7 @@ def approach(
     rest: Floats,
     end: Place,
     vertices: Ints,
-    policy: ContactPolicy = DEFAULT.contact,
+    policy: ContactPolicy = POLICY.contact,
 ) -> tuple[Place, Detection]:
     """Find a place like `end` that is not overlapped as deeply, and the contact there, with its forces for multipliers.
 
