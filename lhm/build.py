@@ -31,23 +31,28 @@ from .wraps.landmarks import Landmarks, Mask, distance_to, find_landmarks, find_
 from .wraps.shrinkwrap import shrink
 
 FORMAT = 17
-REST_OPENING = 0.03
-"""The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
-LONGEST = 25.0
-"""[mm] Bone farther away than that, seen from nose, lids, ear lobes or nape, is not what lies under them."""
-OUTLIER = 1.5
-"""A ray so many times longer than those around it has slipped past the bone that they met."""
-PULLS = 2
-SHORTENED = 0.95
-MUSCLE = 0.6
-"""The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
-MUSCLE_BOUNDS = (0.35, 0.7)
-"""Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
-LONGEST_RAY = 45.0  # [mm]
-OFF_SKIN = 1e-3
-"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
-GRAZING = 0.2
-"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
+
+
+@dataclass(frozen=True)
+class BuildPolicy:
+    """Constants of a template's layers."""
+
+    rest_opening: float = 0.03  # of jawOpen, by which the wraps' lips are apart at rest, so that they do not touch
+    longest: float = 25.0  # [mm]: bone farther from nose, lids, ear lobes or nape is not what lies under them
+    outlier: float = 1.5  # times as long as the rays around it: a ray has slipped past the bone that they met
+    pulls: int = 2  # of the skull wrap to the skull
+    pull: float = 0.8  # of the way
+    shortened: float = 0.95  # of the depth wanted: a column below it shows how much room there is
+    muscle: float = 0.6  # of the way from skin to skull, where no muscles are given
+    muscle_bounds: tuple[float, float] = (0.35, 0.7)  # of that share where they are: both tissues keep thickness
+    longest_ray: float = 45.0  # [mm]
+    off_skin: float = 1e-3  # [mm] by which a ray starts inside the wrap, past the triangles that it starts from
+    grazing: float = 0.2  # sine of a ray's angle with skin or bone, below which it says nothing about depth
+    layers: inner.LayersPolicy = inner.POLICY
+
+
+POLICY = BuildPolicy()
+"""The constants as they were measured; a cached template is made with these."""
 
 
 class SpaceOptions(TypedDict):
@@ -98,6 +103,7 @@ def build_template(
     bone_of: Callable[[Floats], Ints] | None = None,
     level: int = DEFAULT_LEVEL,
     name: str = "custom",
+    policy: BuildPolicy = POLICY,
     progress: OnProgress = silent,
 ) -> Template:
     """Build a template around a closed skin [mm], over closed surfaces of muscles and skull inside it where given.
@@ -107,7 +113,7 @@ def build_template(
     [mm]: displacements that open mouth and lids, so that the wrap can enter them; without, a closed mouth stays
     closed. Where `parts` name no mouth and eyes, no face is known, and tissue without a skull under it is as thick as
     a scalp. `bone_of`: FREE, CRANIUM or MANDIBLE of points (k, 3); default: from how the skin follows `jaw`, and all
-    CRANIUM without.
+    CRANIUM without. `policy` has the constants.
 
     Raises InputError for surfaces that are not inside one another, FitError, naming what failed, if no valid layers
     could be made.
@@ -136,18 +142,19 @@ def build_template(
 
     progress("layers", 0.7)
     try:
-        rest = inner.smooth_creases(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
-        wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull)
-        stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors))
-        for _ in range(PULLS):
+        closed = wrap.vertices - wrap_from_skin @ ((1 - policy.rest_opening) * jaw + lids)
+        rest = inner.smooth_creases(columns, closed, policy.layers)
+        wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull, policy)
+        stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors), policy.layers)
+        for _ in range(policy.pulls):
             if skull is None:
                 break
-            stack = inner.make_valid(columns, _pulled(columns, stack, wanted, skull))
+            stack = inner.make_valid(columns, _pulled(columns, stack, wanted, skull, policy.pull), policy.layers)
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
     # A column that ended shorter than wanted shows that there is less room than the ball inside its skin has.
-    room = np.where(depths < SHORTENED * wanted.depth, np.minimum(depths, wanted.room), wanted.room)
+    room = np.where(depths < policy.shortened * wanted.depth, np.minimum(depths, wanted.room), wanted.room)
     opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[marks.rim])
     skull_wrap = stack[2 * columns.n :]
     if not marks.known:
@@ -221,6 +228,7 @@ def _wanted(
     marks: Landmarks,
     muscles: Surface | None,
     skull: Surface | None,
+    policy: BuildPolicy,
 ) -> _Wanted:
     """Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance."""
     normals = inner.cone_normals(columns, wrap)[0]
@@ -233,9 +241,11 @@ def _wanted(
     met, on_skull, smoothing = np.zeros_like(wrap), np.zeros(columns.n, bool), 1.0
     if skull is not None:
         directions = unit(inner.smooth(columns, -normals, 4.0))
-        met, on_skull = find_connectors(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        met, on_skull = find_connectors(
+            columns.surface(wrap), normals, directions, skull, longest=policy.longest, policy=policy
+        )
         reach = np.linalg.norm(met, axis=1)
-        on_skull = on_skull & ~(reach > OUTLIER * _middle_around(columns, np.where(on_skull, reach, length)))
+        on_skull = on_skull & ~(reach > policy.outlier * _middle_around(columns, np.where(on_skull, reach, length)))
         # A ray that meets bone shows that there is room up to it.
         length[on_skull] = room[on_skull] = reach[on_skull]
         smoothing = 0.2
@@ -244,21 +254,21 @@ def _wanted(
     connectors = inner.smooth(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
     size = np.linalg.norm(connectors, axis=1)
     connectors *= (np.minimum(length, size) / size)[:, None]
-    share = np.full(columns.n, MUSCLE)
+    share = np.full(columns.n, policy.muscle)
     if muscles is not None:
-        met, on_muscle = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
+        met, on_muscle = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles, policy=policy)
         reach = np.linalg.norm(met[on_muscle], axis=1) / np.linalg.norm(connectors[on_muscle], axis=1)
-        share[on_muscle] = np.clip(reach, *MUSCLE_BOUNDS)
+        share[on_muscle] = np.clip(reach, *policy.muscle_bounds)
         share = inner.smooth(columns, share[:, None], 0.5)[:, 0]
     return _Wanted(connectors, share, wanted, room, on_skull)
 
 
-def _pulled(columns: Columns, stack: Floats, wanted: _Wanted, skull: Surface) -> Floats:
-    """The wraps with the skull wrap most of the way to the closest point of the skull, where it is to lie on it."""
+def _pulled(columns: Columns, stack: Floats, wanted: _Wanted, skull: Surface, share: float) -> Floats:
+    """The wraps with the skull wrap a share of the way to the closest point of the skull, where it is to lie on it."""
     x = stack[2 * columns.n :]
     triangle, weights, _ = TriangleTree(skull.vertices, skull.triangles).closest(x)
     closest = np.einsum("kc,kcd->kd", weights, skull.vertices[skull.triangles[triangle]])
-    return wanted.stack(stack[: columns.n], x + np.where(wanted.on_skull[:, None], 0.8 * (closest - x), 0.0))
+    return wanted.stack(stack[: columns.n], x + np.where(wanted.on_skull[:, None], share * (closest - x), 0.0))
 
 
 def _middle_around(columns: Columns, values: Floats) -> Floats:
@@ -268,25 +278,33 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
 
 
 def find_connectors(
-    skin_wrap: Surface, normals: Floats, directions: Floats, surface: Surface, *, longest: float = LONGEST_RAY
+    skin_wrap: Surface,
+    normals: Floats,
+    directions: Floats,
+    surface: Surface,
+    *,
+    longest: float | None = None,
+    policy: BuildPolicy = POLICY,
 ) -> tuple[Floats, Mask]:
     """Find connectors (n, 3) [mm] from a closed skin wrap to a closed surface inside it, and where there are any.
 
     A ray goes along the unit `directions` (n, 3), and where that fails against the outward unit `normals` (n, 3). Found
-    is what enters `surface` from outside within `longest` [mm], neither grazing it nor the wrap, and before the ray
-    leaves the wrap: not so over the mouth's bag, in eye sockets, ears, or over a neck without bone. NaN elsewhere.
+    is what enters `surface` from outside within `longest` [mm], by default `policy.longest_ray`. The ray may neither
+    graze it nor the wrap, nor leave the wrap before: not so over the mouth's bag, in eye sockets, ears, or over a neck
+    without bone. NaN elsewhere.
     """
+    longest = policy.longest_ray if longest is None else longest
     bone = TriangleTree(surface.vertices, surface.triangles)
     skin = TriangleTree(skin_wrap.vertices, skin_wrap.triangles)
     faces = unit(surface.face_normals)
     connectors = np.full_like(skin_wrap.vertices, np.nan)
     for way in (directions, -normals):
         missing = np.flatnonzero(np.isnan(connectors[:, 0]))
-        ray, start = way[missing], skin_wrap.vertices[missing] + OFF_SKIN * way[missing]
+        ray, start = way[missing], skin_wrap.vertices[missing] + policy.off_skin * way[missing]
         triangle, distance = first_hits(bone, start, ray, longest)
         leaves = first_hits(skin, start, ray, longest)[1]
-        enters = -np.einsum("kd,kd->k", faces[triangle], ray) > GRAZING
-        inward = -np.einsum("kd,kd->k", normals[missing], ray) > GRAZING
+        enters = -np.einsum("kd,kd->k", faces[triangle], ray) > policy.grazing
+        inward = -np.einsum("kd,kd->k", normals[missing], ray) > policy.grazing
         good = (triangle >= 0) & enters & inward & (distance < leaves)
-        connectors[missing[good]] = (distance[good] + OFF_SKIN)[:, None] * ray[good]
+        connectors[missing[good]] = (distance[good] + policy.off_skin)[:, None] * ray[good]
     return connectors, ~np.isnan(connectors[:, 0])

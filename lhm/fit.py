@@ -26,46 +26,55 @@ from .rig import Rig
 from .skin import check_outward
 from .template import Template
 from .wraps import inner
-from .wraps.skull import SkullFit
+from .wraps.skull import POLICY as SKULL_POLICY
+from .wraps.skull import SkullFit, SkullPolicy
 
-CENTRES = 1000
-LEAST_DEPTH = 2.0
-"""[mm] A skull wrap is wanted at least this deep; less only where there is no room for more."""
-RATIO = 0.1
-"""How much of a column's growth its muscle takes (SoftDECA 3.1.2: ten percent)."""
-LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 45.0
-"""Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
-MOST_LONGER = 1.5
-"""Of a skin's edges over the template's, scaled: identities have up to 1.1, vertices in another order 1.6 and more."""
-MOST_EDGE = 10.0
-"""Of a single edge over the template's, or over 1 mm: random identities and scans have up to 3.3."""
-LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
-"""Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
-LEADERS = 400
+
+@dataclass(frozen=True)
+class FitPolicy:
+    """Constants of the fit, and which skins it refuses."""
+
+    centres: int = 1000  # of the warp
+    least_depth: float = 2.0  # [mm] wanted of a skull wrap; less only where there is no room for more
+    ratio: float = 0.1  # of a column's growth, that its muscle takes (SoftDECA 3.1.2: ten percent)
+    least_muscle: float = 0.5  # [mm] of thickness
+    most_muscle: float = 0.7  # of the column, without which thin faces have no skin
+    leaders: int = 400  # vertices that carry muscles and skull
+    least_size: float = 0.4  # of a skin's size to the template's
+    most_size: float = 2.5  # likewise
+    most_turned: float = 45.0  # [degrees] from the template: a child looking aside keeps well within
+    most_longer: float = 1.5  # of a skin's edges over the template's, scaled: 1.1 by identities, 1.6 in another order
+    most_edge: float = 10.0  # of one edge over the template's, or over 1 mm: identities and scans have up to 3.3
+    layers: inner.LayersPolicy = inner.POLICY
+    skull: SkullPolicy = SKULL_POLICY
+
+
+POLICY = FitPolicy()
+"""The constants as they were measured."""
 
 
 class _Prepared:
     """What depends on the template alone: two factorisations, and the warp's matrices at the points that it moves."""
 
-    def __init__(self, template: Template):
+    def __init__(self, template: Template, policy: FitPolicy):
         skin, n = template.skin.vertices, template.columns.n
         first = np.concatenate([template.marks.rim, template.marks.lids])
-        self.centres = farthest_points(skin, CENTRES, first)
+        self.centres = farthest_points(skin, policy.centres, first)
         self.warp = TriharmonicWarp(skin[self.centres])
         self.at_skin = self.warp.basis(skin)
         self.at_wraps = self.warp.basis(np.vstack([template.stack[:n], template.stack[2 * n :]]))
-        self.skull_fit = SkullFit(template.columns, template.stack[:n], template.stack[2 * n :])
+        self.skull_fit = SkullFit(template.columns, template.stack[:n], template.stack[2 * n :], policy.skull)
         self.edge = template.columns.mean_edge(template.stack[:n])
         _, muscle, skull = template.stack.reshape(3, -1, 3)
         self.muscles: Carrier | None = None
         self.skull: SkullCarrier | None = None
         if template.muscles is not None:
-            self.muscles = Carrier.of(template.muscles, muscle, np.arange(n))
+            self.muscles = Carrier.of(template.muscles, muscle, np.arange(n), policy.leaders)
         if template.skull is not None:
-            self.skull = SkullCarrier(template.skull, template.skull_bone, skull, template.bone)
+            self.skull = SkullCarrier(template.skull, template.skull_bone, skull, template.bone, policy.leaders)
 
 
-_prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
+_prepared: weakref.WeakKeyDictionary[Template, dict[FitPolicy, _Prepared]] = weakref.WeakKeyDictionary()
 
 
 @check_arguments
@@ -77,6 +86,7 @@ def fit_head(
     landmarks: Pairs | None = None,
     mapping: csr_matrix | tuple[Ints, Floats] | None = None,
     own: Mapping[str, Floats] | None = None,
+    policy: FitPolicy = POLICY,
     progress: OnProgress = silent,
 ) -> LayeredHead:
     """Fit the layered head of a neutral skin [mm], in the template's triangles.
@@ -90,26 +100,27 @@ def fit_head(
 
     The head's rig has the expressions of the template's space, but for those in `own`: displacements [mm], shape
     (n, 3), of the given skin by ARKit names. A laid template gets the former by deformation transfer (Sumner and
-    Popović 2004), and the latter from the points that it lies on.
+    Popović 2004), and the latter from the points that it lies on. `policy` has the constants of
+    the fit.
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
     InputError for a skin of the template's triangles, or a mapped template, whose size, direction or order of vertices
     is not the template's; MeshError for one that faces inwards; and what `register` and `register_by_mapping` raise.
     """
     if mapping is None and has_triangles_of(template, skin):
-        _check_place(template.skin, skin)
-        return replace(_fitted(template, skin, regressor), rig=_rig(template.space, skin, own or {}))
+        _check_place(template.skin, skin, policy)
+        return replace(_fitted(template, skin, regressor, policy), rig=_rig(template.space, skin, own or {}))
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, stiff_lids=True, progress=progress)
     else:
         laid = register_by_mapping(template.skin, template.parts, mapping, skin)
-        _check_place(template.skin, laid.surface)
+        _check_place(template.skin, laid.surface, policy)
         check_outward(skin)
     carried = {name: laid.template_weights @ delta for name, delta in (own or {}).items()}
     rig = _rig(template.space, laid.surface, carried, laid=True)
     off = laid.residual
     note = f"registered: the face lies {off.mean:.2f} mm off the scan on average, 95 % of it within {off.p95:.2f} mm"
-    return replace(_fitted(template, laid.surface, regressor), rig=rig, notes=(note,))
+    return replace(_fitted(template, laid.surface, regressor, policy), rig=rig, notes=(note,))
 
 
 def has_triangles_of(template: Template, skin: Surface | Scan) -> bool:
@@ -139,7 +150,7 @@ def add_own_expressions(rig: Rig, own: Mapping[str, Floats]) -> Rig:
 def is_upright(template: Surface, skin: Surface) -> bool:
     """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
     size, turned = _place(template.vertices, skin.vertices)
-    return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
+    return POLICY.least_size <= size <= POLICY.most_size and turned <= POLICY.most_turned
 
 
 def _place(rest: Floats, skin: Floats) -> tuple[float, float]:
@@ -150,41 +161,42 @@ def _place(rest: Floats, skin: Floats) -> tuple[float, float]:
     return float(size), float(turned)
 
 
-def _check_place(template: Surface, skin: Surface) -> None:
+def _check_place(template: Surface, skin: Surface, policy: FitPolicy) -> None:
     """Raise InputError for a skin of the template's triangles that is no head in the template's unit and axes."""
     size, turned = _place(template.vertices, skin.vertices)
-    if not LEAST_SIZE <= size <= MOST_SIZE:
+    if not policy.least_size <= size <= policy.most_size:
         raise InputError(f"skin: {size:.3g} times as large as the template's [mm]; are its units off?")
     check_outward(skin)
-    if turned > MOST_TURNED:
+    if turned > policy.most_turned:
         raise InputError(f"skin: turned by {turned:.0f} degrees from the template, which looks along +z with +y up")
     corners = template.triangles[:, [0, 1, 2, 0]]
     before, after = (np.linalg.norm(np.diff(each.vertices[corners], axis=1), axis=2) for each in (template, skin))
     longer = after.mean() / (size * before.mean())
-    if longer > MOST_LONGER:
+    if longer > policy.most_longer:
         raise InputError(
             f"skin: its edges are {longer:.2g} times as long as the template's, at its size, expected at most "
-            f"{MOST_LONGER:g}; are its vertices in the template's order?"
+            f"{policy.most_longer:g}; are its vertices in the template's order?"
         )
     stretched = after / (size * np.maximum(before, 1.0))
-    if stretched.max() > MOST_EDGE:
-        triangle, edge = np.nonzero(stretched > MOST_EDGE)
+    if stretched.max() > policy.most_edge:
+        triangle, edge = np.nonzero(stretched > policy.most_edge)
         vertex = np.bincount(np.concatenate([corners[triangle, edge], corners[triangle, edge + 1]])).argmax()
         raise InputError(
             f"skin: an edge at vertex {vertex} is {stretched.max():.3g} times as long as the template's, at its size, "
-            f"expected at most {MOST_EDGE:g}; is it damaged?"
+            f"expected at most {policy.most_edge:g}; is it damaged?"
         )
 
 
-def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None) -> LayeredHead:
-    prepared = _prepared.get(template)
-    if prepared is None:
-        prepared = _prepared[template] = _Prepared(template)
+def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None, policy: FitPolicy) -> LayeredHead:
+    by_policy = _prepared.setdefault(template, {})
+    if policy not in by_policy:
+        by_policy[policy] = _Prepared(template, policy)
+    prepared = by_policy[policy]
     wrap, start = _warped(template, prepared, skin.vertices)
-    depths = _depths(template, prepared, wrap, regressor or template.regressor)
+    depths = _depths(template, prepared, wrap, regressor or template.regressor, policy.least_depth)
     skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
-    stack = np.vstack([wrap, _muscle(template, wrap, skull), skull])
-    stack = inner.make_valid(template.columns, stack)
+    stack = np.vstack([wrap, _muscle(template, wrap, skull, policy), skull])
+    stack = inner.make_valid(template.columns, stack, policy.layers)
     _, muscle, skull = stack.reshape(3, -1, 3)
     return template.layered(
         skin,
@@ -206,7 +218,9 @@ def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floa
     return template.stack[:n] + shift[:n] + left, template.stack[2 * n :] + shift[n:] + left
 
 
-def _depths(template: Template, prepared: _Prepared, wrap: Floats, regressor: DepthRegressor | None) -> Floats:
+def _depths(
+    template: Template, prepared: _Prepared, wrap: Floats, regressor: DepthRegressor | None, least: float
+) -> Floats:
     columns = template.columns
     stretch = np.clip(columns.mean_edge(wrap) / prepared.edge, 0.5, 2.0)
     for _ in range(3):
@@ -216,17 +230,17 @@ def _depths(template: Template, prepared: _Prepared, wrap: Floats, regressor: De
     else:
         regressor.check(template.skin_wrap)
         wanted = regressor.predict(wrap)
-    return np.clip(wanted, np.minimum(LEAST_DEPTH, stretch * template.room), stretch * template.room)
+    return np.clip(wanted, np.minimum(least, stretch * template.room), stretch * template.room)
 
 
-def _muscle(template: Template, wrap: Floats, skull: Floats) -> Floats:
+def _muscle(template: Template, wrap: Floats, skull: Floats, policy: FitPolicy) -> Floats:
     """The muscle wrap on the way from skull to skin wrap: it grows by a tenth of what the column grows."""
     before, muscle, bone = template.stack.reshape(3, -1, 3)
     depth_before = np.linalg.norm(before - bone, axis=1)
     depth = np.linalg.norm(wrap - skull, axis=1)
-    thickness = np.linalg.norm(muscle - bone, axis=1) * (1 + RATIO * (depth / depth_before - 1))
-    most = MOST_MUSCLE * depth
-    thickness = np.clip(thickness, np.minimum(LEAST_MUSCLE, most), most)
+    thickness = np.linalg.norm(muscle - bone, axis=1) * (1 + policy.ratio * (depth / depth_before - 1))
+    most = policy.most_muscle * depth
+    thickness = np.clip(thickness, np.minimum(policy.least_muscle, most), most)
     return skull + (thickness / np.maximum(depth, 1e-12))[:, None] * (wrap - skull)
 
 
@@ -249,10 +263,10 @@ class Carrier:
         object.__setattr__(self, "_basis", warp.basis(self.surface.vertices))
 
     @classmethod
-    def of(cls, surface: Surface, wrap: Floats, among: Ints) -> Carrier:
-        """Let up to LEADERS of the wrap's vertices `among` (k,) lead, the farthest from one another."""
+    def of(cls, surface: Surface, wrap: Floats, among: Ints, leaders: int) -> Carrier:
+        """Let up to so many `leaders` of the wrap's vertices `among` (k,) lead, the farthest from one another."""
         first = np.zeros(1, dtype=np.int64)
-        count = min(LEADERS, len(among))
+        count = min(leaders, len(among))
         return cls(surface, wrap, among[farthest_points(wrap[among], count, first)])
 
     def moved(self, wrap: Floats) -> Surface:
@@ -264,12 +278,12 @@ class Carrier:
 class SkullCarrier:
     """Cranium and mandible carried apart, each led by the wrap over it, and blended between them by distance."""
 
-    def __init__(self, skull: Surface, skull_bone: Ints | None, wrap: Floats, bone: Ints):
+    def __init__(self, skull: Surface, skull_bone: Ints | None, wrap: Floats, bone: Ints, leaders: int):
         self.skull = skull
-        self.cranium = Carrier.of(skull, wrap, np.flatnonzero(bone != MANDIBLE))
+        self.cranium = Carrier.of(skull, wrap, np.flatnonzero(bone != MANDIBLE), leaders)
         self.mandible: Carrier | None = None
         if skull_bone is not None and (skull_bone == MANDIBLE).any() and np.count_nonzero(bone == MANDIBLE) >= 8:
-            self.mandible = Carrier.of(skull, wrap, np.flatnonzero(bone == MANDIBLE))
+            self.mandible = Carrier.of(skull, wrap, np.flatnonzero(bone == MANDIBLE), leaders)
             self.share = _mandibular(skull.vertices, skull_bone)[:, None]
 
     def moved(self, wrap: Floats) -> Surface:

@@ -22,6 +22,7 @@ from .terms import Inertia
 
 SOLVERS = ("fenicsx",)
 MASSES = ("lumped", "consistent")
+OPTIONS = ("element", "policy")
 SCHEMES = ("implicit Euler", "Newmark", "generalised-alpha")
 
 LONGEST = 1e6
@@ -201,8 +202,8 @@ def march(
     `scenes` gives the scene by time: it may differ in targets, held positions, loads, limits and volumes sought.
     positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
     recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
-    Options of fenicsx: `element`, "P1" or "P2". What it has `prepared` for this scene lends element, mesh, forms and
-    matrix; `prepared.march(...)` is short for it.
+    Options of fenicsx: `element`, "P1" or "P2", and `policy`, its constants. What it has `prepared` for this scene
+    lends element, mesh, forms and matrix; `prepared.march(...)` is short for it.
 
     Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or no mass at all, and what
     the solver cannot model; MissingDependencyError if its packages are not installed.
@@ -219,8 +220,8 @@ def march(
             raise SceneError(f"march: what is prepared has its own {', '.join(options)}")
         return prepared.carry_out(motion)
     for option in options:
-        if option != "element":
-            raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has element")
+        if option not in OPTIONS:
+            raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has {', '.join(OPTIONS)}")
     return import_module(f".{solver}.prepared", __package__).carry_out(motion, **options)
 
 

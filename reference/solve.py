@@ -44,8 +44,9 @@ def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
     """Do what depends only on mesh and stiffnesses: factorisation, forms, compilation.
 
     Options of the solvers: projective `method`, `linear_solver`, `like`, `threads`; fenicsx `element`,
-    `linear_solver`; skfem `element`. Raises SceneError for an unknown solver or option, or a term that the solver
-    cannot model, and MissingDependencyError if the solver's packages are not installed.
+    `linear_solver`; skfem `element`; each also `policy`, its constants. Raises SceneError for an unknown solver or
+    option, or a term that the solver cannot model, and MissingDependencyError if the solver's packages are not
+    installed.
     """
     if solver not in all_solvers():
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")

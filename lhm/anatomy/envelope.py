@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -17,18 +18,32 @@ from ..head import CRANIUM, FREE, MANDIBLE
 from .bodyparts import Anatomy
 
 SPACING = 1.5
-SKULL_CLOSING, MUSCLE_CLOSING = 9.0, 4.5
-BRAIN = 20.0
-"""A ball of this radius [mm] fits into the braincase but not through the foramen magnum."""
-FASCIA = 0.8
-"""The muscle surface lies this far [mm] outside muscles and bone: periosteum, galea and fascia."""
-SKULL_CLEARANCE, MUSCLE_CLEARANCE = 1.5, 1.0
-NEAR_BONE = 3.0
+"""[mm] between grid points, by default."""
 MOST_TRIANGLES = 40_000
 _BAND = 2.5
+"""Spacings about a surface within which distances are exact."""
 
 
-def skull_surface(anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING) -> Surface:
+@dataclass(frozen=True)
+class EnvelopePolicy:
+    """Lengths [mm] by which bones and muscles become closed surfaces."""
+
+    skull_closing: float = 9.0  # radius of the ball that bridges gaps
+    muscle_closing: float = 4.5
+    brain: float = 20.0  # radius of a ball that fits into the braincase but not through the foramen magnum
+    fascia: float = 0.8  # of the muscle surface outside muscles and bone: periosteum, galea and fascia
+    skull_clearance: float = 1.5  # inside the skin
+    muscle_clearance: float = 1.0
+    near_bone: float = 3.0  # farther points belong to no bone
+
+
+POLICY = EnvelopePolicy()
+"""The lengths as they were measured."""
+
+
+def skull_surface(
+    anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING, policy: EnvelopePolicy = POLICY
+) -> Surface:
     """Close skull and teeth to one filled body [mm]: orbits, temporal fossae, cheek arches and braincase closed.
 
     What comes closer than 1.5 mm to the skin, the linings of its pockets included, is cut away: the mouth of a game
@@ -36,19 +51,31 @@ def skull_surface(anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING) 
     """
     bones = [anatomy.cranium, anatomy.mandible]
     return closed_envelope(
-        bones, closing=SKULL_CLOSING, spacing=spacing, cavity=BRAIN, within=skin, clearance=SKULL_CLEARANCE
+        bones,
+        closing=policy.skull_closing,
+        spacing=spacing,
+        cavity=policy.brain,
+        within=skin,
+        clearance=policy.skull_clearance,
     )
 
 
-def muscle_surface(anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: float = SPACING) -> Surface:
+def muscle_surface(
+    anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: float = SPACING, policy: EnvelopePolicy = POLICY
+) -> Surface:
     """Close the skull surface with all muscles on it as one filled body [mm], at least 1 mm inside the skin."""
     bodies = [skull, *anatomy.muscles.values()]
     return closed_envelope(
-        bodies, closing=MUSCLE_CLOSING, spacing=spacing, inflate=FASCIA, within=skin, clearance=MUSCLE_CLEARANCE
+        bodies,
+        closing=policy.muscle_closing,
+        spacing=spacing,
+        inflate=policy.fascia,
+        within=skin,
+        clearance=policy.muscle_clearance,
     )
 
 
-def bone_at(anatomy: Anatomy, points: Floats, *, near: float = NEAR_BONE) -> Ints:
+def bone_at(anatomy: Anatomy, points: Floats, *, near: float = POLICY.near_bone) -> Ints:
     """Label points FREE, CRANIUM or MANDIBLE, shape (k,): the nearer bone, or none where both are beyond `near`."""
     bones = (anatomy.cranium, anatomy.mandible)
     distance = np.stack([TriangleTree(bone.vertices, bone.triangles).closest(points)[2] for bone in bones])

@@ -16,26 +16,36 @@ from ..identities.space import EYES, MOUTH
 from ..wraps.depth import mean_depth
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks
 from .bodyparts import Anatomy
-from .envelope import SKULL_CLOSING, closed_envelope
+from .envelope import POLICY as ENVELOPE
+from .envelope import closed_envelope
 
-COARSE = 3.0  # [mm], the grid on which the bones' outside is found
-ON_BONE = 1.5  # [mm]
-CHIN, BELOW_CHIN, LIP = 10.5, 9.0, 11.0
-"""Depths [mm] in the mid-plane: at the chin's foremost point, its foremost and lowest, and from the lips to the upper
-incisors' edge."""
-OVERLAP = 1.0  # [mm] by which the upper incisors' edges are below the lips' line
-JOINT_GAP = 1.0
-THINNEST, THICKEST = 0.85, 1.15
-"""The bounds of depth as shares of the published mean: its standard deviation is about a quarter of it."""
-LEAST = 2.0
-FACING = 0.7
-LANDMARK_REACH = 30.0  # [mm]
-CENTRES = 400
-SPREADS = np.repeat((40.0, 25.0, 15.0, 10.0), 6)
-"""[mm] over which a correction of depth is spread, round by round."""
-MUSCLE_DEPTH = 1.5
-OUTSIDE_HEAD = 8.0
-PUSHES = 12
+
+@dataclass(frozen=True)
+class PlacementPolicy:
+    """Constants of the placement; lengths in mm."""
+
+    coarse: float = 3.0  # the grid on which the bones' outside is found
+    on_bone: float = 1.5  # from bone, up to which a point of that outside counts as bone
+    chin: float = 10.5  # depth in the mid-plane at the chin's foremost point
+    below_chin: float = 9.0  # depth at its foremost and lowest point
+    lip: float = 11.0  # from the lips to the upper incisors' edge
+    overlap: float = 1.0  # by which the upper incisors' edges are below the lips' line
+    joint_gap: float = 1.0  # by which a fossa is widened for its condyle
+    thinnest: float = 0.85  # of the published mean depth, whose standard deviation is about a quarter of it
+    thickest: float = 1.15  # likewise
+    least: float = 2.0  # of depth
+    facing: float = 0.7  # cosine of bone with the direction to the skin, above which published depths speak
+    landmark_reach: float = 30.0
+    centres: int = 400  # of the warp
+    spreads: tuple[float, ...] = (40.0, 25.0, 15.0, 10.0)  # over which a correction of depth is spread
+    rounds: int = 6  # of corrections with each of these
+    muscle_depth: float = 1.5  # of muscles inside the skin
+    outside_head: float = 8.0  # outside the skin, from which on a muscle is cut away
+    pushes: int = 12  # of muscles to their depth
+
+
+POLICY = PlacementPolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,31 +70,33 @@ class Placement:
     warped: Depths
 
 
-def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
+def place(anatomy: Anatomy, skin: Surface, parts: Ints, policy: PlacementPolicy = POLICY) -> Placement:
     """Place anatomy inside a closed neutral skin whose vertices' parts are known (see `identities.space`).
 
     A similarity brings eyes, incisors, chin and vault to the skin's; then one triharmonic warp moves exposed bone
     along the direction to the closest skin until its depth is within bounds about the published means, with eyes and
     incisors held. The condyles, which touch the temporal bones in the data, are pushed out of them. Muscles follow,
-    are cut where they leave the head, and pushed to 1.5 mm inside the skin.
+    are cut where they leave the head, and pushed to `policy.muscle_depth` inside the skin.
     """
     outer = close_pockets(skin, parts)
     marks = find_landmarks(skin, parts)
-    tissue = _Tissue(SignedDistance(outer), marks, _visible(skin, parts).sum())
-    outside = closed_envelope([anatomy.cranium, anatomy.mandible], closing=SKULL_CLOSING, spacing=COARSE)
-    exposed = _on_bone(anatomy, outside)
+    tissue = _Tissue(SignedDistance(outer), marks, _visible(skin, parts).sum(), policy)
+    outside = closed_envelope(
+        [anatomy.cranium, anatomy.mandible], closing=ENVELOPE.skull_closing, spacing=policy.coarse
+    )
+    exposed = _on_bone(anatomy, outside, policy.on_bone)
     normals = outside.vertex_normals[exposed]
     held = _places(anatomy)
-    goals = _goals(outer, marks)
+    goals = _goals(outer, marks, policy)
     scale, rotation, shift = _aligned(tissue, outside.vertices[exposed], normals, held, goals)
 
     def similar(points: Floats) -> Floats:
         return scale * points @ rotation.T + shift
 
     start, normals = similar(outside.vertices[exposed]), normals @ rotation.T
-    chosen = farthest_points(start, CENTRES, np.array([0]))
+    chosen = farthest_points(start, policy.centres, np.array([0]))
     held = similar(held)
-    near = np.exp(-((cdist(start[chosen], held) / LANDMARK_REACH) ** 2))
+    near = np.exp(-((cdist(start[chosen], held) / policy.landmark_reach) ** 2))
     guided = start[chosen] + near @ (goals - held) / np.maximum(near.sum(axis=1, keepdims=True), 1.0)
     moved = _pulled(tissue, start[chosen], guided, normals[chosen])
     # The chin's places are led by the landmarks, but as depth there is known they are not held to a point.
@@ -95,8 +107,8 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
     def warped(points: Floats) -> Floats:
         return np.vstack([p + warp.basis(p) @ coefficients for p in np.array_split(points, len(points) // 4000 + 1)])
 
-    placed = _joints_opened(anatomy.moved(lambda points: warped(similar(points))))
-    muscles = {name: _inside(muscle, tissue.phi) for name, muscle in placed.muscles.items()}
+    placed = _joints_opened(anatomy.moved(lambda points: warped(similar(points))), policy.joint_gap)
+    muscles = {name: _inside(muscle, tissue.phi, policy) for name, muscle in placed.muscles.items()}
     kept = {name: muscle for name, muscle in muscles.items() if muscle is not None}
     return Placement(
         replace(placed, muscles=kept), tissue.depths(start, normals), tissue.depths(warped(start), normals)
@@ -126,8 +138,8 @@ def keep_triangles(surface: Surface, kept: Mask) -> Surface:
 class _Tissue:
     """Depths under a skin without pockets, against what is published; its triangles from `lids` on are no skin."""
 
-    def __init__(self, phi: SignedDistance, marks: Landmarks, lids: int):
-        self.phi, self.marks, self.lids = phi, marks, lids
+    def __init__(self, phi: SignedDistance, marks: Landmarks, lids: int, policy: PlacementPolicy):
+        self.phi, self.marks, self.lids, self.policy = phi, marks, lids, policy
 
     def depths(self, points: Floats, normals: Floats) -> Depths:
         return self.at(points, normals)[0]
@@ -138,15 +150,16 @@ class _Tissue:
         corners = self.phi.tree.vertices[self.phi.tree.triangles[triangle]]
         over = np.einsum("kc,kcd->kd", weights, corners)
         wanted = mean_depth(over, self.marks.eyes, self.marks.mouth)
-        near = (np.einsum("kd,kd->k", normals, outward) > FACING) | (phi > -LEAST)
+        near = (np.einsum("kd,kd->k", normals, outward) > self.policy.facing) | (phi > -self.policy.least)
         return Depths(points, -phi, wanted, near & (triangle < self.lids)), outward
 
     def excess(self, points: Floats, normals: Floats) -> Floats:
         """Vectors (k, 3) that bring points within the bounds of depth, and zero where nothing is asked for."""
         tissue, outward = self.at(points, normals)
-        least = np.maximum(THINNEST * tissue.wanted, LEAST)
+        policy = self.policy
+        least = np.maximum(policy.thinnest * tissue.wanted, policy.least)
         # Deep muscle covers the neck's side of the skull, the fossae and the ramus: no upper bound holds there.
-        most = np.where(tissue.depth < 2.5 * tissue.wanted, THICKEST * tissue.wanted, np.inf)
+        most = np.where(tissue.depth < 2.5 * tissue.wanted, policy.thickest * tissue.wanted, np.inf)
         wrong = tissue.depth - np.clip(tissue.depth, least, np.maximum(most, least))
         return np.where(tissue.near_skin, wrong, 0.0)[:, None] * outward
 
@@ -154,7 +167,7 @@ class _Tissue:
 def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
     """Where control points (k, 3) go from `x`: corrections of depth, spread over fewer and fewer neighbours."""
     apart = cdist(start, start)
-    for spread in SPREADS:
+    for spread in np.repeat(tissue.policy.spreads, tissue.policy.rounds):
         weight = np.exp(-((apart / spread) ** 2))
         x = x + (weight @ tissue.excess(x, normals)) / weight.sum(axis=1, keepdims=True)
     return x
@@ -191,17 +204,18 @@ _CHIN_AXES = np.array([[0.0, 0.0, 1.0], [0.0, -(0.5**0.5), 0.5**0.5]])
 """Pogonion is the chin's point farthest to the front, gnathion that farthest to the front and below."""
 
 
-def _goals(outer: Surface, marks: Landmarks) -> Floats:
+def _goals(outer: Surface, marks: Landmarks, policy: PlacementPolicy) -> Floats:
     """Where eyes, the incisors' edge, pogonion and gnathion belong, shape (5, 3)."""
     x = outer.vertices
     origin = marks.eyes.mean(axis=0)
     drop, unit = origin[1] - marks.mouth[1], marks.face_width
     middle = x[(np.abs(x[:, 0] - origin[0]) < 0.25 * unit) & (x[:, 2] > origin[2] - 0.5 * unit)]
     lips = middle[np.abs(middle[:, 1] - marks.mouth[1]) < 0.15 * drop]
-    bite = (origin[0], marks.mouth[1] - OVERLAP, lips[:, 2].max() - LIP)
+    bite = (origin[0], marks.mouth[1] - policy.overlap, lips[:, 2].max() - policy.lip)
     below = (origin[1] - middle[:, 1]) / drop
     chin = middle[(below > 1.35) & (below < 2.0)]
-    tips = chin[(chin @ _CHIN_AXES.T).argmax(axis=0)] - np.array([[CHIN], [BELOW_CHIN]]) * _CHIN_AXES
+    depths = np.array([[policy.chin], [policy.below_chin]])
+    tips = chin[(chin @ _CHIN_AXES.T).argmax(axis=0)] - depths * _CHIN_AXES
     tips[:, 0] = origin[0]
     return np.vstack([marks.eyes, bite, tips])
 
@@ -216,13 +230,13 @@ def _places(anatomy: Anatomy) -> Floats:
     return np.vstack([anatomy.eyes, bite, tips])
 
 
-def _on_bone(anatomy: Anatomy, outside: Surface) -> Ints:
+def _on_bone(anatomy: Anatomy, outside: Surface, near: float) -> Ints:
     trees = [TriangleTree(bone.vertices, bone.triangles) for bone in (anatomy.cranium, anatomy.mandible)]
     distance = np.min([tree.closest(outside.vertices)[2] for tree in trees], axis=0)
-    return np.flatnonzero(distance < ON_BONE)
+    return np.flatnonzero(distance < near)
 
 
-def _joints_opened(anatomy: Anatomy) -> Anatomy:
+def _joints_opened(anatomy: Anatomy, gap: float) -> Anatomy:
     """The condyles pushed out of the temporal bones until the joints' gap is open; the teeth stay together."""
     jaw, cranium = anatomy.mandible, anatomy.cranium
     low, high = jaw.vertices.min(axis=0), jaw.vertices.max(axis=0)
@@ -235,7 +249,7 @@ def _joints_opened(anatomy: Anatomy) -> Anatomy:
         box = x[condyle].min(axis=0) - 10.0, x[condyle].max(axis=0) + 10.0
         near = ((cranium.vertices > box[0]) & (cranium.vertices < box[1])).all(axis=1)
         socket = keep_triangles(cranium, near[cranium.triangles].all(axis=1))
-        fossa = closed_envelope([socket], closing=1.5, spacing=0.8, inflate=JOINT_GAP, smallest=0.0)
+        fossa = closed_envelope([socket], closing=1.5, spacing=0.8, inflate=gap, smallest=0.0)
         phi = SignedDistance(fossa)
         for _ in range(3):
             distance, outward, _, _ = phi(x[condyle])
@@ -243,17 +257,17 @@ def _joints_opened(anatomy: Anatomy) -> Anatomy:
     return replace(anatomy, mandible=jaw.with_vertices(x))
 
 
-def _inside(muscle: Surface, phi: SignedDistance) -> Surface | None:
-    """A muscle at least MUSCLE_DEPTH inside the skin, without what leaves the head; None if nothing is left."""
+def _inside(muscle: Surface, phi: SignedDistance, policy: PlacementPolicy) -> Surface | None:
+    """A muscle inside the skin, without parts that leave the head; None if nothing is left."""
     x, skin = muscle.vertices, phi.tree.vertices
     # The sharp edge of a neck's cut may be folded and then tells no side; the head's box does.
     boxed = ((x >= skin.min(axis=0)) & (x <= skin.max(axis=0))).all(axis=1)
-    kept = (boxed & (phi(x)[0] < OUTSIDE_HEAD))[muscle.triangles].all(axis=1)
+    kept = (boxed & (phi(x)[0] < policy.outside_head))[muscle.triangles].all(axis=1)
     if not kept.any():
         return None
     muscle = keep_triangles(muscle, kept)
     x = muscle.vertices
-    for _ in range(PUSHES):
+    for _ in range(policy.pushes):
         distance, outward, _, _ = phi(x)
-        x = x - np.maximum(distance + MUSCLE_DEPTH, 0.0)[:, None] * outward
+        x = x - np.maximum(distance + policy.muscle_depth, 0.0)[:, None] * outward
     return muscle.with_vertices(x)

@@ -19,7 +19,7 @@ from ..wraps.columns import unit
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
 from .alignment import FACING, Target, find_start, fit_similarity, open_edges
 from .landmarks import Pairs, check_pairs, check_placed
-from .nonrigid import lay_onto
+from .nonrigid import POLICY, NonrigidPolicy, lay_onto
 
 LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
 WORST_FACE = 3.0
@@ -66,6 +66,7 @@ def register(
     *,
     landmarks: Pairs | None = None,
     stiff_lids: bool = False,
+    policy: NonrigidPolicy = POLICY,
     progress: OnProgress = silent,
 ) -> Registration:
     """Lay a template's skin onto a neutral skin [mm] of any topology, open or closed (about half a minute).
@@ -97,7 +98,9 @@ def register(
         check_placed(template_skin.vertices, landmarks, whole)
         motion = fit_similarity(template_skin.vertices[landmarks[0]], landmarks[1])
     start = template_skin.with_vertices(motion(template_skin.vertices))
-    vertices, crossings = lay_onto(start, parts, places, target, landmarks, progress, stiff_lids=stiff_lids)
+    vertices, crossings = lay_onto(
+        start, parts, places, target, landmarks, progress, stiff_lids=stiff_lids, policy=policy
+    )
     done = _registration(template_skin.with_vertices(vertices), parts, face, skin, crossings)
     if done.residual.mean > WORST_FACE:
         raise FitError(

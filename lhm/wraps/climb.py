@@ -6,22 +6,34 @@ negative in an inverted tet: the same climb untangles and shapes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numba
 import numpy as np
 
 from ..base.mesh import Floats
 from .columns import Columns
 
-ENOUGH = 0.12  # sine of the dihedral angle that is left alone: 7 degrees
-FLAT, LEAST_ENOUGH = 0.75, 0.06
-"""Flat prisms cannot be better than flat: less is enough where FLAT of a layer's thickness over the edge is less."""
-SWEEPS = 20
-CYCLE = 5  # sweeps over which the step shrinks, by half each, before it is long again
-SHORTEST, LONGEST = 0.4, 1.6  # of the length that a connector started with
-SLIDE = 0.25  # of the mean edge: how far a vertex of the skin wrap may slide along it
+
+@dataclass(frozen=True)
+class ClimbPolicy:
+    """Constants of the climb."""
+
+    enough: float = 0.12  # sine of the dihedral angle that is left alone: 7 degrees
+    flat: float = 0.75  # of a layer's thickness over the edge: flat prisms cannot be better than flat, less is enough
+    least_enough: float = 0.06  # of the sine, however flat
+    sweeps: int = 20
+    cycle: int = 5  # sweeps over which the step shrinks, by half each, before it is long again
+    shortest: float = 0.4  # of the length that a connector started with
+    longest: float = 1.6  # likewise
+    slide: float = 0.25  # of the mean edge: how far a vertex of the skin wrap may slide along it
 
 
-def improve(columns: Columns, stack: Floats, *, least: float) -> Floats:
+POLICY = ClimbPolicy()
+"""The constants as they were measured."""
+
+
+def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolicy = POLICY) -> Floats:
     """Wraps, stacked (3 n, 3) [mm] from skin to skull, whose worst tets have a better shape, close to those given.
 
     A column's skull and muscle vertex move together, its muscle vertex alone, and its skin vertex within the tangent
@@ -30,14 +42,15 @@ def improve(columns: Columns, stack: Floats, *, least: float) -> Floats:
     """
     n = columns.n
     length = np.linalg.norm(stack[2 * n :] - stack[:n], axis=1)
-    shortest = np.maximum(SHORTEST * length, np.minimum(least, length))
+    shortest = np.maximum(policy.shortest * length, np.minimum(least, length))
     normals = columns.surface(stack[:n]).vertex_normals
-    slide = SLIDE * columns.mean_edge(stack[:n])
+    slide = policy.slide * columns.mean_edge(stack[:n])
     skin, muscle, skull = stack.reshape(3, -1, 3)
     thin = np.minimum(np.linalg.norm(muscle - skin, axis=1), np.linalg.norm(skull - muscle, axis=1))
-    enough = np.clip(FLAT * thin / columns.mean_edge(skin), LEAST_ENOUGH, ENOUGH)
+    enough = np.clip(policy.flat * thin / columns.mean_edge(skin), policy.least_enough, policy.enough)
     arrays = (columns.tets, columns.incident, columns.starts)
-    return _climb(stack.copy(), *arrays, enough, shortest, LONGEST * length, normals, slide)
+    longest = policy.longest * length
+    return _climb(stack.copy(), *arrays, enough, shortest, longest, normals, slide, policy.sweeps, policy.cycle)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -114,7 +127,7 @@ def _bad_columns(x, tets, n, enough):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide):
+def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide, sweeps, cycle):
     n = len(shortest)
     rest = x[:n].copy()
     step = np.empty((n, 3))
@@ -123,8 +136,8 @@ def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide)
         step[v, 0], step[v, 1], step[v, 2] = 0.2 * length, 0.1 * length, 0.4 * slide[v]
     column, best = np.empty((3, 3)), np.empty((3, 3))
     delta = np.empty(3)
-    for sweep in range(SWEEPS):
-        if sweep % CYCLE == 0:
+    for sweep in range(sweeps):
+        if sweep % cycle == 0:
             active = _bad_columns(x, tets, n, enough)
             moves = 0
         for v in active:
@@ -140,7 +153,7 @@ def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide)
                 before = worst
                 for which in range(14):
                     for c in range(3):
-                        delta[c] = 0.5 ** (sweep % CYCLE) * step[v, kind] * _direction(which, c)
+                        delta[c] = 0.5 ** (sweep % cycle) * step[v, kind] * _direction(which, c)
                     for level in range(3):
                         for c in range(3):
                             x[level * n + v, c] = best[level, c]
@@ -174,6 +187,6 @@ def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide)
                 if worst > before:
                     moves += 1
                     worst, where = _worst_around(x, tets, incident, first, last)
-        if sweep % CYCLE == CYCLE - 1 and moves == 0:
+        if sweep % cycle == cycle - 1 and moves == 0:
             break
     return x

@@ -15,12 +15,22 @@ from ..base.mesh import Floats, Ints
 from . import climb
 from .columns import Columns, unit
 
-LEAST_SINE = 0.04  # of a dihedral angle, 2.3 degrees: a tet below it is a defect
-LEAST_LENGTH = 0.5  # [mm]
-SLOPE = 0.8
-LEAST_COSINE = 0.3
-CREASE_ROUNDS = 40
-ROUNDS = 24
+
+@dataclass(frozen=True)
+class LayersPolicy:
+    """Constants of valid layers."""
+
+    least_sine: float = 0.04  # of a dihedral angle, 2.3 degrees: a tet below it is a defect
+    least_length: float = 0.5  # [mm] of a column
+    slope: float = 0.8  # of an edge of the skin wrap, by which a column may be longer than its neighbour
+    least_cosine: float = 0.3  # between a direction inward and the normals around it
+    crease_rounds: int = 40  # of smoothing
+    rounds: int = 24  # of climbing and shortening
+    climb: climb.ClimbPolicy = climb.POLICY
+
+
+POLICY = LayersPolicy()
+"""The constants as they were measured."""
 
 
 @njit(cache=True)
@@ -58,16 +68,16 @@ def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floa
     return _cones(surface.vertex_normals, faces, columns.owner, columns.first, rounds)
 
 
-def smooth_creases(columns: Columns, wrap: Floats) -> Floats:
+def smooth_creases(columns: Columns, wrap: Floats, policy: LayersPolicy = POLICY) -> Floats:
     """A wrap (n, 3) [mm] whose crossings with itself and sharpest creases are smoothed away.
 
     Vertices of crossing triangles, and those from which no direction enters all their triangles at an angle whose
-    sine is LEAST_COSINE, move half a Laplacian step with their neighbours. Raises FitError for crossings that are
-    left after CREASE_ROUNDS.
+    sine is `policy.least_cosine`, move half a Laplacian step with their neighbours. Raises FitError for crossings that
+    are left after `policy.crease_rounds`.
     """
-    for _ in range(CREASE_ROUNDS):
+    for _ in range(policy.crease_rounds):
         crossing = TriangleTree(wrap, columns.triangles).self_crossings()
-        hit = (cone_normals(columns, wrap)[1] < LEAST_COSINE).astype(float)
+        hit = (cone_normals(columns, wrap)[1] < policy.least_cosine).astype(float)
         hit[columns.triangles[crossing].ravel()] = 1.0
         if not hit.any():
             return wrap
@@ -119,27 +129,27 @@ class Crossings:
         return skin.self_crossings(), np.vstack([skull.self_crossings(), skin.crossings(skull)])
 
 
-def make_valid(columns: Columns, stack: Floats) -> Floats:
+def make_valid(columns: Columns, stack: Floats, policy: LayersPolicy = POLICY) -> Floats:
     """Wraps (3 n, 3) [mm], skin, muscle, skull, without crossing and inverted tet, close to those given.
 
     Worst tets are shaped by climbing. Columns of a defect that is left are shortened and, with their neighbours',
     turned towards the inward normal; where that goes on, or the skin wrap crosses itself, that is smoothed there too.
-    Raises FitError naming what is left after ROUNDS.
+    Raises FitError naming what is left after `policy.rounds`.
     """
     n = columns.n
-    skin = smooth_creases(columns, stack[:n])
+    skin = smooth_creases(columns, stack[:n], policy)
     stack = stack + np.tile(skin - stack[:n], (3, 1))
     search = Crossings.of(columns, stack)
-    for number in range(ROUNDS):
-        stack = climb.improve(columns, stack, least=LEAST_LENGTH)
-        bad = columns.tets[sines(stack, columns.tets) < LEAST_SINE]
+    for number in range(policy.rounds):
+        stack = climb.improve(columns, stack, least=policy.least_length, policy=policy.climb)
+        bad = columns.tets[sines(stack, columns.tets) < policy.least_sine]
         skin_pairs, pairs = (np.zeros((0, 2), np.int64),) * 2 if len(bad) else search.find(stack)
         hit = [bad.ravel() % n, columns.triangles[skin_pairs].ravel(), columns.triangles[pairs].ravel()]
         hit = np.unique(np.concatenate(hit))
         if not len(hit):
             return stack
-        if number < ROUNDS - 1:
-            stack = _thinner(columns, stack, hit, smooth=number >= 4 or len(skin_pairs) > 0)
+        if number < policy.rounds - 1:
+            stack = _thinner(columns, stack, hit, policy, smooth=number >= 4 or len(skin_pairs) > 0)
     inverted = int((sines(stack, columns.tets) <= 0).sum())
     crossing = sum(map(len, search.find(stack)))
     if inverted or crossing:
@@ -147,7 +157,7 @@ def make_valid(columns: Columns, stack: Floats) -> Floats:
     return stack
 
 
-def _thinner(columns: Columns, stack: Floats, hit: Ints, *, smooth: bool) -> Floats:
+def _thinner(columns: Columns, stack: Floats, hit: Ints, policy: LayersPolicy, *, smooth: bool) -> Floats:
     n = columns.n
     skin, muscle, skull = stack[:n], stack[n : 2 * n], stack[2 * n :]
     chosen = np.zeros(n)
@@ -165,9 +175,9 @@ def _thinner(columns: Columns, stack: Floats, hit: Ints, *, smooth: bool) -> Flo
     direction = connectors / np.maximum(length, 1e-12)[:, None]
     direction = direction - 0.25 * turned * (direction + cone_normals(columns, skin)[0])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    length = np.where(chosen > 0, np.maximum(0.85 * length, np.minimum(length, LEAST_LENGTH)), length)
+    length = np.where(chosen > 0, np.maximum(0.85 * length, np.minimum(length, policy.least_length)), length)
     i, j = columns.edges.nonzero()
-    reach = SLOPE * np.linalg.norm(skin[i] - skin[j], axis=1)
+    reach = policy.slope * np.linalg.norm(skin[i] - skin[j], axis=1)
     for _ in range(3):
         np.minimum.at(length, i, length[j] + reach)
     connectors = length[:, None] * direction

@@ -23,12 +23,20 @@ from ..base.geometry.cholesky import factorise
 from ..base.mesh import Floats, Ints
 from .columns import Columns, unit
 
-RECTANGLE, CURVATURE = 0.1, 0.06
-ITERATIONS = 20
-STILL = 0.02
-"""[mm] Steps below which the projective iteration ends."""
-INWARD = 0.2
-"""Least cosine between a connector and the one it started as, before it is turned back to that."""
+
+@dataclass(frozen=True)
+class SkullPolicy:
+    """Constants of Eq. 4 and of its iteration."""
+
+    rectangle: float = 0.1  # w_rect
+    curvature: float = 0.06  # w_curv
+    iterations: int = 20
+    still: float = 0.02  # [mm]: shorter steps end the iteration
+    inward: float = 0.2  # least cosine of a connector with the one it started as; below, it is turned back to that
+
+
+POLICY = SkullPolicy()
+"""The constants as they were measured."""
 
 
 @njit(cache=True)
@@ -71,6 +79,7 @@ class SkullFit:
     columns: Columns
     skin: Floats = field(repr=False)
     skull: Floats = field(repr=False)
+    policy: SkullPolicy = POLICY
     areas: Floats = field(init=False, repr=False)
     edges: Ints = field(init=False, repr=False)
     share: Floats = field(init=False, repr=False)
@@ -79,7 +88,7 @@ class SkullFit:
     solve: Callable[[Floats], Floats] = field(init=False, repr=False)
 
     def __post_init__(self):
-        triangles, n = self.columns.triangles, self.columns.n
+        triangles, n, policy = self.columns.triangles, self.columns.n, self.policy
         surface = self.columns.surface(self.skin)
         areas = surface.vertex_areas
         corners = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -89,7 +98,7 @@ class SkullFit:
         # Of a regular triangulation with edge h a vertex's area is sqrt(3)/2 h².
         rows = (2 / np.sqrt(3)) * laplacian
         at_vertex = np.bincount(edges.ravel(), np.repeat(share, 2), n)
-        matrix = diags(areas + RECTANGLE * at_vertex) + CURVATURE * rows.T @ diags(areas) @ rows
+        matrix = diags(areas + policy.rectangle * at_vertex) + policy.curvature * rows.T @ diags(areas) @ rows
         for name, value in (
             ("areas", areas),
             ("edges", edges),
@@ -106,7 +115,7 @@ class SkullFit:
         `start` (n, 3) [mm] says which way is in: a connector that departs too far from it is turned back, since
         nothing else in E tells inside from outside.
         """
-        i, j = self.edges.T
+        i, j, policy = *self.edges.T, self.policy
         along_edge = unit(skin[j] - skin[i])
         inward = unit(start - skin)
         size = np.sqrt(self.columns.surface(skin).areas.sum() / self.columns.surface(self.skin).areas.sum())
@@ -114,10 +123,10 @@ class SkullFit:
         graph = self.laplacian
         bent = size * (self.rows @ self.skull)
         x, energies = start, []
-        for _ in range(ITERATIONS):
+        for _ in range(policy.iterations):
             connector = x - skin
             along = unit(connector)
-            along = np.where((np.einsum("nd,nd->n", along, inward) < INWARD)[:, None], inward, along)
+            along = np.where((np.einsum("nd,nd->n", along, inward) < policy.inward)[:, None], inward, along)
             to_depth = connector - depths[:, None] * along
             lean_i = np.einsum("ed,ed->e", connector[i], along_edge)
             lean_j = np.einsum("ed,ed->e", connector[j], along_edge)
@@ -128,15 +137,15 @@ class SkullFit:
                     sheared[:, c] += np.bincount(ends, pull[:, c], self.columns.n)
             _turned(x, self.skull, graph.indptr, graph.indices, graph.data, rotations)
             unbent = self.rows @ x - np.einsum("nij,nj->ni", rotations, bent)
-            gradient = self.areas[:, None] * to_depth + RECTANGLE * sheared
-            gradient += CURVATURE * (self.rows.T @ (self.areas[:, None] * unbent))
+            gradient = self.areas[:, None] * to_depth + policy.rectangle * sheared
+            gradient += policy.curvature * (self.rows.T @ (self.areas[:, None] * unbent))
             energies.append(
-                0.5 * (self.areas @ (to_depth**2).sum(1) + RECTANGLE * self.share @ (lean_i**2 + lean_j**2))
-                + 0.5 * CURVATURE * self.areas @ (unbent**2).sum(1)
+                0.5 * (self.areas @ (to_depth**2).sum(1) + policy.rectangle * self.share @ (lean_i**2 + lean_j**2))
+                + 0.5 * policy.curvature * self.areas @ (unbent**2).sum(1)
             )
             step = self.solve(gradient)
             x = x - step
-            if np.abs(step).max() < STILL:
+            if np.abs(step).max() < policy.still:
                 break
         return x, np.array(energies)
 

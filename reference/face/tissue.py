@@ -33,28 +33,29 @@ from ...lhm.layers import prism_tets, stack_wraps
 from ..scene import Scene
 from ..terms import Strain
 
-MOST_FOLDED = 2e-3
-"""Share of the tets from skin to skull that may be left out because they are folded."""
-FLATTEST = 1e-4
-"""The least volume of such a tet, over the median."""
-NEIGHBOURS = 8
-"""Vertices of the wraps with which one between them is carried along."""
-FREE_STRETCH = 3.0
-"""Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""
-GUARDED_HEIGHT = 4.0
-"""[mm] Tets of less height are guarded, the more the thinner they are."""
-GUARD_STIFFNESS = 20.0
-"""A guard's stiffness over soft tissue's is this times GUARDED_HEIGHT / height - 1: it resists displacements alike."""
-CANDIDATES = 16
-"""Triangles near a point that are tried for its connecting tet."""
-FLATTEST_CONNECTOR = 0.02
-"""The least 6 V / h³ of a connecting tet, h the mean edge of its triangle."""
-INWARD = 2.0
-"""[mm] below the skull wrap where a bone's points are taken if the head has no surface of the skull."""
 EYE_RADIUS = 12.0
 """[mm], of an adult's eyeball (axial length 24 mm)."""
-LEAST_VOLUME = 0.1
-"""Of a tet's volume at rest, that the start leaves it."""
+
+
+@dataclass(frozen=True)
+class TissuePolicy:
+    """Constants of the tets of a facial scene."""
+
+    most_folded: float = 2e-3  # of the tets from skin to skull, that may be left out because they are folded
+    flattest: float = 1e-4  # volume of such a tet, over the median
+    neighbours: int = 8  # vertices of the wraps with which one between them is carried along
+    free_stretch: float = 3.0  # a guard leaves stretches from its inverse up to it alone: no answer there changes
+    guarded_height: float = 4.0  # [mm]: tets of less height are guarded, the more the thinner they are
+    # A guard's stiffness over soft tissue's is this times guarded_height / height - 1: it resists displacements alike.
+    guard_stiffness: float = 20.0
+    candidates: int = 16  # triangles near a point that are tried for its connecting tet
+    flattest_connector: float = 0.02  # 6 V / h³ of a connecting tet, h the mean edge of its triangle
+    inward: float = 2.0  # [mm] below the skull wrap, of a bone's points where the head has no surface of the skull
+    least_volume: float = 0.1  # of a tet's volume at rest, that a nested start leaves it
+
+
+POLICY = TissuePolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,9 @@ class Stack:
     sound: np.ndarray | None = None
 
     @classmethod
-    def from_head(cls, head: LayeredHead, layers: tuple[int, int], without: Collection[str]) -> Stack:
+    def from_head(
+        cls, head: LayeredHead, layers: tuple[int, int], without: Collection[str], policy: TissuePolicy = POLICY
+    ) -> Stack:
         """A head's stack with so many layers of soft tissue and of muscle.
 
         Raises SceneError for fewer than one, and for layers of a head whose tets are a volume mesh.
@@ -86,29 +89,29 @@ class Stack:
         if head.volume is not None:
             if tuple(layers) != (1, 1):
                 raise SceneError(f"layers {layers!r}: the head's tets are a volume mesh, not layers of prisms")
-            inner = _inverse_distance_weights(head.vertices, 3 * n)
+            inner = _inverse_distance_weights(head.vertices, 3 * n, policy.neighbours)
             if "muscle" in without:
                 return cls(head.vertices, head.tets, None, 2 * n, None, inner)
             return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, None, inner)
         if "muscle" in without:
-            return cls._from_merged(head, int(layers[0]))
+            return cls._from_merged(head, int(layers[0]), policy)
         if layers == (1, 1):
             return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, layers)
         soft, muscle = head.sub_layers(*layers)
         return cls(soft.vertices, soft.tets, muscle.tets, sum(layers) * n, layers)
 
     @classmethod
-    def _from_merged(cls, head: LayeredHead, layers: int) -> Stack:
+    def _from_merged(cls, head: LayeredHead, layers: int, policy: TissuePolicy) -> Stack:
         """Prisms straight from skin to skull; a few tets fold where columns bend at the muscle, and are left out."""
         n = len(head.bone)
         vertices = stack_wraps((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
         tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])
         volumes = tet_volumes(vertices, tets)
-        sound = volumes > FLATTEST * np.median(volumes)
-        if np.mean(~sound) > MOST_FOLDED:
+        sound = volumes > policy.flattest * np.median(volumes)
+        if np.mean(~sound) > policy.most_folded:
             raise SceneError(
                 f"without muscle {np.count_nonzero(~sound)} of {len(tets)} tets from skin to skull are folded; "
-                f"at most {MOST_FOLDED:.1%} may be left out"
+                f"at most {policy.most_folded:.1%} may be left out"
             )
         return cls(vertices, tets, None, layers * n, (layers,), sound=sound)
 
@@ -142,12 +145,12 @@ class Stack:
         return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])
 
 
-def _inverse_distance_weights(vertices: Floats, wraps: int) -> csr_matrix:
+def _inverse_distance_weights(vertices: Floats, wraps: int, neighbours: int) -> csr_matrix:
     """Weigh the vertices after the wraps' by inverse distance to the nearest of the wraps'."""
-    distance, near = cKDTree(vertices[:wraps]).query(vertices[wraps:], k=NEIGHBOURS)
+    distance, near = cKDTree(vertices[:wraps]).query(vertices[wraps:], k=neighbours)
     weight = 1.0 / np.maximum(distance, 1e-9)
     weight /= weight.sum(axis=1, keepdims=True)
-    rows = np.arange(0, weight.size + 1, NEIGHBOURS)
+    rows = np.arange(0, weight.size + 1, neighbours)
     return csr_matrix((weight.ravel(), near.ravel(), rows), shape=(len(near), wraps))
 
 
@@ -156,7 +159,7 @@ class Guard(Strain):
     """A Strain that is no energy of tissue: it makes thin tets resist stretches that no face has."""
 
 
-def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Guard | None:
+def guard(vertices: Floats, tets: Ints, stiffness: float | Floats, policy: TissuePolicy = POLICY) -> Guard | None:
     """Guard tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
 
     stiffness [kPa]: soft tissue's, one or one per tet.
@@ -164,11 +167,12 @@ def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Guard | No
     x = vertices[tets]
     doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in FACES]
     height = 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)  # the smallest: over the largest face
-    thin = np.flatnonzero(height < GUARDED_HEIGHT)
+    thin = np.flatnonzero(height < policy.guarded_height)
     if not thin.size:
         return None
     own = np.broadcast_to(stiffness, len(tets))[thin]
-    return Guard(GUARD_STIFFNESS * own * (GUARDED_HEIGHT / height[thin] - 1.0), FREE_STRETCH, tets=thin)
+    excess = policy.guarded_height / height[thin] - 1.0
+    return Guard(policy.guard_stiffness * own * excess, policy.free_stretch, tets=thin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +191,7 @@ class Attachment:
             raise SceneError(f"attached: bone {self.bone!r} is none of {FREE}, {CRANIUM}, {MANDIBLE}")
 
 
-def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
+def connecting_tets(points: Floats, wrap: Surface, policy: TissuePolicy = POLICY) -> tuple[Ints, Ints]:
     """Find the wrap's triangle (k,) for each point (k, 3) [mm], and its tet (k, 4): wrap vertices, then n + the point.
 
     The nearest triangle whose tet is not flat. Raises SceneError for a point, by index, that lies in the plane of all
@@ -195,11 +199,13 @@ def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
     """
     corners = wrap.vertices[wrap.triangles]
     edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).mean(axis=1)
-    near = cKDTree(corners.mean(axis=1)).query(points, k=min(CANDIDATES, len(corners)))[1].reshape(len(points), -1)
+    near = (
+        cKDTree(corners.mean(axis=1)).query(points, k=min(policy.candidates, len(corners)))[1].reshape(len(points), -1)
+    )
     a, b, c = (corners[near, k] for k in range(3))
     away = points[:, None] - a
     flatness = np.einsum("pkd,pkd->pk", np.cross(b - a, c - a), away) / edge[near] ** 3
-    sound = np.abs(flatness) >= FLATTEST_CONNECTOR
+    sound = np.abs(flatness) >= policy.flattest_connector
     bad = np.flatnonzero(~sound.any(axis=1))
     if bad.size:
         raise SceneError(
@@ -212,7 +218,7 @@ def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
     return triangle, tets
 
 
-def bone_points(head: LayeredHead, *, most: int = 2000) -> tuple[Attachment, ...]:
+def bone_points(head: LayeredHead, *, most: int = 2000, policy: TissuePolicy = POLICY) -> tuple[Attachment, ...]:
     """Attach cranium and mandible: points of the head's skull near the wrap, or of the wrap itself, moved inward.
 
     At most so many points per bone, evenly thinned.
@@ -223,7 +229,7 @@ def bone_points(head: LayeredHead, *, most: int = 2000) -> tuple[Attachment, ...
         ids = np.flatnonzero(head.bone == bone)
         if not ids.size:
             continue
-        points = wrap.vertices[ids] - INWARD * wrap.vertex_normals[ids]
+        points = wrap.vertices[ids] - policy.inward * wrap.vertex_normals[ids]
         if head.skull is not None:
             skull = head.skull.vertices
             nearest = cKDTree(wrap.vertices).query(skull)[1]
@@ -253,6 +259,7 @@ def nested_start(
     *,
     layers: tuple[int, int] = (1, 1),
     coarse_layers: tuple[int, int] = (1, 1),
+    policy: TissuePolicy = POLICY,
 ) -> Floats:
     """Start the solve of a facial scene [mm], shape (scene vertices, 3), at the answer on a coarser mesh.
 
@@ -280,7 +287,7 @@ def nested_start(
     if scene.vertices.size != moved.size:
         raise SceneError(f"scene: expected {moved.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
     start = scene.vertices + moved.reshape(-1, 3)
-    return untangle(start, scene.tets, np.ones(len(start), dtype=bool), LEAST_VOLUME * scene.volumes)
+    return untangle(start, scene.tets, np.ones(len(start), dtype=bool), policy.least_volume * scene.volumes)
 
 
 def _between(coarse: tuple[int, int], fine: tuple[int, int]) -> Floats:

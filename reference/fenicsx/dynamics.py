@@ -30,11 +30,9 @@ from .masses import accelerations, mass_matrix, times
 from .newton import Newton
 from .numbering import Numbering, ranks_for
 from .parallel import anywhere, check_same, dot, norm
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 
-MAX_ITERATIONS = 100
-FAST = 0.3  # of the gradient norm that an iteration may leave for its factors to be kept
-ROUNDING = 1e-12  # of the energy's scale, that an iteration may raise it by
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
@@ -104,13 +102,14 @@ class Chord:
     `held` are the dofs that keep their place within a step (sorted, flat).
     """
 
-    def __init__(self, problem: MovingProblem, held: Ints, max_iterations: int):
-        self._problem, self._held, self._limit = problem, held, max_iterations
+    def __init__(self, problem: MovingProblem, held: Ints, policy: FenicsxPolicy = POLICY):
+        self._problem, self._held, self._policy = problem, held, policy.march
+        self._limit = policy.march.max_iterations
         matrix = problem.problem.matrix
         self._matrix = matrix.duplicate(copy=False)
-        self._factors = Mumps(self._matrix)
-        mumps = Mumps(matrix)
-        self._newton = Newton(problem, held, mumps, mumps, lambda *_: False)
+        self._factors = Mumps(self._matrix, policy=policy.linear)
+        mumps = Mumps(matrix, policy=policy.linear)
+        self._newton = Newton(problem, held, mumps, mumps, lambda *_: False, policy=policy.newton)
         self._has_factors = False
 
     def minimise(self, state: MovingState, threshold: float) -> Minimum:
@@ -126,7 +125,7 @@ class Chord:
                 hessian.copy(self._matrix, structure=SAME)
                 self._has_factors, factored, fresh = True, factored + 1, True
             after, gradient_after, norm_after = self._step(state, gradient)
-            fell = norm_after <= FAST * norm
+            fell = norm_after <= self._policy.fast * norm
             if not fell:
                 self._has_factors = False
                 if fresh and not norm_after < norm:
@@ -149,7 +148,7 @@ class Chord:
         if answer.converged:
             answer.x[self._held] = 0.0
             after = self._problem.moved(state, answer.x)
-            most = state.energy + ROUNDING * (self._problem.energy_scale + abs(state.energy))
+            most = state.energy + self._policy.rounding * (self._problem.energy_scale + abs(state.energy))
             if after.energy <= most:
                 return after, *self._gradient(after)
         return None, gradient, np.inf
@@ -190,7 +189,7 @@ class March:
     `problem`, one of the motion's scene, lends mesh, forms and matrix; what they are set to is changed.
     """
 
-    def __init__(self, motion: Motion, problem: Problem):
+    def __init__(self, motion: Motion, problem: Problem, policy: FenicsxPolicy = POLICY):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
         self.comm = ranks_for(motion.scene)
         check_same(self.comm, motion.scene)
@@ -214,7 +213,7 @@ class March:
         if self.damper is not None:
             added.axpy(gamma / (beta * self.h), self.damper, structure=SAME)
         self.moving = MovingProblem(self.problem, added, float(np.cbrt(scene.volumes).sum()))
-        self.chord = Chord(self.moving, np.flatnonzero(self.held), MAX_ITERATIONS)
+        self.chord = Chord(self.moving, np.flatnonzero(self.held), policy)
         total = self.order.nodes.total
         stiffness = float(added.getDiagonal().norm(PETSc.NormType.NORM_1)) / (3 * total)
         self.floor = 1e-14 * (scene.force_scale() + stiffness) * total**0.5

@@ -11,12 +11,9 @@ import numpy as np
 from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc, free_dropped
 from .multigrid import CoarseLevel, Multigrid
+from .policy import POLICY, LinearPolicy
 
 _PREFIX = "softdeca_cg_"
-MAX_LINEAR_ITERATIONS = 1000
-SETUP = 16  # iterations
-ASYMMETRY = 1e-9  # of a matrix' norm, below which it counts as symmetric
-ROOM = 60  # percent beyond the estimate: saddle points delay pivots
 INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames either for a matrix that is
 
 
@@ -41,12 +38,12 @@ class LinearSolver(Protocol):
 class ConjugateGradients:
     """CG with multigrid; GAMG's aggregates come from the matrix' near-null space of rigid motions.
 
-    A set-up of multigrid costs as much as SETUP iterations. It is kept while the matrix' values change, until it has
-    cost that much in iterations beyond those that it took when it was new. `levels` are as of `Multigrid`.
+    A set-up of multigrid costs as much as `policy.setup` iterations. It is kept while the matrix' values change, until
+    it has cost that much in iterations beyond those that it took when it was new. `levels` are as of `Multigrid`.
     """
 
-    def __init__(self, matrix: PETSc.Mat, levels: Sequence[CoarseLevel] = ()):
-        self._matrix, self._multigrid = matrix, Multigrid(matrix, levels)
+    def __init__(self, matrix: PETSc.Mat, levels: Sequence[CoarseLevel] = (), *, policy: LinearPolicy = POLICY.linear):
+        self._matrix, self._multigrid, self._policy = matrix, Multigrid(matrix, levels), policy
         self._start_over()
 
     def _start_over(self):
@@ -71,7 +68,7 @@ class ConjugateGradients:
             before = answer.iterations
         self._ksp.getPC().setReusePreconditioner(False)
         self._multigrid.set_up(self._ksp.getPC())
-        answer = self._solve(b, relative, MAX_LINEAR_ITERATIONS)
+        answer = self._solve(b, relative, self._policy.max_iterations)
         if answer.converged:
             self._ksp.getPC().setReusePreconditioner(True)
             self._per_decade = max(answer.iterations, 1) / -np.log10(relative)
@@ -82,13 +79,13 @@ class ConjugateGradients:
     def _solve_by_kept_setup(self, b: Floats, relative: float) -> LinearAnswer:
         """Solve by the last set-up, in not many more iterations than another one would take."""
         expected = self._per_decade * -np.log10(relative)
-        answer = self._solve(b, relative, int(expected + 2 * SETUP))
+        answer = self._solve(b, relative, int(expected + 2 * self._policy.setup))
         if answer.why in INDEFINITE and not self._doubtful:
             self._doubtful = True  # twice in a row, and the set-up is to blame
             return answer
         self._doubtful = False
         self._wear = max(self._wear + answer.iterations - expected, 0.0)
-        if self._wear > SETUP or not answer.converged:
+        if self._wear > self._policy.setup or not answer.converged:
             self._discard_setup()
         return answer
 
@@ -105,7 +102,8 @@ class Factorisation:
     of another one 0 or 1 by the sign of its determinant.
     """
 
-    def __init__(self):
+    def __init__(self, policy: LinearPolicy = POLICY.linear):
+        self._policy = policy
         self._ksp: PETSc.KSP | None = None
         self.negative = 0
         self.symmetric = True
@@ -121,7 +119,7 @@ class Factorisation:
         if not symmetric:
             difference = matrix.transpose(PETSc.Mat())
             difference.axpy(-1.0, matrix)
-            symmetric = difference.norm(PETSc.NormType.FROBENIUS) <= ASYMMETRY * size
+            symmetric = difference.norm(PETSc.NormType.FROBENIUS) <= self._policy.asymmetry * size
             difference.destroy()
         # Of several ranks MUMPS gives the determinant's sign for the first factors alone.
         can_refactor = symmetric or matrix.comm.size == 1
@@ -153,7 +151,7 @@ class Factorisation:
         preconditioner.setFactorSolverType("mumps")
         preconditioner.setFactorSetUpSolverType()
         factors = preconditioner.getFactorMatrix()
-        factors.setMumpsIcntl(14, ROOM)
+        factors.setMumpsIcntl(14, self._policy.room)
         if not symmetric:
             factors.setMumpsIcntl(33, 1)  # the determinant
 
@@ -177,8 +175,8 @@ class Factorisation:
 class Mumps:
     """MUMPS' LDLᵀ; its count of negative pivots says whether the matrix is positive definite."""
 
-    def __init__(self, matrix: PETSc.Mat):
-        self._matrix, self._factors = matrix, Factorisation()
+    def __init__(self, matrix: PETSc.Mat, *, policy: LinearPolicy = POLICY.linear):
+        self._matrix, self._factors = matrix, Factorisation(policy)
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; exact whatever `relative` is, and by the last factors as long as the values are theirs."""
@@ -188,7 +186,7 @@ class Mumps:
         return LinearAnswer(self._factors.solve(b), negative == 0, 1, f"{negative} negative pivots" if negative else "")
 
 
-LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
+LINEAR_SOLVERS: dict[str, Callable[..., LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
 
 
 def petsc_vector(values: Floats, comm, size: int = 1) -> PETSc.Vec:

@@ -24,23 +24,10 @@ from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
 from .linear_solvers import Factorisation, hold, multiply, petsc_vector
 from .parallel import anywhere, largest_size, norm
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem
 from .run import Attempt, Run
 from .saddle import SaddleMatrix
-
-MAX_ITERATIONS = 1000
-SMALLEST_DAMPING = 1 / 32
-STEP_ITERATIONS = 25
-FIRST_SHARE = 1 / 4
-SMALLEST_SHARE = 1 / 1024
-SNAP_SHARE = 1 / 64  # the step at which descent is asked
-SNAP = 0.2  # of the displacement so far, that a snap may add to it at most
-BRANCH = 0.5  # of where descent leads from SNAP_SHARE beyond: from SMALLEST_SHARE it is nearer where a branch begins
-ASIDE, MODE_ITERATIONS = 1e-3, 5  # of the largest displacement, to leave an unstable equilibrium by
-EASY = 5  # iterations, within which the next load step may be longer
-PATH_TOLERANCE = 1e-6
-DRIFT = 1e-9  # of the tangent's largest entry
-STEEP = 4.0  # times the first rate of displacement by load, that tells a limit point
 
 Descent = Callable[[Floats, Floats, float], tuple[Floats, Floats, Reason, int]]
 """Minimises a problem's energy at a share of its loads from displacement, a field (n, 3), and pressure, a vector, to
@@ -69,14 +56,21 @@ class Continuation:
     """
 
     def __init__(
-        self, run: Run, problem: Problem, descent: Descent | None = None, *, saddle: SaddleMatrix | None = None
+        self,
+        run: Run,
+        problem: Problem,
+        descent: Descent | None = None,
+        *,
+        saddle: SaddleMatrix | None = None,
+        policy: FenicsxPolicy = POLICY,
     ):
+        self._policy = policy.load_path
         self._run, self._problem, self._descent = run, problem, descent
         self.equations = Equilibrium(problem, problem.held_dofs(run.held), saddle)
         self.start, self.goal = (self.equations.vector(u, run.pressure) for u in (run.u, run.goal))
         self._drifts = has_free_motion(run.scene)
-        self._limit = run.record.left(MAX_ITERATIONS)
-        self.factors = Factorisation()
+        self._limit = run.record.left(self._policy.max_iterations)
+        self.factors = Factorisation(policy.linear)
         self._factored = self._iterations = 0
         self._share = self._first = self._away = 0.0
         self._unstable = self._branched = False
@@ -112,7 +106,7 @@ class Continuation:
         self._origin = here.z
         first_rate = self._rate(here)
         before: Point | None = None
-        step = FIRST_SHARE
+        step = self._policy.first_share
         self._unstable = self._branched = False
         while here.share < 1.0:
             share = min(1.0, here.share + step)
@@ -121,11 +115,11 @@ class Continuation:
                 return here, after.reason
             if after.converged and after.stable:
                 before, here, self._share = here, after.point, share
-                step *= 2.0 if after.iterations <= EASY else 1.0
+                step *= 2.0 if after.iterations <= self._policy.easy else 1.0
                 continue
             self._unstable |= after.converged
             step *= 0.5
-            if step in (SNAP_SHARE, SMALLEST_SHARE) and self._descent is not None:
+            if step in (self._policy.snap_share, self._policy.smallest_share) and self._descent is not None:
                 share = min(1.0, here.share + step)
                 after = self._snap(self._predict(before, here, share), here, share)
                 if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
@@ -134,10 +128,10 @@ class Continuation:
                     before, here, self._share = None, after.point, share
                     step *= 2.0
                     continue
-            if step < SMALLEST_SHARE:
+            if step < self._policy.smallest_share:
                 if self._branched:
                     return here, Reason.BIFURCATION
-                steep = self._rate(here) > STEEP * first_rate
+                steep = self._rate(here) > self._policy.steep * first_rate
                 return here, Reason.LIMIT_POINT if self._unstable or steep else Reason.LINE_SEARCH
         return here, Reason.CONVERGED
 
@@ -145,12 +139,12 @@ class Continuation:
         """Unknowns beside an unstable equilibrium, whose tangent is factored, where the tangent is softest."""
         equations = self.equations
         mode = self._free(equations.irregular())
-        for _ in range(MODE_ITERATIONS):
+        for _ in range(self._policy.mode_iterations):
             mode = self.factors.solve(mode)
             mode /= largest_size(equations.comm, mode)
         mode[equations.held] = 0.0
         in_space = slice(0, equations.displacements)
-        return saddle.z + ASIDE * largest_size(equations.comm, (saddle.z - self._origin)[in_space]) * mode
+        return saddle.z + self._policy.aside * largest_size(equations.comm, (saddle.z - self._origin)[in_space]) * mode
 
     def _snap(self, guess: Floats, here: Point, share: float) -> PathStep:
         """The stable equilibrium at a share to which descent leads from an unstable one or a guess, if that is near."""
@@ -168,7 +162,8 @@ class Continuation:
         if reason is Reason.INTERRUPTED:
             return PathStep(here, reason, made, False)
         away = min(self._length(down - begin), self._length(down - here.z))
-        far, branches = away > SNAP * self._length(here.z - self._origin), away <= BRANCH * self._away
+        far = away > self._policy.snap * self._length(here.z - self._origin)
+        branches = away <= self._policy.branch * self._away
         self._away = max(self._away, away)
         if (far and not branches) or reason not in (Reason.CONVERGED, Reason.STAGNATED):
             return PathStep(here, Reason.LIMIT_POINT, made, False)
@@ -208,7 +203,7 @@ class Continuation:
         if self._drifts:
             trace = np.zeros(equations.count)
             free = equations.free[equations.free < equations.displacements]
-            trace[free] = DRIFT * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
+            trace[free] = self._policy.drift * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
             added = petsc_vector(trace, derivative.comm, derivative.getBlockSize())
             derivative.setDiagonal(added, addv=PETSc.InsertMode.ADD_VALUES)
         hold(derivative, equations.held, np.zeros(len(equations.held)), np.zeros(equations.count))
@@ -221,7 +216,7 @@ class Continuation:
         target = self._at_share(share)[held]
         point = equations.at(z, share)
         damping, last = 1.0, 0.0
-        for iteration in range(STEP_ITERATIONS + 1):
+        for iteration in range(self._policy.step_iterations + 1):
             derivative = equations.derivative(point)
             if iteration == 0:
                 equations.scale_volumes(derivative)
@@ -237,7 +232,7 @@ class Continuation:
                 last = (
                     self._run.threshold(self._first)
                     if final
-                    else max(PATH_TOLERANCE * first, self._run.threshold(first))
+                    else max(self._policy.tolerance * first, self._run.threshold(first))
                 )
             if self._report(point, norm):
                 return PathStep(point, Reason.INTERRUPTED, iteration, False)
@@ -259,7 +254,7 @@ class Continuation:
                 stagnated = norm <= 1e3 * last and not moves
                 return PathStep(point, Reason.STAGNATED if stagnated else Reason.LINE_SEARCH, iteration, False)
             point, damping = following
-        return PathStep(point, Reason.LINE_SEARCH, STEP_ITERATIONS, False)
+        return PathStep(point, Reason.LINE_SEARCH, self._policy.step_iterations, False)
 
     def _free(self, z: Floats) -> Floats:
         """A vector without what is held."""
@@ -272,7 +267,7 @@ class Continuation:
         equations = self.equations
         length = self._length(self._free(correction))
         size = 1e-14 * self._length(point.z + 1e-300)
-        while damping >= SMALLEST_DAMPING:
+        while damping >= self._policy.smallest_damping:
             z = point.z + damping * correction
             if damping == 1.0:
                 z[equations.held] = point.z[equations.held] + correction[equations.held]

@@ -10,15 +10,10 @@ from ..solution import Limits, Reason
 from ..terms import Traction
 from .bodies import RigidProblem
 from .linear_solvers import LinearSolver
-from .load_path import DRIFT, PATH_TOLERANCE
 from .newton import AnyState, Newton, Work
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 from .run import Attempt, Run
-
-MAX_ITERATIONS = 100
-LOAD_STEP_TOLERANCE = 1e-2
-STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
-ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
 
 
 class Minimisation:
@@ -36,7 +31,9 @@ class Minimisation:
         linear: LinearSolver,
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
+        policy: FenicsxPolicy = POLICY,
     ):
+        self._policy = policy
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
         owned, X = self._nodes.owned, run.numbering.X
         self._work = Work()
@@ -47,23 +44,25 @@ class Minimisation:
             self._rigid = bodies = rigid[0]
             bodies.set(run.scene)
             self._poses = bodies.nearest(run.numbering.to_dofs(run.start)) if run.warm else bodies.rest()
-            self._freed = Newton(bodies, bodies.held(held), *rigid[1:], self._report, self._work)
+            self._freed = Newton(bodies, bodies.held(held), *rigid[1:], self._report, self._work, policy.newton)
             held[bodies.nodes] = True
             places = X + self._goal
             bodies.place(self._poses, places)
             self._goal[bodies.nodes] = (places - X)[bodies.nodes]
             self._goal = self._nodes.spread(self._goal[:owned])
-        near = np.abs(self._goal - run.u) <= ROUNDING * np.abs(run.scene.vertices).max(initial=1.0)
+        rounding = policy.minimise.rounding * np.abs(run.scene.vertices).max(initial=1.0)
+        near = np.abs(self._goal - run.u) <= rounding
         self._goal[near] = run.u[near]
-        self._newton = Newton(problem, np.flatnonzero(held[:owned]), linear, direct, self._report, self._work)
+        held_dofs = np.flatnonzero(held[:owned])
+        self._newton = Newton(problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
 
     def attempt(self) -> Attempt:
         """Bring what is held to its goal, in load steps if need be, and minimise.
 
         A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
         """
-        run, loose = self._run, Limits(LOAD_STEP_TOLERANCE)
-        left = run.record.left(MAX_ITERATIONS)
+        run, loose = self._run, Limits(self._policy.minimise.load_step_tolerance)
+        left = run.record.left(self._policy.minimise.max_iterations)
 
         def end_step(force: float, first: float) -> float:
             return loose.threshold(run.scene, max(first, force))
@@ -81,9 +80,9 @@ class Minimisation:
             iterations += more
         sound, doubtful = reason is Reason.CONVERGED, False
         if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
-            drift = DRIFT if has_free_motion(run.scene) else 0.0
+            drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
             sound = self._newton.is_stable(self._at(state.u), drift)
-            doubtful = iterations > STRAIGHT_ITERATIONS or not sound
+            doubtful = iterations > self._policy.minimise.straight_iterations or not sound
         run.record.add(iterations, **vars(self._work))
         return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
 
@@ -93,7 +92,9 @@ class Minimisation:
         if not np.isfinite(state.energy):
             return u, p, Reason.NOT_FINITE, 0
         end, reason, made = self._newton.minimise(
-            state, threshold=lambda first: PATH_TOLERANCE * first, max_iterations=self._run.record.left(MAX_ITERATIONS)
+            state,
+            threshold=lambda first: self._policy.load_path.tolerance * first,
+            max_iterations=self._run.record.left(self._policy.minimise.max_iterations),
         )
         return end.u, p, reason, made
 

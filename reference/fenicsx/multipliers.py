@@ -20,21 +20,13 @@ from ..solution import Reason
 from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium
 from .linear_solvers import multiply
-from .minimise import LOAD_STEP_TOLERANCE
 from .newton import AnyState, Newton, Work
 from .parallel import dot, norm
+from .policy import POLICY, FenicsxPolicy
 from .problem import Problem, State
 from .run import Attempt, Run
-from .saddle import PENALTY, PressureSolver, SaddleMatrix, make_saddle_solver
-
-MAX_ITERATIONS = 300
-ROUNDS = 40
-FIRST_SHARE, SHARE = 1e-2, 5e-2  # of a round's first gradient norm, that ends it; the first round begins far away
-NEAR = 0.1  # of the pressure's norm: with smaller corrections steps of displacement and pressure at once are tried
-FALL = 0.5  # of the residual's norm or of the displacement that follows, which such a step has to reach
-QUICK, HARDER = 2, 10.0  # where so few iterations leave more than FALL of the volumes, kappa grows
-SETTLED = 1e-10  # of the pressure's norm, below which a correction is rounding or of no account
-CORRECTIONS = 30
+from .saddle import PressureSolver, SaddleMatrix
+from .saddle_block import make_saddle_solver
 
 
 class Condensed:
@@ -43,11 +35,11 @@ class Condensed:
     `centre` is p₀ [kPa], a vector (n_p,), and `matrix` the saddle point's, whose springs are kappa's.
     """
 
-    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None):
-        self.problem, self.comm = problem, problem.comm
-        self.matrix = SaddleMatrix(problem) if matrix is None else matrix
+    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None, *, policy: FenicsxPolicy = POLICY):
+        self.problem, self.comm, self._policy = problem, problem.comm, policy
+        self.matrix = SaddleMatrix(problem, policy.saddle) if matrix is None else matrix
         self.centre: Floats = np.zeros(self.matrix.pressures)
-        self._pressures = PressureSolver(self.matrix)
+        self._pressures = PressureSolver(self.matrix, policy.saddle)
 
     @property
     def energy_scale(self) -> float:
@@ -56,7 +48,7 @@ class Condensed:
 
     def begin(self, centre: Floats):
         """Begin with the first kappa and a p₀ [kPa], a vector."""
-        self.matrix.springs, self.centre = 1.0 / PENALTY, np.array(centre)
+        self.matrix.springs, self.centre = 1.0 / self._policy.saddle.penalty, np.array(centre)
 
     def harden(self, times: float):
         """Multiply kappa."""
@@ -68,14 +60,14 @@ class Condensed:
         static = self._place(u, p, share)
         self.matrix.assemble(static, springs=True)
         self._pressures.take(self.matrix.D)
-        for _ in range(CORRECTIONS):
+        for _ in range(self._policy.multipliers.corrections):
             away = static.strain() - self.stretched(p)
             if not np.isfinite(norm(self.comm, away)):
                 break
             correction = self._pressures.solve(away)
             p = p + correction
             static = self._place(u, p, share)
-            if not norm(self.comm, correction) > SETTLED * norm(self.comm, p):
+            if not norm(self.comm, correction) > self._policy.multipliers.settled * norm(self.comm, p):
                 break
         return CondensedState(self, static, p, springs=True)
 
@@ -134,26 +126,28 @@ class MultiplierDescent:
         *,
         linear_solver: str = "cg",
         find_start: Callable[[Run], Run] | None = None,
+        policy: FenicsxPolicy = POLICY,
     ):
+        self._policy = policy
         self._run, self._condensed, self._comm = run, condensed, condensed.comm
         self._find_start, self._nodes = find_start, run.numbering.nodes
         held = condensed.problem.held_dofs(run.held)
-        self._saddle = make_saddle_solver(linear_solver, condensed.matrix, held)
-        self._newton = Newton(condensed, held, self._saddle, self._saddle.direct, self._report, Work())
+        self._saddle = make_saddle_solver(linear_solver, condensed.matrix, held, policy)
+        self._newton = Newton(condensed, held, self._saddle, self._saddle.direct, self._report, Work(), policy.newton)
         self._equations = Equilibrium(condensed.problem, held, condensed.matrix)
         self._iterations, self._first = 0, 0.0
-        self._limit = MAX_ITERATIONS
+        self._limit = self._policy.multipliers.max_iterations
 
     def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
         run = self._run if self._find_start is None else self._find_start(self._run)
         condensed, record = self._condensed, run.record
-        count, self._limit = condensed.matrix.pressures, record.left(MAX_ITERATIONS)
+        count, self._limit = condensed.matrix.pressures, record.left(self._policy.multipliers.max_iterations)
         condensed.begin(np.zeros(count) if run.pressure is None else run.pressure[:count])
 
         def end_step(force: float, first: float) -> float:
             self._first = max(self._first, force)
-            return LOAD_STEP_TOLERANCE * max(first, self._first)
+            return self._policy.minimise.load_step_tolerance * max(first, self._first)
 
         try:
             state, force, reason, self._iterations = self._newton.approach(
@@ -170,14 +164,15 @@ class MultiplierDescent:
                 state, reason = self._alternate(state)
         finally:
             self._saddle.release()
-        record.add(self._iterations, linear_solves=self._saddle.factored, linear_iterations=self._saddle.iterations)
+        work = self._saddle.work
+        record.add(self._iterations, linear_solves=work.systems, linear_iterations=work.iterations)
         record.detail["load_share"] = int(reason is Reason.CONVERGED)
         return Attempt(reason, run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `load_path.Descent`: what is held stays where it is."""
         self._condensed.begin(p)
-        self._iterations, self._limit = 0, self._run.record.left(MAX_ITERATIONS)
+        self._iterations, self._limit = 0, self._run.record.left(self._policy.multipliers.max_iterations)
         try:
             state = self._condensed.at(u, share)
             reason = Reason.NOT_FINITE
@@ -193,13 +188,13 @@ class MultiplierDescent:
 
     def _alternate(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
-        condensed = self._condensed
+        condensed, multipliers = self._condensed, self._policy.multipliers
         self._equations.scale_volumes(state.hessian())
         self._first = max(self._first, self._norm(self._newton.free_gradient(state)))
         last = self._run.threshold(self._first)
         before = np.inf
-        for turn in range(ROUNDS):
-            share = SHARE if turn else FIRST_SHARE
+        for turn in range(multipliers.rounds):
+            share = multipliers.later_rounds if turn else multipliers.first_round
             begin = self._iterations
 
             def threshold(first: float, share: float = share) -> float:
@@ -216,11 +211,11 @@ class MultiplierDescent:
             size = self._norm(state.p)
             change = self._norm(state.p - condensed.centre) / max(size, 1e-300)
             away = self._norm(condensed.stretched(state.p))
-            if away > FALL * before and self._iterations <= begin + QUICK:
-                condensed.harden(HARDER)
+            if away > multipliers.fall * before and self._iterations <= begin + multipliers.quick:
+                condensed.harden(multipliers.harder)
             before = away
             state = condensed.beside(state.u, state.p, state.share)
-            if change <= NEAR or size == 0.0:
+            if change <= multipliers.near or size == 0.0:
                 state, end = self._finish(state, last)
                 if end is not None:
                     return state, end
@@ -231,6 +226,7 @@ class MultiplierDescent:
     def _finish(self, state: CondensedState, last: float) -> tuple[CondensedState, Reason | None]:
         """Full steps of displacement and pressure while they contract; why to stop for good, if so."""
         condensed, m = self._condensed, self._condensed.matrix.displacements
+        fall = self._policy.multipliers.fall
         residual, norm = self._residual(state)
         converged = False  # only after a step: its factors say whether this is a minimum under the constraint
         while not converged and self._iterations < self._limit:
@@ -238,15 +234,15 @@ class MultiplierDescent:
             step = self._saddle.newton_step(residual)
             if step is None:
                 return state, None
-            u = state.u + self._nodes.spread(step[:m].reshape(-1, 3))
-            after = condensed.beside(u, state.p + step[m:], state.share)
+            u = state.u + self._nodes.spread(step.x[:m].reshape(-1, 3))
+            after = condensed.beside(u, state.p + step.x[m:], state.share)
             if not np.isfinite(after.energy):
                 return state, None
             residual, norm_after = self._residual(after)
             converged = norm_after <= last
-            if not (converged or norm_after <= FALL * norm):
-                following = self._saddle.simplified_step(residual)
-                if not self._norm(following[:m]) <= FALL * self._norm(step[:m]):
+            if not (converged or norm_after <= fall * norm):
+                following = step.follow(residual)
+                if not self._norm(following[:m]) <= fall * self._norm(step.x[:m]):
                     return state, None
             state, norm = after, norm_after
             self._iterations += 1

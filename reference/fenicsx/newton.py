@@ -22,19 +22,7 @@ from ..solution import Reason
 from .dolfinx_version import MPI, PETSc
 from .linear_solvers import LinearSolver, hold
 from .parallel import IndexMap, anywhere, dot, norm
-
-SMALLEST_FRACTION = 1 / 64  # of the motion of what is held, in one load step
-EXACT_BELOW = 0.03  # of the first gradient norm
-SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
-STRAIGHT = 0.75  # of the predicted decrease (a parabola's is 1/2): beyond it a longer step pays
-LONGEST_STEP = 64.0
-SMALLEST_STEP = 2.0**-30
-# Least relative residual with a share of the negative curvature, whose steps converge linearly: more digits are wasted.
-LOOSE = 1e-2
-SHARE = 0.25  # of the negative curvature, that a Hessian which is not positive definite gives up
-SUCCESSES = 2  # with a share of it, after which more is tried
-DAMPINGS = (1e-3, 1e-2, 1e-1)  # of the largest diagonal entry: added where the projected Hessian leads nowhere
-SHIFTS = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry: what a direct solver adds where nothing holds a part
+from .policy import NewtonPolicy
 
 
 class AnyState(Protocol):
@@ -98,6 +86,7 @@ class Newton:
     fallback: LinearSolver
     report: Callable[[AnyState, float], bool]
     work: Work = field(default_factory=Work)
+    policy: NewtonPolicy = NewtonPolicy()
     _kept: float = 1.0
     _successes: int = 0
 
@@ -173,7 +162,7 @@ class Newton:
                 lifted = at(nodes.spread(u))
                 if not np.isfinite(lifted.energy):
                     fraction, lifted = 0.5 * fraction, None
-                if fraction < SMALLEST_FRACTION:
+                if fraction < self.policy.smallest_fraction:
                     return state, force, Reason.LINE_SEARCH, made
             if fraction == 1.0:
                 return lifted, force, None, made
@@ -202,7 +191,7 @@ class Newton:
             if iteration == max_iterations:
                 break
             relative = min(max(min(1e-3, norm / first), 0.1 * last / norm, 1e-10), 0.1)
-            after = self._step(state, gradient, exact=near or norm < EXACT_BELOW * first, relative=relative)
+            after = self._step(state, gradient, exact=near or norm < self.policy.exact_below * first, relative=relative)
             if isinstance(after, Reason):
                 return state, after, iteration
             gradient = self.free_gradient(after)
@@ -225,18 +214,18 @@ class Newton:
             after = self._advance(state, gradient, self._kept, relative)
             if not isinstance(after, Reason):
                 self._successes += 1
-                if self._successes >= SUCCESSES:
-                    self._kept, self._successes = min(1.0, self._kept + SHARE), 0
+                if self._successes >= self.policy.successes:
+                    self._kept, self._successes = min(1.0, self._kept + self.policy.curvature_share), 0
                 return after
-            self._kept, self._successes = self._kept - SHARE, 0
+            self._kept, self._successes = self._kept - self.policy.curvature_share, 0
         elif exact:
-            self._kept = SHARE
+            self._kept = self.policy.curvature_share
         return self._advance(state, gradient, 0.0, relative)
 
     def _advance(self, state: AnyState, gradient: Floats, kept: float, relative: float) -> AnyState | Reason:
         """One iteration with a share of the negative curvature kept; only the projected Hessian is sure to do."""
         if 0.0 < kept < 1.0:
-            relative = max(relative, LOOSE)
+            relative = max(relative, self.policy.loose)
 
         def set_up(shift: float) -> Floats:
             b = -gradient
@@ -252,7 +241,7 @@ class Newton:
         after, slope = self._search(state, gradient, direction)
         if after is None and abs(slope) <= self._rounding(state):
             return Reason.STAGNATED
-        for shift in DAMPINGS if kept == 0.0 else ():
+        for shift in self.policy.dampings if kept == 0.0 else ():
             if after is not None:
                 break
             direction = self._try(self.fallback, set_up(shift), relative)
@@ -263,7 +252,7 @@ class Newton:
     def _solve(self, set_up: Callable[[float], Floats], *, relative: float) -> Floats | None:
         """Solve the system that set_up assembles: by the usual solver, then directly, then with growing shifts."""
         answer = self._try(self.linear, set_up(0.0), relative)
-        for shift in SHIFTS:
+        for shift in self.policy.shifts:
             if answer is not None:
                 break
             self.work.fallback_solves += 1
@@ -292,18 +281,18 @@ class Newton:
         if slope >= 0.0:
             return None, slope
         step, rounding = 1.0, self._rounding(state)
-        while step >= SMALLEST_STEP:
+        while step >= self.policy.smallest_step:
             self.work.energies += 1
             after = self.problem.moved(state, step * direction)
-            if after.energy <= state.energy + SUFFICIENT * step * slope + rounding:
+            if after.energy <= state.energy + self.policy.sufficient_decrease * step * slope + rounding:
                 break
             step *= 0.5
         else:
             return None, slope
-        if state.energy - after.energy > STRAIGHT * abs(slope) > rounding:
+        if state.energy - after.energy > self.policy.straight * abs(slope) > rounding:
             # Where tissue buckles, the projected Hessian is far too stiff: double a full step while the energy falls.
             step = 2.0
-            while step <= LONGEST_STEP:
+            while step <= self.policy.longest_step:
                 self.work.energies += 1
                 longer = self.problem.moved(state, step * direction)
                 if not longer.energy < after.energy:

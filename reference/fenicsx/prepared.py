@@ -31,13 +31,15 @@ from .dynamics import March
 from .fields import Fields, NodalAnswer, Sampling, recover
 from .linear_solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
 from .load_path import Continuation
-from .minimise import LOAD_STEP_TOLERANCE, Minimisation
+from .minimise import Minimisation
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same
+from .policy import POLICY, FenicsxPolicy
 from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
-from .saddle import SADDLES, SaddleMatrix
+from .saddle import SaddleMatrix
+from .saddle_block import SADDLES
 from .solids import check_solids
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
@@ -48,26 +50,20 @@ LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasSt
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 """Reasons after which another strategy is tried."""
 FORCE_DEGREE = 6
-BULK = 10.0  # lmbda by mu of a large scene's start: volumes are nearly kept, linear tets do not lock yet
-STIFF = 4000.0
-"""(2 mu + lmbda) / mu of a law, Poisson's ratio .49987, from which on CG's answer to a share of the forces is far off.
-
-By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG 11 and
-3.1 s; at .49999 MUMPS 23 and 1.6 s, where CG creeps. At .49 on 10,125 unknowns both take 1.5 s.
-"""
-LARGE_STIFF = 400_000  # unknowns, from which on such laws take multigrid in spite of it: factors take too much memory
-LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
 
 @check_arguments
-def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
+def prepare(
+    scene: Scene, *, element: str = "P1", linear_solver: str = "cg", policy: FenicsxPolicy = POLICY
+) -> PreparedFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
     linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). "cg" is
-    direct too for nearly incompressible laws (see STIFF) below LARGE_STIFF unknowns. By element "P2P1" "cg" goes by
-    size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner, which "block" asks for
-    whatever the size. `Continuation` always takes factors, whose inertia it needs.
+    direct too for nearly incompressible laws (see `policy.stiff`) below `policy.large_stiff` unknowns. With "P2P1",
+    "cg" means a direct solver below `policy.saddle.large` unknowns and GMRES with a block preconditioner above; "block"
+    asks for the latter at any size. `Continuation` always takes factors, whose inertia it needs. `policy` has all
+    other constants.
 
     Raises SceneError for another element or linear solver, and for a term or law that this solver or element cannot
     model.
@@ -82,7 +78,7 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
         raise SceneError("solver 'fenicsx': linear_solver 'block' has no use for Pressure, which takes factors")
     if ranks_for(scene).size > 1:
         scene = ranks.first(scene)
-    return PreparedFenicsx(scene, element, linear_solver)
+    return PreparedFenicsx(scene, element, linear_solver, policy)
 
 
 def _check_terms(scene: Scene, element: str):
@@ -100,30 +96,41 @@ def _check_terms(scene: Scene, element: str):
 class PreparedFenicsx:
     """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
 
-    def __init__(self, scene: Scene, element: str, linear_solver: str, *, alone: bool = False):
+    def __init__(
+        self,
+        scene: Scene,
+        element: str,
+        linear_solver: str,
+        policy: FenicsxPolicy = POLICY,
+        *,
+        alone: bool = False,
+    ):
         clock = Clock()
+        self._policy, linear = policy, policy.linear
         self.scene, self._element, self._linear_solver = scene, element, linear_solver
         self.comm = ALONE if alone else ranks_for(scene)
         check_same(self.comm, scene)
         self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
-        self._large = self.comm.allreduce(len(self._numbering.tet)) >= LARGE
+        self._large = self.comm.allreduce(len(self._numbering.tet)) >= policy.large
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
         # Multigrid leaves too much of volumes in steps by a displacement alone.
-        stiff = any(t.material.stiffness > STIFF * t.material.shear_modulus for t in scene.of(Hyperelastic))
-        small = 3 * self._numbering.nodes.total < LARGE_STIFF
+        stiff = any(t.material.stiffness > policy.stiff * t.material.shear_modulus for t in scene.of(Hyperelastic))
+        small = 3 * self._numbering.nodes.total < policy.large_stiff
         by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
         problem = self._problem
-        self._direct = Mumps(problem.matrix)
-        self._linear = self._direct if by_factors else ConjugateGradients(problem.matrix, problem.levels)
+        self._direct = Mumps(problem.matrix, policy=linear)
+        self._linear: LinearSolver = self._direct
+        if not by_factors:
+            self._linear = ConjugateGradients(problem.matrix, problem.levels, policy=linear)
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)
-            self._rigid = rigid, make(rigid.matrix), Mumps(rigid.matrix)
-        self._saddle = SaddleMatrix(self._problem) if element == "P2P1" else None
+            self._rigid = rigid, make(rigid.matrix, policy=linear), Mumps(rigid.matrix, policy=linear)
+        self._saddle = SaddleMatrix(self._problem, policy.saddle) if element == "P2P1" else None
         self._condensed: Condensed | None = None
         if self._saddle is not None and not scene.of(Pressure):
-            self._condensed = Condensed(self._problem, self._saddle)
+            self._condensed = Condensed(self._problem, self._saddle, policy=policy)
         self._force: Floats | None = None
         self._end: Attempt | None = None
         self._spent = clock.read()
@@ -174,19 +181,19 @@ class PreparedFenicsx:
 
         A path that ends where others branch off leaves what descent has found beyond it.
         """
-        scene, problem = run.scene, self._problem
+        scene, problem, policy = run.scene, self._problem, self._policy
         leaves: tuple[Reason, ...] = GIVEN_UP
         strategies: list[Callable[[], Attempt]]
 
         def descent(find_start: Callable[[Run], Run] | None = None) -> Minimisation | MultiplierDescent:
             if self._condensed is None:
-                return Minimisation(run, problem, self._linear, self._direct, self._rigid)
+                return Minimisation(run, problem, self._linear, self._direct, self._rigid, policy)
             kind = self._linear_solver
-            return MultiplierDescent(run, self._condensed, linear_solver=kind, find_start=find_start)
+            return MultiplierDescent(run, self._condensed, linear_solver=kind, find_start=find_start, policy=policy)
 
         def follow() -> Attempt:
             settle = None if scene.of(Pressure) else descent().settle  # where a part of the body may have snapped
-            return Continuation(run, problem, settle, saddle=self._saddle).attempt()
+            return Continuation(run, problem, settle, saddle=self._saddle, policy=policy).attempt()
 
         if scene.of(Pressure):
             strategies = [follow]
@@ -214,9 +221,9 @@ class PreparedFenicsx:
 
     def _start_from_linear(self, run: Run) -> Run:
         """The run from where linear tets of compressible tissue end, if they find a sound answer."""
-        near = PreparedFenicsx(soften(run.scene), "P1", "cg", alone=self.comm is ALONE).solve(
-            tolerance=LOAD_STEP_TOLERANCE
-        )
+        policy, softer = self._policy, soften(run.scene, self._policy.start_bulk)
+        linear_tets = PreparedFenicsx(softer, "P1", "cg", policy, alone=self.comm is ALONE)
+        near = linear_tets.solve(tolerance=policy.minimise.load_step_tolerance)
         run.record.add(near.iterations, **near.detail)
         sound = near.converged and not anywhere(self.comm, near.volume_ratio <= 0.0)
         return run.restart(near.positions if sound else run.scene.vertices)
@@ -228,7 +235,7 @@ class PreparedFenicsx:
     def carry_out(self, motion: Motion) -> Trajectory:
         """March by a motion of the prepared scene."""
         check_motion(motion, self._element)
-        return March(motion, self._problem).run()
+        return March(motion, self._problem, self._policy).run()
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""
@@ -244,13 +251,13 @@ class PreparedFenicsx:
         return Sampling(self._end.numbering, degree).fields(self._end.u, at_cells)
 
 
-def soften(scene: Scene) -> Scene:
-    """Give every law's place to a neo-Hookean one of the same shear modulus and a low bulk modulus."""
+def soften(scene: Scene, bulk: float = POLICY.start_bulk) -> Scene:
+    """Give every law's place to a neo-Hookean one of the same shear modulus and lmbda = `bulk` mu."""
     terms: list[Term] = []
     for term in scene.terms:
         if isinstance(term, Hyperelastic):
             mu = term.material.shear_modulus
-            term = replace(term, material=NeoHookean(mu, BULK * mu))
+            term = replace(term, material=NeoHookean(mu, bulk * mu))
         terms.append(term)
     return replace(scene, terms=tuple(terms))
 
@@ -264,7 +271,7 @@ def check_motion(motion: Motion, element: str):
         raise SceneError("march: ranks have this scene in parts; solver 'fenicsx' marches whole ones")
 
 
-def carry_out(motion: Motion, *, element: str = "P1") -> Trajectory:
+def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = POLICY) -> Trajectory:
     """Prepare a motion's scene and march; see `softdeca.reference.march`."""
     check_motion(motion, element)
-    return prepare(motion.scene, element=element).carry_out(motion)
+    return prepare(motion.scene, element=element, policy=policy).carry_out(motion)

@@ -18,15 +18,7 @@ from ...lhm.base.mesh import Floats
 from ..solution import Reason, Recorder
 from .coordinates import Place
 from .memory import Memory
-
-ARMIJO = 1e-4
-MAX_HALVINGS = 6
-MOST_HALVINGS = 40
-PATIENCE = 200
-MIXED = 10
-ROUNDING = 1e-13
-UNTANGLED = 1e-5
-MAX_UNTANGLING = 150
+from .policy import POLICY, DescentPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +55,7 @@ class Problem:
     untangling: Problem | None = None
     bounded: bool = True
     memory: Memory | None = None
+    policy: DescentPolicy = DescentPolicy()
 
     def after(self, point: Point, step: Floats) -> Point:
         """The point after a step [mm] over the unknowns."""
@@ -80,8 +73,15 @@ class Observer(Protocol):
 class Watch:
     """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation."""
 
-    def __init__(self, recorder: Recorder, rest: Floats, threshold: float, max_iterations: int):
-        self._recorder, self._rest = recorder, rest
+    def __init__(
+        self,
+        recorder: Recorder,
+        rest: Floats,
+        threshold: float,
+        max_iterations: int,
+        policy: DescentPolicy = POLICY.descent,
+    ):
+        self._recorder, self._rest, self._policy = recorder, rest, policy
         self._threshold, self._max_iterations = threshold, max_iterations
         self.iteration = -1
         self.forget()
@@ -102,14 +102,14 @@ class Watch:
             return Reason.NOT_FINITE
         if norm <= self._threshold:
             return Reason.CONVERGED
-        rounding = ROUNDING * abs(point.energy)
+        rounding = self._policy.rounding * abs(point.energy)
         if (
             self.best is None
             or point.energy < self.best.energy - rounding
             or (point.energy <= self.best.energy + rounding and norm < self.best.norm)
         ):
             self.best, self._best_at = point, self.iteration
-        if self.iteration - self._best_at >= PATIENCE:
+        if self.iteration - self._best_at >= self._policy.patience:
             return Reason.STAGNATED
         return Reason.MAX_ITERATIONS if self.iteration >= self._max_iterations else None
 
@@ -127,7 +127,8 @@ class Untangling:
         """Take note of a point of the other energy; the last one is left for the descent that follows to see."""
         self._first = point.norm if self._first is None else self._first
         self._seen += 1
-        if point.norm <= UNTANGLED * self._first or self._seen > MAX_UNTANGLING:
+        policy = self._problem.policy
+        if point.norm <= policy.untangled * self._first or self._seen > policy.max_untangling:
             return Reason.CONVERGED
         self.stopped = self._watch.see(self._problem.at(point.place))
         return self.stopped
@@ -157,8 +158,8 @@ def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, 
     """
     step = -uphill
     ahead = problem.after(point, step)
-    for _ in range(MOST_HALVINGS):
-        if ahead.energy <= point.energy + ROUNDING * abs(point.energy):
+    for _ in range(problem.policy.safe_halvings):
+        if ahead.energy <= point.energy + problem.policy.rounding * abs(point.energy):
             break
         step = 0.5 * step
         ahead = problem.after(point, step)
@@ -185,6 +186,7 @@ def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Re
 
     Where the mixed step would raise the energy, the plain one is taken, and the history emptied.
     """
+    mixed_steps = problem.policy.mixed
     steps: list[Floats] = []
     residuals: list[Floats] = []
     last: Floats | None = None
@@ -198,7 +200,7 @@ def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Re
             steps, residuals = [], []
             mixed, ahead = _safe_step(problem, point, -residual)
         steps.append(mixed)
-        steps, residuals = steps[-MIXED:], residuals[1 - MIXED :]
+        steps, residuals = steps[-mixed_steps:], residuals[1 - mixed_steps :]
         last, point = residual, ahead
     return point, reason
 
@@ -238,7 +240,7 @@ def lbfgs_step(problem: Problem, point: Point, memory: Memory) -> Point:
 
 
 def search_line(
-    problem: Problem, point: Point, direction: Floats, halvings: int = MAX_HALVINGS
+    problem: Problem, point: Point, direction: Floats, halvings: int | None = None
 ) -> tuple[Floats, Point] | None:
     """Return a step along a direction, halved until Armijo's condition holds, and its end; None if not soon.
 
@@ -247,14 +249,14 @@ def search_line(
     slope = float(np.dot(point.gradient, direction))
     if not slope < 0.0:
         return None
-    size = 1.0
-    for _ in range(halvings):
+    size, policy = 1.0, problem.policy
+    for _ in range(policy.halvings if halvings is None else halvings):
         step = direction if size == 1.0 else size * direction
         ahead = problem.after(point, step)
-        if ahead.energy <= point.energy + ARMIJO * size * slope:
+        if ahead.energy <= point.energy + policy.armijo * size * slope:
             return step, ahead
-        level = ahead.energy <= point.energy + ROUNDING * abs(point.energy)
-        if level and float(np.dot(ahead.gradient, direction)) <= (2.0 * ARMIJO - 1.0) * slope:
+        level = ahead.energy <= point.energy + policy.rounding * abs(point.energy)
+        if level and float(np.dot(ahead.gradient, direction)) <= (2.0 * policy.armijo - 1.0) * slope:
             return step, ahead
         size *= 0.5
     return None

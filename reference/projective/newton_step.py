@@ -12,13 +12,7 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
 from .descent import Point, Problem
-
-MOST_PRODUCTS = 8
-"""Products with the Hessian for one step: by then a step that is not near its end seldom comes there."""
-NEAR = 0.25
-"""A step is near its end once the last part of it moves vertices by less than this share of the whole."""
-DIFFERENCE = 1e-4
-"""[mm] at most by which vertices are moved for a product with the Hessian."""
+from .policy import POLICY, NewtonStepPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +27,9 @@ class NewtonStep:
     products: int
 
 
-def newton_step(problem: Problem, point: Point, vertices: Ints | slice) -> NewtonStep:
+def newton_step(
+    problem: Problem, point: Point, vertices: Ints | slice, policy: NewtonStepPolicy = POLICY.newton_step
+) -> NewtonStep:
     """Solve for Newton's step by conjugate gradients (Nocedal and Wright 2006, Algorithm 7.1).
 
     `problem.precondition` solves with the Hessian near by, whose own step for the residual that is left is added.
@@ -48,24 +44,24 @@ def newton_step(problem: Problem, point: Point, vertices: Ints | slice) -> Newto
     rest = problem.precondition(residual, point)
     step, direction = np.zeros_like(rest), rest
     descent = float(np.dot(residual, rest))
-    for products in range(1, MOST_PRODUCTS + 1):
-        product = _multiply_hessian(problem, point, direction)
+    for products in range(1, policy.most_products + 1):
+        product = _multiply_hessian(problem, point, direction, policy.difference)
         curvature = float(np.dot(direction, product))
         if not curvature > 0.0:
             return NewtonStep(step + rest, descent == 0.0, products)
         step = step + (descent / curvature) * direction
         residual = residual - (descent / curvature) * product
         rest = problem.precondition(residual, point)
-        if motion(rest) <= NEAR * motion(step + rest):
+        if motion(rest) <= policy.near * motion(step + rest):
             return NewtonStep(step + rest, True, products)
         before, descent = descent, float(np.dot(residual, rest))
         direction = rest + (descent / before) * direction
-    return NewtonStep(step + rest, False, MOST_PRODUCTS)
+    return NewtonStep(step + rest, False, policy.most_products)
 
 
-def _multiply_hessian(problem: Problem, point: Point, direction: Floats) -> Floats:
-    """Multiply a direction by the Hessian, by the difference of two gradients."""
-    size = DIFFERENCE / max(float(np.abs(direction).max()), float(np.finfo(np.float64).tiny))
+def _multiply_hessian(problem: Problem, point: Point, direction: Floats, difference: float) -> Floats:
+    """Multiply a direction by the Hessian, by two gradients at most `difference` [mm] apart."""
+    size = difference / max(float(np.abs(direction).max()), float(np.finfo(np.float64).tiny))
     ahead = problem.after(point, size * direction)
     product: Floats = (ahead.gradient - point.gradient) / size
     return product

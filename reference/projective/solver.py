@@ -23,6 +23,7 @@ from .descent import Descent, Point, Problem, Watch, after_untangling, anderson,
 from .energy import PARTS, Energy, recover
 from .memory import Memory
 from .newton_step import newton_step
+from .policy import POLICY, ProjectivePolicy
 from .system import System
 from .tangent import Pattern, Tangent
 from .tets import TetBlocks
@@ -40,10 +41,6 @@ TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
 """Those with an energy, those that restrict `Coordinates`, and contact, which is solved for afterwards."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
-# The share of Volume's weight in the matrix (see `Energy.matrix`). For L-BFGS 0.15 to 0.5 do about as well: on three
-# expressions of a head 54, 29 and 39 iterations to 0.01 mm instead of 77, 49 and 60 with a share of 1.
-VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "anderson": 1.0, "plain": 1.0}
-MAX_ITERATIONS = 5000
 MOST_THREADS = 256
 
 
@@ -92,6 +89,7 @@ class ProjectivePrepared:
     system: System
     contact: ContactSolver | None
     spent: Seconds
+    policy: ProjectivePolicy = POLICY
 
     @check_arguments
     def solve(
@@ -123,7 +121,7 @@ class ProjectivePrepared:
         Raises SceneError if `scene` needs a new preparation, if start, tolerance or `absolute` are out of range, if the
         metric is of other unknowns, or if loads push a part that nothing holds.
         """
-        recorder = Recorder(on_iteration)
+        recorder, policy = Recorder(on_iteration), self.policy
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         limits = Limits(tolerance, absolute, max_iterations)
@@ -144,13 +142,16 @@ class ProjectivePrepared:
             fits = isinstance(left, Memory) and left.size == coordinates.size
             memory = cast(Memory, left).copy() if fits else Memory(coordinates.size)
         bounded = energy.is_bounded and metric is None
-        problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory)
+        problem = Problem(
+            work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory, policy=policy.descent
+        )
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
-            relaxed = work.on(energy.untangling(VOLUME_SHARE[self.method]))
-            problem = replace(problem, untangling=Problem(relaxed, coordinates.move, work.precondition))
+            relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
+            untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
+            problem = replace(problem, untangling=untangling)
         first = problem.at(place)
-        most = MAX_ITERATIONS if limits.iterations is None else int(limits.iterations)
-        watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most)
+        most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
+        watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
@@ -208,7 +209,7 @@ class ProjectivePrepared:
         work = _Work(self.system)
         problem = Problem(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
         point = problem.at(coordinates.start(positions - scene.vertices))
-        ahead = newton_step(problem, point, vertices)
+        ahead = newton_step(problem, point, vertices, self.policy.newton_step)
         return coordinates.move(point.place, ahead.step).u - point.u, ahead.is_near
 
 
@@ -219,21 +220,24 @@ def prepare(
     linear_solver: LinearSolver | None = None,
     like: ProjectivePrepared | None = None,
     threads: int = 1,
+    policy: ProjectivePolicy = POLICY,
 ) -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
     default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see
     `lhm.base.geometry.cholesky`. With "cholmod", a scene prepared `like` another of the same topology, such as another
-    identity, takes over its symbolic factorisation. `threads` share the local step. Raises SceneError for a term that
-    is none of TERMS, another method or count, InputError for another linear solver and MissingDependencyError for one
-    that is not installed.
+    identity, takes over its symbolic factorisation. `threads` share the local step; `policy` has the constants. Raises
+    SceneError for a term that is none of TERMS, another method or count, InputError for another linear solver and
+    MissingDependencyError for one that is not installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
         raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
+    if not isinstance(policy, ProjectivePolicy):
+        raise SceneError(f"projective: policy: expected a ProjectivePolicy, got {quote(policy)}")
     if linear_solver is not None:
         one_of("linear solver", linear_solver, get_args(LinearSolver))  # also where nothing is left to factor
     if like is not None and not (isinstance(like, ProjectivePrepared) and linear_solver == "cholmod"):
@@ -243,7 +247,7 @@ def prepare(
         )
     clock = Clock()
     energy = Energy.from_scene(scene, threads)
-    matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
+    matrix, anchored = energy.matrix(scene, volume_share=policy.volume_share_of(method))
     known = None if like is None else like.system
     system = System.from_matrix(
         matrix,
@@ -256,8 +260,8 @@ def prepare(
     if scene.of(Contact):
         from .contact import ContactSolver  # costs an import of its own, which few scenes need
 
-        contact = ContactSolver.from_scene(scene, system)
-    return ProjectivePrepared(scene, method, energy, system, contact, clock.read())
+        contact = ContactSolver.from_scene(scene, system, policy.contact)
+    return ProjectivePrepared(scene, method, energy, system, contact, clock.read(), policy)
 
 
 def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:

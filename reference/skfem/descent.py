@@ -20,16 +20,8 @@ from ..solution import Limits, Reason, Recorder
 from .discretisation import Discretisation
 from .energy import Energy
 from .newton import OnStep, Scales, minimise, solve_semidefinite
+from .policy import POLICY, SkfemPolicy
 from .unknowns import Unknowns
-
-UNTANGLED = 1e-5  # of the first gradient norm
-MAX_UNTANGLING = 100
-MET = 1e-3  # of the first gradient norm, on a wide barrier
-VOLUME_SHARE = 0.3  # of a volume's stiffness that shape takes over
-SMALLEST_PART = 1 / 64
-# Between two parts of a motion the free vertices need to follow only roughly.
-RELAXED = 1e-2
-RELAXING_ITERATIONS = 20
 
 
 @dataclass(eq=False)
@@ -42,6 +34,7 @@ class Descent:
     unknowns: Unknowns
     scales: Scales
     recorder: Recorder
+    policy: SkfemPolicy = POLICY
     _told: Floats | None = field(default=None, init=False)
     _stop: bool = field(default=False, init=False)
 
@@ -53,22 +46,22 @@ class Descent:
         if not np.isfinite(self.energy.value(x)):
             self._tell(x, np.inf, np.inf)
             return x, Reason.NOT_FINITE, 0
-        iterations = 0
+        iterations, policy = 0, self.policy.descent
         if is_tangled(self.scene, self.at, x):
             forces = max(forces, self._norm(x))
-            eased = replace(self.scene, terms=tuple(term.eased(VOLUME_SHARE) for term in self.scene.terms))
+            eased = replace(self.scene, terms=tuple(term.eased(policy.volume_share) for term in self.scene.terms))
             x, reason, iterations = self._minimise(
                 Energy(eased, self.at),
                 x,
-                lambda first: UNTANGLED * first,
-                min(limit, MAX_UNTANGLING),
+                lambda first: policy.untangled * first,
+                min(limit, policy.max_untangling),
                 self._tell_of_another,
             )
             if reason is Reason.INTERRUPTED:
                 return x, reason, iterations
         if (wide := self.energy.widen()) is not None:
             forces = max(forces, self._norm(x))
-            met = max(MET * forces, limits.threshold(self.scene, forces))
+            met = max(policy.met * forces, limits.threshold(self.scene, forces))
             x, reason, more = self._minimise(wide, x, lambda first: met, limit - iterations, self._tell_of_another)
             iterations += more
             if reason is Reason.INTERRUPTED:
@@ -91,6 +84,7 @@ class Descent:
             threshold=threshold,
             max_iterations=limit,
             on_step=on_step,
+            policy=self.policy.newton,
         )
 
     def _norm(self, x: Floats) -> float:
@@ -113,7 +107,9 @@ def is_tangled(scene: Scene, at: Discretisation, x: Floats) -> bool:
     return minds and bool((np.linalg.det(at.tets.deformation_gradients(x)) <= 0).any())
 
 
-def carry(energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: Scales) -> tuple[Floats, float] | None:
+def carry(
+    energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: Scales, policy: SkfemPolicy = POLICY
+) -> tuple[Floats, float] | None:
     """Move the degrees of freedom that are not `free`, a mask, from x, of finite energy, to `goal` [mm], shape (size,).
 
     The free ones follow as the body linearised at x would. Where the energy is not finite after the whole motion, the
@@ -130,12 +126,12 @@ def carry(energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: 
         matrix = energy.projected_hessian(x)[free]
         load = matrix[:, held] @ jump
         forces = max(forces, float(np.linalg.norm(load)))
-        following = solve_semidefinite(matrix[:, free], -load, scale=scales.stiffness)
+        following = solve_semidefinite(matrix[:, free], -load, scale=scales.stiffness, shifts=policy.newton.shifts)
         if following is None:
             return None
         whole = goal.copy()
         whole[free] = x[free] + following
-        part = _largest_finite_part(energy, x, whole)
+        part = _largest_finite_part(energy, x, whole, policy.descent.smallest_part)
         if part == 1.0:
             return whole, forces
         if part == 0.0:
@@ -145,16 +141,17 @@ def carry(energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: 
             x + part * (whole - x),
             Unknowns(free, len(x), []),
             scales=scales,
-            threshold=lambda first: RELAXED * first,
-            max_iterations=RELAXING_ITERATIONS,
+            threshold=lambda first: policy.descent.relaxed * first,
+            max_iterations=policy.descent.relaxing_iterations,
             on_step=lambda x, value, norm: False,
+            policy=policy.newton,
         )
 
 
-def _largest_finite_part(energy: Energy, x: Floats, whole: Floats) -> float:
-    """1, 1/2, 1/4, ...: the largest part of the motion from x that leaves the energy finite; 0 if it is too small."""
+def _largest_finite_part(energy: Energy, x: Floats, whole: Floats, smallest: float) -> float:
+    """1, 1/2, 1/4, ...: the largest part of the motion from x that leaves the energy finite; 0 below `smallest`."""
     part = 1.0
-    while part >= SMALLEST_PART:
+    while part >= smallest:
         if np.isfinite(energy.value(x + part * (whole - x) if part < 1 else whole)):
             return part
         part /= 2

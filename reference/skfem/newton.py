@@ -13,15 +13,8 @@ from ...lhm.base.geometry import cholesky
 from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .energy import Energy
+from .policy import POLICY, NewtonPolicy
 from .unknowns import Unknowns
-
-ARMIJO = 1e-4
-HALVINGS = 40
-# The exact Hessian takes over once the gradient norm is below this part of its start: projecting always is linear only.
-NEAR = 0.1
-
-SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
-"""Shares of a scale that are added to the diagonal of a semidefinite matrix, until it is definite."""
 
 OnStep = Callable[[Floats, float, float], bool]
 """Called with positions, energy and gradient norm, the start first; returning True stops the iteration."""
@@ -54,6 +47,7 @@ def minimise(
     threshold: Callable[[float], float],
     max_iterations: int,
     on_step: OnStep,
+    policy: NewtonPolicy = POLICY.newton,
 ) -> tuple[Floats, Reason, int]:
     """Minimise over the unknowns from x, where the energy must be finite and bodies have their shapes.
 
@@ -73,30 +67,34 @@ def minimise(
             return state.x, Reason.INTERRUPTED, iteration
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
-        near = norm < NEAR * first
-        after: State | Reason | None = _eager_step(energy, state, unknowns, scales) if eager and not near else None
+        near = norm < policy.near * first
+        after: State | Reason | None = None
+        if eager and not near:
+            after = _eager_step(energy, state, unknowns, scales, policy)
         eager = after is not None
         if after is None:
-            after = _step(energy, state, unknowns, scales, near=near)
+            after = _step(energy, state, unknowns, scales, policy, near=near)
         if isinstance(after, Reason):
             return state.x, Reason.STAGNATED if near and after is Reason.LINE_SEARCH else after, iteration
         state = after
         iteration += 1
 
 
-def _eager_step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales) -> State | None:
+def _eager_step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy) -> State | None:
     """A step by the exact Hessian where it halves the gradient and lowers the energy, as it does from a near start.
 
     From the start on, and for as long as it does: projected Hessians get there by a constant factor a step.
     """
-    after = _step(energy, state, unknowns, scales, near=True)
+    after = _step(energy, state, unknowns, scales, policy, near=True)
     if isinstance(after, Reason) or not after.value < state.value:
         return None
     halved = np.linalg.norm(after.gradient) <= 0.5 * np.linalg.norm(state.gradient)
     return after if halved else None
 
 
-def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, near: bool) -> State | Reason:
+def _step(
+    energy: Energy, state: State, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy, *, near: bool
+) -> State | Reason:
     """A step along the Newton direction; far away, halved until the energy falls enough (Armijo).
 
     Near the answer energy differences drown in rounding: there a full step that halves the gradient is taken as it is.
@@ -107,7 +105,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
         step = solve_definite(matrix, -state.gradient)
     if step is None:
         matrix = unknowns.projected_hessian(state.x, state.forces, energy.projected_hessian(state.x))
-        step = solve_semidefinite(matrix, -state.gradient, scale=scales.stiffness)
+        step = solve_semidefinite(matrix, -state.gradient, scale=scales.stiffness, shifts=policy.shifts)
     if step is None:
         return Reason.LINEAR_SOLVER
     if near:
@@ -118,10 +116,10 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
             return full
     slope = float(state.gradient @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
-    for _ in range(HALVINGS):
+    for _ in range(policy.halvings):
         x = unknowns.move(state.x, length * step)
         value = energy.value(x)
-        if value < state.value and value <= state.value + ARMIJO * length * slope:
+        if value < state.value and value <= state.value + policy.armijo * length * slope:
             return _state(energy, unknowns, x, value)
         length /= 2
     return Reason.LINE_SEARCH
@@ -165,9 +163,14 @@ def _superlu(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
     return factors.solve
 
 
-def solve_semidefinite(matrix: csc_matrix, right: Floats, *, scale: float) -> Floats | None:
-    """For a semidefinite matrix: as little of `scale` is added to the diagonal as makes it definite; None as above."""
-    for shift in SHIFTS:
+def solve_semidefinite(
+    matrix: csc_matrix, right: Floats, *, scale: float, shifts: tuple[float, ...] = POLICY.newton.shifts
+) -> Floats | None:
+    """For a semidefinite matrix: the first of `shifts` of `scale` that makes it definite is added to the diagonal.
+
+    None as above.
+    """
+    for shift in shifts:
         solution = solve_definite(matrix + shift * scale * identity(matrix.shape[0], format="csc"), right)
         if solution is not None:
             return solution

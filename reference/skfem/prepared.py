@@ -20,10 +20,9 @@ from .descent import Descent, carry
 from .discretisation import DEGREES, Discretisation
 from .energy import TERMS, Energy
 from .newton import Scales
+from .policy import POLICY, SkfemPolicy
 from .solids import LAWS, Tets
 from .unknowns import Body, Unknowns
-
-MAX_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +32,7 @@ class Prepared:
     scene: Scene
     discretisation: Discretisation
     spent: Seconds
+    policy: SkfemPolicy = POLICY
 
     @check_arguments
     def solve(
@@ -60,7 +60,7 @@ class Prepared:
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene)
         limits = Limits(tolerance, absolute, max_iterations)
-        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
+        limit = self.policy.max_iterations if max_iterations is None else max_iterations
         at = self.discretisation
         energy, size = Energy(scene, at), float(np.ptp(scene.vertices, axis=0).max())
         scales = Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
@@ -76,10 +76,12 @@ class Prepared:
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
-        carried = carry(energy, x, goal, free=free, scales=scales) if np.isfinite(energy.value(x)) else None
+        carried = None
+        if np.isfinite(energy.value(x)):
+            carried = carry(energy, x, goal, free=free, scales=scales, policy=self.policy)
         x, forces = (goal, 0.0) if carried is None else carried
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
-        descent = Descent(scene, at, energy, unknowns, scales, recorder)
+        descent = Descent(scene, at, energy, unknowns, scales, recorder, self.policy)
         x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
         history = recorder.history()
         answer = x[at.vertex_dofs]
@@ -97,12 +99,12 @@ class Prepared:
 
 
 @check_arguments
-def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
+def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 
     Quadratic tets have nodes on their edges too. Their start is the mean of the ends'; a node is held, or part of a
     body, where all of a boundary face is; loads and membranes are those of quadratic faces. Targets, bending and
-    inertia act on vertices alone.
+    inertia act on vertices alone. `policy` has the constants.
 
     Raises SceneError for a term or an element that this solver does not model.
     """
@@ -114,7 +116,7 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     if scene.of(Contact):
         load_ipctk()
     clock = Clock()
-    return Prepared(scene, Discretisation(scene, element), clock.read())
+    return Prepared(scene, Discretisation(scene, element), clock.read(), policy)
 
 
 def recover(scene: Scene, element: str, x: Floats) -> Stresses:

@@ -34,16 +34,24 @@ from .layers import Arrays, concatenate, einsum, perceptron
 from .ridge import find_components
 from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
 
-WIDTH, TABLES = 128, 8
-"""Hidden width, and tables of first order that a summary of p and h mixes."""
-DRAWN = 0.02
-"""[mm] By which all springs are drawn out in the least energy that a loss of 1 means."""
-WHITENED, SOFTEST = 4, 1e-5
-"""Faces by whose mean stiffness the displacements are made equally stiff, and the least stiffness over the largest."""
-STEP = 1e-3
-"""[mm] Of the differences."""
-TRIED = 4
-"""Expressions by which a face's energies are made alike."""
+
+@dataclass(frozen=True)
+class EnergyPolicy:
+    """Constants of the network and of its displacements."""
+
+    width: int = 128  # of hidden layers
+    tables: int = 8  # of first order, that a summary of p and h mixes
+    drawn: float = 0.02  # [mm] by which all springs are drawn out in the least energy that a loss of 1 means
+    whitened: int = 4  # faces by whose mean stiffness the displacements are made equally stiff
+    softest: float = 1e-5  # stiffness over the largest
+    step: float = 1e-3  # [mm] of the differences
+    tried: int = 4  # expressions by which a face's energies are made alike
+    quiet: float = 0.02  # of the usual weights, in layers that begin near zero
+    mixed: float = 0.1  # size of the tables in the beginning, over the mean size of amplitudes
+
+
+POLICY = EnergyPolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True)
@@ -81,18 +89,19 @@ class _Scene:
 
 
 class EnergyTrained:
-    """A method whose network has seen no simulated frame; it needs heads at bind."""
+    """A method whose network has seen no simulated frame; a bind needs a head."""
 
     needs: Needs = "simulator"
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 
-    def __init__(self, config: EnergyTraining | None = None):
+    def __init__(self, config: EnergyTraining | None = None, policy: EnergyPolicy = POLICY):
+        self._policy = policy
         self._config = EnergyTraining() if config is None else config
 
     def fit(self, faces: Faces) -> None:
         """Train on random expressions of some training faces; InputError where fewer than two settle."""
-        config, rng = self._config, np.random.default_rng(self._config.seed)
+        config, policy, rng = self._config, self._policy, np.random.default_rng(self._config.seed)
         self._inputs = Inputs.from_faces(faces)
         settled = list(self._settle(faces, rng))
         if len(settled) < 2:
@@ -101,15 +110,15 @@ class EnergyTrained:
         summaries = np.stack([scene.summary for scene in self._scenes])
         self._mean, self._scale = summaries.mean(axis=0), np.maximum(summaries.std(axis=0), 0.1)
         torch.manual_seed(config.seed)
-        layers = perceptron_layers("bent", WEIGHTS + len(self._mean), WIDTH, WIDTH, config.modes)
-        layers |= perceptron_layers("gain", len(self._mean), WIDTH, config.modes)
-        layers |= perceptron_layers("offset", len(self._mean), WIDTH, config.modes)
-        layers |= perceptron_layers("mix", len(self._mean), WIDTH, TABLES)
+        layers = perceptron_layers("bent", WEIGHTS + len(self._mean), policy.width, policy.width, config.modes)
+        layers |= perceptron_layers("gain", len(self._mean), policy.width, config.modes)
+        layers |= perceptron_layers("offset", len(self._mean), policy.width, config.modes)
+        layers |= perceptron_layers("mix", len(self._mean), policy.width, policy.tables)
         self.network = draw_layers(layers)
         for name in ("bent.4", "gain.2", "offset.2"):
             for part in ("weight", "bias"):
-                self.network[f"{name}.{part}"] *= 0.02
-        self.network["tables"] = 0.1 * torch.randn(TABLES, WEIGHTS, config.modes)
+                self.network[f"{name}.{part}"] *= policy.quiet
+        self.network["tables"] = policy.mixed * torch.randn(policy.tables, WEIGHTS, config.modes)
         self.network["linear"] = torch.from_numpy(self._first / self._size)
         self.network["still"] = torch.from_numpy(self._still / self._size)
         for value in self.network.values():
@@ -132,7 +141,7 @@ class EnergyTrained:
 
     def _prepare(self, settled: list[tuple[KeptFace, SettledFace]], rng: np.random.Generator) -> list[_Scene]:
         """Make B, U and the first guess of its amplitudes from some faces' first order; and every face's energy."""
-        config, wrap = self._config, len(settled[0][1].head.bone)
+        config, policy, wrap = self._config, self._policy, len(settled[0][1].head.bone)
         known = settled[: config.differentiated]
         moves, offsets, like = [], [], None
         for face, neutral in known:
@@ -140,14 +149,14 @@ class EnergyTrained:
             offsets.append((like.answer.positions - neutral.positions).astype(np.float32))
             moves.append(like.vertices_by_shapes(np.asarray(face.shapes, dtype=np.float64)).astype(np.float32))
         below = np.mean([move[:, wrap:] for move in moves], axis=0)
-        tried = np.array([sample_weights(rng) for _ in range(TRIED)], dtype=np.float32)
-        scenes = [_scene(self._inputs, face, neutral, below, tried) for face, neutral in settled]
+        tried = np.array([sample_weights(rng) for _ in range(policy.tried)], dtype=np.float32)
+        scenes = [_scene(self._inputs, face, neutral, below, tried, policy.drawn) for face, neutral in settled]
         rest = [move - scene.base for move, scene in zip(moves, scenes, strict=False)]
         stacked = np.concatenate([*rest, np.stack(offsets)]).reshape(-1, rest[0][0].size)
         components, _ = find_components(stacked, config.modes, rng)
-        stiffness = np.mean([_stiffness(scene, components) for scene in scenes[:WHITENED]], axis=0)
+        stiffness = np.mean([_stiffness(scene, components, policy.step) for scene in scenes[: policy.whitened]], axis=0)
         values, turn = np.linalg.eigh(stiffness)
-        roots = np.sqrt(np.maximum(values, SOFTEST * values[-1]))[:, None]
+        roots = np.sqrt(np.maximum(values, policy.softest * values[-1]))[:, None]
         self._modes = (turn.T @ components / roots).astype(np.float32)
         amplitudes = (stacked @ components.T @ turn * roots.T).astype(np.float32)
         self._size = np.float32(np.sqrt(np.mean(np.square(amplitudes))))
@@ -201,7 +210,9 @@ def amplitudes_of(network: Arrays, weights, summary):
     return first + still + perceptron(network, "bent", concatenate([weights, summary]))
 
 
-def _scene(inputs: Inputs, face: KeptFace, settled: SettledFace, below: Floats32, tried: Floats32) -> _Scene:
+def _scene(
+    inputs: Inputs, face: KeptFace, settled: SettledFace, below: Floats32, tried: Floats32, drawn_mm: float
+) -> _Scene:
     head, shapes = settled.head, np.asarray(face.shapes, dtype=np.float64)
     scene = settled.scene(head.skin.vertices)
     springs = Springs.from_head(head, settled.parameters)
@@ -215,19 +226,19 @@ def _scene(inputs: Inputs, face: KeptFace, settled: SettledFace, below: Floats32
         base=np.concatenate([above, below], axis=1).astype(np.float32),
         ends=springs.move(on_wrap).astype(np.float32),
         start=settled.positions - scene.vertices,
-        unit=0.5 * float(np.sum(springs.stiffness)) * DRAWN**2,
+        unit=0.5 * float(np.sum(springs.stiffness)) * drawn_mm**2,
     )
     still = energy.evaluate(made.start)[0]
     above_rest = [made.of(w).evaluate(made.start + np.tensordot(w, made.base, axes=1))[0] - still for w in tried]
     return replace(made, unit=made.unit + float(np.mean(np.abs(above_rest))))
 
 
-def _stiffness(scene: _Scene, modes: Floats32) -> Floats:
-    """Return the second derivatives of a neutral face's energy along modes, by differences, in its unit."""
+def _stiffness(scene: _Scene, modes: Floats32, difference: float) -> Floats:
+    """Return the second derivatives of a neutral face's energy along modes, by differences [mm], in its unit."""
     rest = scene.energy.evaluate(scene.start)[1].reshape(-1)
     rows = []
     for mode in modes.astype(np.float64):
-        step = STEP / np.abs(mode).max()
+        step = difference / np.abs(mode).max()
         ahead = scene.energy.evaluate(scene.start + step * mode.reshape(scene.start.shape))[1].reshape(-1)
         rows.append(modes @ (ahead - rest) / (step * scene.unit))
     matrix = np.array(rows)

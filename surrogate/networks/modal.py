@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ...lhm.base.checks import shape
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rig import WEIGHTS, FaceModes, Remainder
@@ -30,7 +31,6 @@ from .layers import (
     EVERY,
     Arrays,
     check_numbers,
-    check_sizes,
     count_rows,
     einsum,
     exp,
@@ -44,62 +44,12 @@ from .response_tables import MIXED, mix, responses
 PARTS = ("settled", "relaxed", "remainder")
 """The neutral face that p has settled; what it relaxes to among its targets; and what is not linear in w."""
 NEUTRAL = PARTS[:2]
-TABLES: dict[str, tuple[str, ...]] = {
-    "effects": ("parts", "each", "n", "xyz"),
-    "modes.0": ("settled", "n", "xyz"),
-    "modes.1": ("relaxed", "n", "xyz"),
-    "modes.2": ("remainder", "n", "xyz"),
-    "size_settled": ("settled",),
-    "size_relaxed": ("relaxed",),
-    "size_remainder": ("remainder",),
-    "position": ("n", "position"),
-    "response_position": ("n", "response_position"),
-    "response_table": ("tables", "weights", "n", "xyz"),
-    "response_scale": ("weights", "n"),
-}
-"""Shapes of arrays that are no layers: equal names are equal sizes."""
-LAYERS: dict[str, tuple[str, str]] = {
-    "gain_in": ("wide", "local+position"),
-    "gain_code": ("wide", "code"),
-    "gain_middle": ("wide", "wide"),
-    "gain_out": ("modes", "wide"),
-    "effect_gain": ("effects", "wide"),
-    "effect_level.0": ("level", "summary"),
-    "effect_level.2": ("effects", "level"),
-    "settled_linear": ("settled", "summary"),
-    "settled.0": ("settled_a", "summary"),
-    "settled.2": ("settled_b", "settled_a"),
-    "settled.4": ("settled", "settled_b"),
-    "relaxed_linear": ("relaxed", "summary"),
-    "relaxed.0": ("relaxed_a", "summary"),
-    "relaxed.2": ("relaxed_b", "relaxed_a"),
-    "relaxed.4": ("relaxed", "relaxed_b"),
-    "response_in": ("response_wide", "local+response_position"),
-    "response_code": ("response_wide", "code"),
-    "response_middle": ("response_wide", "response_wide"),
-    "response_share": ("shares", "response_wide"),
-    "response_gain": ("one", "response_wide"),
-    "lag": ("one", "response_wide"),
-    "remainder_summary.0": ("remainder_a", "summary"),
-    "remainder_gain": ("remainder", "remainder_a"),
-    "remainder_modulation": ("twice", "remainder_a"),
-    "remainder_in": ("expression", "weights"),
-    "remainder_middle": ("middle", "expression"),
-    "remainder_out": ("remainder", "middle"),
-    "remainder_linear": ("remainder", "weights"),
-}
-"""Outputs and inputs of each layer."""
 WITHOUT_BIAS = ("gain_code", "response_code", "settled_linear", "relaxed_linear", "remainder_out", "remainder_linear")
 QUIET = (
     "gain_out", "lag", "settled.4", "relaxed.4", "response_gain", "effect_gain", "effect_level.2",
     "remainder_gain", "remainder_modulation",
 )  # fmt: skip
 """Layers that begin near zero."""
-ARRAYS = {
-    **TABLES,
-    **{f"{name}.weight": sizes for name, sizes in LAYERS.items()},
-    **{f"{name}.bias": sizes[:1] for name, sizes in LAYERS.items() if name not in WITHOUT_BIAS},
-}
 
 
 @dataclass(frozen=True)
@@ -126,46 +76,77 @@ class ModalConfig:
         """How many of each of PARTS."""
         return self.settled_modes, self.relaxed_modes, self.remainder_modes
 
-    def sizes(self, features: Features, code_size: int) -> dict[str, int]:
-        """Return the sizes that ARRAYS names."""
-        hidden = self.summary
-        return {
-            **_sizes(
-                features, code_size, self.modes, (self.position, self.position), self.expression, self.response_tables
-            ),
-            "wide": self.local, "level": hidden, "settled_a": 2 * hidden, "settled_b": 2 * hidden,
-            "relaxed_a": hidden, "relaxed_b": hidden, "remainder_a": hidden, "middle": self.expression // 2,
-            "response_wide": self.response,
-        }  # fmt: skip
+    @classmethod
+    def from_arrays(cls, network: Mapping[str, np.ndarray]) -> ModalConfig:
+        """Read the sizes of a network; InputError for arrays that are single numbers."""
+        names = (
+            *(f"size_{part}" for part in PARTS), "response_share.bias",
+            "gain_in.bias", "response_in.bias", "effect_level.0.bias", "remainder_in.bias",
+        )  # fmt: skip
+        *modes, tables, local, response, summary, expression = count_rows(network, *names)
+        position = network["position"].shape[-1] if network["position"].ndim else 0
+        return cls(*modes, tables, position, local, response, summary, expression)
 
 
-def _sizes(
-    features: Features,
-    code_size: int,
-    modes: tuple[int, ...],
-    position: tuple[int, int],
-    expression: int,
-    shares: int,
-) -> dict[str, int]:
-    """Return the sizes that follow from the space, the modes, both positions of a vertex, w's width and the tables."""
+def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
+    """Return outputs and inputs of each layer, in the order in which training draws them."""
+    at_vertex, summary = features.local_size + config.position, code_size + features.summary_size
+    settled, relaxed, remainder = config.modes
+    local, response, hidden, expression = config.local, config.response, config.summary, config.expression
     return {
-        "n": len(features.mean.vertices), "xyz": 3, "one": 1, "parts": 2, "each": EFFECTS, "effects": 2 * EFFECTS,
-        "weights": WEIGHTS, "code": code_size, "summary": code_size + features.summary_size,
-        **dict(zip(PARTS, modes, strict=True)), "modes": sum(modes), "position": position[0],
-        "local+position": features.local_size + position[0], "expression": expression, "twice": 2 * expression,
-        "response_position": position[1], "local+response_position": features.local_size + position[1],
-        "shares": shares, "tables": shares + 1,
-    }  # fmt: skip
+        "gain_in": (local, at_vertex),
+        "gain_code": (local, code_size),
+        "gain_middle": (local, local),
+        "gain_out": (sum(config.modes), local),
+        "effect_gain": (2 * EFFECTS, local),
+        "effect_level.0": (hidden, summary),
+        "effect_level.2": (2 * EFFECTS, hidden),
+        "settled_linear": (settled, summary),
+        "settled.0": (2 * hidden, summary),
+        "settled.2": (2 * hidden, 2 * hidden),
+        "settled.4": (settled, 2 * hidden),
+        "relaxed_linear": (relaxed, summary),
+        "relaxed.0": (hidden, summary),
+        "relaxed.2": (hidden, hidden),
+        "relaxed.4": (relaxed, hidden),
+        "response_in": (response, at_vertex),
+        "response_code": (response, code_size),
+        "response_middle": (response, response),
+        "response_share": (config.response_tables, response),
+        "response_gain": (1, response),
+        "lag": (1, response),
+        "remainder_summary.0": (hidden, summary),
+        "remainder_gain": (remainder, hidden),
+        "remainder_modulation": (2 * expression, hidden),
+        "remainder_in": (expression, WEIGHTS),
+        "remainder_middle": (expression // 2, expression),
+        "remainder_out": (remainder, expression // 2),
+        "remainder_linear": (remainder, WEIGHTS),
+    }
+
+
+def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of a network: of its tables, then of its layers."""
+    n, layers = len(features.mean.vertices), modal_layers(config, features, code_size)
+    return {
+        "effects": (len(NEUTRAL), EFFECTS, n, 3),
+        **{f"modes.{number}": (count, n, 3) for number, count in enumerate(config.modes)},
+        **{f"size_{part}": (count,) for part, count in zip(PARTS, config.modes, strict=True)},
+        "position": (n, config.position),
+        "response_position": (n, config.position),
+        "response_table": (config.response_tables + 1, WEIGHTS, n, 3),
+        "response_scale": (WEIGHTS, n),
+        **{f"{name}.weight": sizes for name, sizes in layers.items()},
+        **{f"{name}.bias": sizes[:1] for name, sizes in layers.items() if name not in WITHOUT_BIAS},
+    }
 
 
 def check_modal(network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
     """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
-    check_numbers(network, [*ARRAYS])
-    counted = count_rows(network, *(f"size_{part}" for part in PARTS), "remainder_in.bias", "response_share.bias")
-    *modes, expression, shares = counted
-    position = tuple(network[name].shape[-1] if network[name].ndim else 0 for name in ("position", "response_position"))
-    sizes = _sizes(Features(mean), code_size, tuple(modes), (position[0], position[1]), expression, shares)
-    check_sizes(network, ARRAYS, sizes)
+    features = Features(mean)
+    check_numbers(network, [*modal_shapes(ModalConfig(), features, code_size)])
+    for name, expected in modal_shapes(ModalConfig.from_arrays(network), features, code_size).items():
+        shape(f"network {name}", network[name], expected)
 
 
 def hidden_features(network: Arrays, local, code, vertices=EVERY):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ...lhm.base.errors import InputError
@@ -12,19 +14,29 @@ from ..rig import FaceModes, Needs
 from ..runtime import BoundSurrogate
 from .features import Inputs
 
-LENGTHS = (0.5, 1.0, 2.0, 4.0)
-"""Of the kernel, over the median distance of training faces."""
-PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
-BLOCK = 32
-"""Faces that are added up at once."""
-PROBED = 2000
-"""Coordinates of the responses by which their kernel is chosen."""
+
+@dataclass(frozen=True)
+class ResponsesPolicy:
+    """Constants of the regression."""
+
+    lengths: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)  # of the kernel, over the median distance of training faces
+    penalties: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1)
+    block: int = 32  # faces that are added up at once
+    probed: int = 2000  # coordinates of the responses by which their kernel is chosen
+    seed: int = 0  # of these coordinates
+
+
+POLICY = ResponsesPolicy()
+"""The constants as they were measured."""
 
 
 class LearnedResponses:
     """exp(-d²/2 l²) + x·x' on the summary of p and h; length and penalty by least leave-one-out error (Allen 1974)."""
 
     needs: Needs = "nothing"
+
+    def __init__(self, policy: ResponsesPolicy = POLICY):
+        self._policy = policy
 
     def fit(self, faces: Faces) -> None:
         """Keep all training faces; InputError for fewer than ten."""
@@ -39,7 +51,7 @@ class LearnedResponses:
         n3 = every[0].offset.size
         self._offsets = np.stack([face.offset.ravel() for face in every])
         self._responses = np.stack([face.responses.reshape(-1) for face in every])
-        probe = np.random.default_rng(0).permutation(52 * n3)[:PROBED]
+        probe = np.random.default_rng(self._policy.seed).permutation(52 * n3)[: self._policy.probed]
         self._offset_weights, self._offset_length = self._choose_kernel(self._offsets[:, probe[probe < n3]])
         self._response_weights, self._response_length = self._choose_kernel(self._responses[:, np.sort(probe)])
 
@@ -54,9 +66,10 @@ class LearnedResponses:
 
     def _combine(self, row: Floats, inverse: Floats, length: float, values: np.ndarray) -> Floats32:
         shares = (inverse @ self._kernel(self._rows, row[None], length)[:, 0]).astype(np.float32)
+        block = self._policy.block
         total: Floats32 = np.zeros(values.shape[1], dtype=np.float32)
-        for first in range(0, len(values), BLOCK):  # a corpus keeps 16 bits, in which products would be rounded
-            total += shares[first : first + BLOCK] @ values[first : first + BLOCK].astype(np.float32)
+        for first in range(0, len(values), block):  # a corpus keeps 16 bits, in which products would be rounded
+            total += shares[first : first + block] @ values[first : first + block].astype(np.float32)
         return total
 
     def _kernel(self, one: Floats, other: Floats, length: float) -> Floats:
@@ -67,9 +80,9 @@ class LearnedResponses:
         """Return the regularised inverse kernel, symmetric, and its length."""
         values = values.astype(np.float64)
         best: tuple[float, Floats, float] | None = None
-        for length in LENGTHS:
+        for length in self._policy.lengths:
             kernel = self._kernel(self._rows, self._rows, length)
-            for penalty in PENALTIES:
+            for penalty in self._policy.penalties:
                 inverse = np.linalg.inv(kernel + penalty * np.eye(len(kernel)))
                 error = float((((inverse @ values) / np.diag(inverse)[:, None]) ** 2).sum())
                 if best is None or error < best[0]:

@@ -1,5 +1,7 @@
 """softdeca bench dynamics: a small sphere, its report, and what its configuration refuses."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ pytest.importorskip("dolfinx")
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement.dynamics import RELEASED, SHAKEN, Dynamics, let_go, shake
 from softdeca.benchmarks.studies.agreement.release import Release, swing
+from softdeca.reference import march
+from softdeca.reference.fenicsx.policy import FenicsxPolicy, MarchPolicy
 
 
 def test_a_swing_is_found_by_its_frequency_and_damping():
@@ -53,7 +57,9 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
 
 
 def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):
-    monkeypatch.setattr("softdeca.reference.fenicsx.dynamics.MAX_ITERATIONS", 2)
+    hasty = partial(march, policy=FenicsxPolicy(march=MarchPolicy(max_iterations=2)))
+    for study in ("release", "dynamics"):
+        monkeypatch.setattr(f"softdeca.benchmarks.studies.agreement.{study}.march", hasty)
     rows, study = rows_of(Release(spheres(1), 0), 8), Dynamics()
     marches = [line for row in rows for line in row.values["rows"]]
     stopped = [line for line in marches if not line["converged"]]

@@ -36,7 +36,7 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.forms import FORMS
 from softdeca.surrogate.networks.gradients import HELD, Widths
-from softdeca.surrogate.networks.modal import ARRAYS, ModalConfig
+from softdeca.surrogate.networks.modal import ModalConfig, modal_shapes
 from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
 
 from ..robustness import whole_files
@@ -91,11 +91,11 @@ def rough_weights(kind: str) -> Weights:
     """A network of random numbers, a digit each, on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
     if kind == "modal":
-        arrays, sizes = ARRAYS, ModalConfig(3, 3, 3, 3, 2, 4, 4, 4).sizes(features, SPACE.code_size)
+        shapes = modal_shapes(ModalConfig(3, 3, 3, 3, 2, 4, 4, 4), features, SPACE.code_size)
     else:
         widths = FORMS[kind].width_sizes(Widths(2, 2, 2, 2, 2))
         arrays, sizes = FORMS[kind].arrays(), FORMS[kind].known_sizes(SPACE.mean, SPACE.code_size, len(STATIC)) | widths
-    shapes = {name: tuple(sizes[each] for each in names) for name, names in arrays.items()}
+        shapes = {name: tuple(sizes[each] for each in names) for name, names in arrays.items()}
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))

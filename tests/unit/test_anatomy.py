@@ -7,7 +7,7 @@ import trimesh
 from softdeca.lhm import identities
 from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.anatomy.envelope import bone_at, closed_envelope, muscle_surface, skull_surface
-from softdeca.lhm.anatomy.placement import THICKEST, close_pockets, keep_triangles, place
+from softdeca.lhm.anatomy.placement import POLICY, close_pockets, keep_triangles, place
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplify, zero_surface
@@ -224,7 +224,7 @@ def test_placed_bone_has_published_depth(placed):
     before, after = placed.aligned, placed.warped
     ratio = (after.depth / after.wanted)[after.near_skin]
     assert np.mean(np.abs(ratio - 1) < 0.25) > 0.8
-    assert np.mean(ratio < THICKEST + 0.2) > 0.8
+    assert np.mean(ratio < POLICY.thickest + 0.2) > 0.8
     error = [np.median(np.abs(d.depth - d.wanted)[d.near_skin]) for d in (before, after)]
     assert error[1] < 1.0 < 3.0 < error[0]
 

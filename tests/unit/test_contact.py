@@ -15,7 +15,9 @@ from softdeca.reference import Scene, prepare, solve, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.projective import system
 from softdeca.reference.projective.contact.constraints import Constraints
-from softdeca.reference.projective.contact.solver import ALLOWED_DEPTH
+from softdeca.reference.projective.policy import ContactPolicy
+
+ALLOWED_DEPTH = ContactPolicy().allowed_depth
 
 
 def bar(cells, size, origin, *, kept=None):

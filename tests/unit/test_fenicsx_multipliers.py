@@ -10,10 +10,11 @@ from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 from softdeca.reference.clock import Seconds
-from softdeca.reference.fenicsx import prepared
 from softdeca.reference.fenicsx.linear_solvers import Factorisation
 from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.policy import FenicsxPolicy
+from softdeca.reference.fenicsx.prepared import soften
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.problems import meshes
@@ -99,15 +100,14 @@ def test_targets_that_crush_elements_are_reached_by_descent():
     assert 0.0 < solution.energy < 0.5 * 5.0 * np.sum((X[top] - pulled) ** 2)
 
 
-def test_a_large_scene_descends_from_linear_tets(monkeypatch):
+def test_a_large_scene_descends_from_linear_tets():
     """The first iterate is linear tets' answer, the last one the load path's."""
     scene = sheared(LAWS["incompressible"])
     options = {"solver": "fenicsx", "element": "P2P1", "tolerance": 1e-9}
     path = solve(scene, **options)
-    monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
-    seen = []
-    large = solve(scene, on_iteration=lambda i, x, e, g: seen.append(np.array(x)), **options)
-    softer = prepared.soften(scene)
+    seen, policy = [], FenicsxPolicy(large=len(scene.tets))
+    large = solve(scene, policy=policy, on_iteration=lambda i, x, e, g: seen.append(np.array(x)), **options)
+    softer = soften(scene)
     assert [term.material for term in softer.of(terms.Hyperelastic)] == [materials.NeoHookean(2.0, 20.0)]
     near = solve(softer, solver="fenicsx", element="P1", tolerance=1e-9)
     assert np.abs(seen[0] - near.positions).max() < 1e-3 < np.abs(seen[0] - scene.vertices).max()

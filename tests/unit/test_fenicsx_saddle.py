@@ -9,12 +9,13 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
-from softdeca.reference.fenicsx import prepared, saddle
 from softdeca.reference.fenicsx.linear_solvers import hold
 from softdeca.reference.fenicsx.multipliers import Condensed
 from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.policy import FenicsxPolicy, SaddlePolicy
 from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.fenicsx.saddle import BlockSaddle, FactoredSaddle, make_saddle_solver
+from softdeca.reference.fenicsx.saddle import FactoredSaddle
+from softdeca.reference.fenicsx.saddle_block import BlockSaddle, make_saddle_solver
 from softdeca.reference.problems import meshes
 
 from .test_fenicsx_multipliers import LAWS, descend, each_law
@@ -90,8 +91,8 @@ def test_steps_at_once_are_those_by_factors(law):
         forces[held] = 0.0
         step = solver.newton_step(np.concatenate([forces, state.strain()]))
         assert step is not None
-        after = solver.simplified_step(np.concatenate([2.0 * forces, state.strain()]))
-        steps.append((step[: len(forces)], step[len(forces) :], after[: len(forces)]))
+        after = step.follow(np.concatenate([2.0 * forces, state.strain()]))
+        steps.append((step.x[: len(forces)], step.x[len(forces) :], after[: len(forces)]))
         solver.release()
     for direct, iterative, share in zip(*steps, (3e-3, 1e-3, 0.2), strict=True):
         assert 0.0 < np.linalg.norm(direct - iterative) < share * np.linalg.norm(direct)
@@ -145,12 +146,12 @@ def test_a_box_under_load_ends_where_it_does_by_factors(law):
     assert iterative.detail["linear_iterations"] > 3 * iterative.detail["linear_solves"]
 
 
-def test_factors_step_in_where_gmres_gives_up(monkeypatch):
+def test_factors_step_in_where_gmres_gives_up():
     scene = standing(LAWS["incompressible"])
     options = {"solver": "fenicsx", "element": "P2P1", "linear_solver": "block", "tolerance": 1e-9}
     expected = solve(scene, **options)
-    monkeypatch.setattr(saddle, "MAX_LINEAR_ITERATIONS", 1)
-    solution = solve(scene, **options)
+    hasty = FenicsxPolicy(saddle=SaddlePolicy(max_iterations=1))
+    solution = solve(scene, policy=hasty, **options)
     assert solution.converged and np.abs(solution.positions - expected.positions).max() < 1e-7
     assert solution.detail["linear_solves"] > expected.detail["linear_solves"]
 
@@ -169,19 +170,18 @@ def test_a_column_buckles_as_by_factors():
     assert found["block"].energy == pytest.approx(found["mumps"].energy, rel=1e-8)
 
 
-def test_the_size_chooses(monkeypatch):
+def test_the_size_chooses():
     condensed, _, held = strained(LAWS["incompressible"])
     problem = condensed.problem
     size = 3 * len(problem.numbering.X) + problem.pressures.count
     for large, expected in ((size, BlockSaddle), (size + 1, FactoredSaddle)):
-        monkeypatch.setattr(saddle, "LARGE_SADDLE", large)
-        assert type(make_saddle_solver("cg", condensed.matrix, held)) is expected
+        policy = FenicsxPolicy(saddle=SaddlePolicy(large=large))
+        assert type(make_saddle_solver("cg", condensed.matrix, held, policy)) is expected
     assert type(make_saddle_solver("mumps", condensed.matrix, held)) is FactoredSaddle
     scene = standing(LAWS["incompressible"])
-    monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
     for large, iterative in ((size, True), (size + 1, False)):
-        monkeypatch.setattr(saddle, "LARGE_SADDLE", large)
-        detail = solve(scene, solver="fenicsx", element="P2P1").detail  # of the linear start, too
+        policy = FenicsxPolicy(saddle=SaddlePolicy(large=large), large=len(scene.tets))
+        detail = solve(scene, solver="fenicsx", element="P2P1", policy=policy).detail  # of the linear start, too
         assert (detail["linear_iterations"] > 10 * detail["linear_solves"]) is iterative
 
 

@@ -256,16 +256,16 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
     lesson = ModalLesson(faces["train"], CONFIG)
     trainer = Trainer(lesson, CONFIG)
     trainer.run(3)
-    face, features, w = faces["test"].face(1), lesson.features, np.random.default_rng(0).random((3, 52))
-    p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.code_size
-    arrays, code = trainer.arrays(), lesson.inputs.code(face.code)
+    face, features, w = faces["test"].face(1), lesson.data.features, np.random.default_rng(0).random((3, 52))
+    p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.data.code_size
+    arrays, code = trainer.arrays(), lesson.data.inputs.code(face.code)
     bound = bind_modal(arrays, arrays["tables"], features, code, face.skin.vertices, p, face.shapes)
     network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
     with torch.no_grad():
         for part, values in enumerate((features.without_palsy(p), p)):
-            local, summary, unmoved = lesson.inputs_of([face], [values], every)
+            local, summary, unmoved = lesson.tensors.inputs_of([face], [values], every)
             hidden = hidden_features(network, local, summary[..., :size], every)
-            effects = lesson.effects_of([values], [face.skin.vertices], every)
+            effects = lesson.tensors.effects_of([values], [face.skin.vertices], every)
             offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
         amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
         shares, lag = mix(network, local, summary[..., :size], every)
@@ -277,13 +277,13 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
     lesson = ModalLesson(faces["train"], CONFIG)
-    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.training)))
+    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.data.training)))
     learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
     lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
-    lesson._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
+    lesson.tensors = replace(lesson.tensors, dtype=np.float64)
 
     def loss():
-        return lesson.loss_of(lesson.training[:3], np.random.default_rng(5), np.arange(N))
+        return lesson.loss_of(lesson.data.training[:3], np.random.default_rng(5), np.arange(N))
 
     for name in learned:
         lesson.network[name].requires_grad_()
@@ -616,7 +616,7 @@ def test_the_study_asks_the_surrogate_for_its_faces(surrogate):
     [
         ("remainder_in.weight", lambda array: array[:, :51], "network remainder_in.weight: expected shape"),
         ("gain_out.bias", lambda array: array[:-1], "network gain_out.bias: expected shape"),
-        ("settled.2.weight", lambda array: array[:-1], "network settled.4.weight: expected shape"),
+        ("settled.2.weight", lambda array: array[:-1], "network settled.2.weight: expected shape"),
         ("modes.1", lambda array: array.reshape(-1), "network modes.1: expected shape"),
         ("lag.weight", lambda array: array * np.nan, "network lag.weight: .* not finite"),
         ("effects", lambda array: array + 3e4, "network effects: .* is too large"),

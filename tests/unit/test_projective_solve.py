@@ -11,9 +11,10 @@ from softdeca.lhm.base.errors import InputError, MissingDependencyError, SceneEr
 from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
-from softdeca.reference.projective import solver, system, time_local_step
+from softdeca.reference.projective import system, time_local_step
 from softdeca.reference.projective.energy import Energy
 from softdeca.reference.projective.memory import CAPACITY, Memory
+from softdeca.reference.projective.policy import ProjectivePolicy
 
 
 def head_scene(head, amplitude=6.0):
@@ -83,11 +84,10 @@ def test_plain_descends_monotonically_to_what_lbfgs_finds(scene):
     assert 5 * needed["lbfgs"] <= needed["plain"]
 
 
-def test_less_of_the_volume_in_the_matrix_saves_iterations(scene, monkeypatch):
+def test_less_of_the_volume_in_the_matrix_saves_iterations(scene):
     """The minimum is the same, and A with a share of 1 is that of Strain alone with Volume's weight added."""
     few = solve(scene, tolerance=1e-9)
-    monkeypatch.setitem(solver.VOLUME_SHARE, "lbfgs", 1.0)
-    many = solve(scene, tolerance=1e-9)
+    many = solve(scene, tolerance=1e-9, policy=ProjectivePolicy(volume_share_lbfgs=1.0))
     assert few.converged and few.iterations < 0.8 * many.iterations
     np.testing.assert_allclose(few.positions, many.positions, atol=1e-5)
     strains = [terms.Strain(term.stiffness, tets=term.tets) for term in scene.of(terms.Volume)]

@@ -183,11 +183,12 @@ INDICATOR = [terms.Strain(1.0, rule="indicator")]
             ("projective", [terms.Strain(1.0)], {"like": like}, "projective: like: expected a scene that this solver")
             for like in ("another", prepare(Scene(X, TETS, [terms.Strain(1.0)])))
         ),
-        ("skfem", [SOFT], {"linear_solver": "mumps"}, "'skfem' has no option 'linear_solver'; it has element"),
+        ("skfem", [SOFT], {"linear_solver": "mumps"}, "'skfem' has no option 'linear_solver'; it has element, policy"),
         *((solver, [SOFT], {"method": "plain"}, f"'{solver}' has no option 'method'") for solver in SOLVERS[1:]),
         *((solver, [SOFT], {"threads": 2}, f"'{solver}' has no option 'threads'") for solver in SOLVERS[1:]),
         *((solver, [SOFT], {"like": None}, f"'{solver}' has no option 'like'") for solver in SOLVERS[1:]),
         ("projective", [terms.Strain(1.0)], {"element": "P1"}, "has no option 'element'; it has method"),
+        ("projective", [terms.Strain(1.0)], {"policy": None}, "policy: expected a ProjectivePolicy, got None"),
         ("fenicsx", [SOFT], {"linear_solver": "block"}, "unknown linear_solver 'block'; there are cg, mumps"),
         ("fenicsx", PUSHED, {"linear_solver": "block", "element": "P2P1"}, "'block' has no use for Pressure"),
         ("fenicsx", LOADED, {}, "carries a load, but no energy acts on it"),

@@ -12,19 +12,19 @@ from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
 from softdeca.lhm.remesh import refine_head
 from softdeca.reference import Parameters, Scene, SceneError, apply_law, facial_scene, nested_start, solve, terms
-from softdeca.reference.face.tissue import GUARD_STIFFNESS, GUARDED_HEIGHT, Guard, Stack, connecting_tets, guard
+from softdeca.reference.face.tissue import POLICY, Guard, Stack, connecting_tets, guard
 
 # The heights of a corner cut off a cube: its legs are a long, and the one over the slanted face is a / sqrt(3).
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def test_stiffness_grows_as_tets_get_thinner():
-    scales = np.sqrt(3.0) * np.array([0.5 * GUARDED_HEIGHT, 2.0 * GUARDED_HEIGHT, 0.1 * GUARDED_HEIGHT])
+    scales = np.sqrt(3.0) * POLICY.guarded_height * np.array([0.5, 2.0, 0.1])
     vertices = np.vstack([scale * CORNER for scale in scales])
     strain = guard(vertices, np.arange(12).reshape(3, 4), np.array([2.0, 2.0, 3.0]))
     assert strain.tets.tolist() == [0, 2] and isinstance(strain, Guard)
-    assert strain.stiffness == pytest.approx([2.0 * GUARD_STIFFNESS, 27.0 * GUARD_STIFFNESS])
-    assert guard(10.0 * GUARDED_HEIGHT * CORNER, np.arange(4)[None], 1.0) is None
+    assert strain.stiffness == pytest.approx([2.0 * POLICY.guard_stiffness, 27.0 * POLICY.guard_stiffness])
+    assert guard(10.0 * POLICY.guarded_height * CORNER, np.arange(4)[None], 1.0) is None
 
 
 def test_what_no_guard_is_for_stays_as_it_was(spheres):

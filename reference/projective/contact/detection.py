@@ -14,20 +14,8 @@ from ....lhm.base.geometry.triangles import crossed_edges, parting_shifts
 from ....lhm.base.mesh import FACES, Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
+from ..policy import POLICY, ContactPolicy
 from .constraints import Constraints
-
-REACH = 15.0
-"""How far behind the surface [mm] flesh is looked through for vertices that went in: the deepest overlap seen."""
-ON_A_FACE = 1e-6
-"""A vertex with a lesser barycentric weight in a tet touches it only."""
-TURNED = 0.3
-"""A triangle whose normal has more than this cosine with a vertex' own is no place that the vertex went in at."""
-PARALLEL = 0.1
-"""Edges of a smaller sine between them have no direction to be parted in; the vertices at their ends do."""
-TOUCHING = 1e-3
-"""A gap [mm] too short to have a direction."""
-MARGIN = 1.0
-"""Vertices nearer than this share of a mean edge, beyond the thickness, are watched before they touch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +33,10 @@ class ContactSurface:
     near: Ints
     rest: TriangleTree
     flesh: TetTree
+    policy: ContactPolicy = ContactPolicy()
 
     @classmethod
-    def from_term(cls, scene: Scene, term: Contact) -> ContactSurface:
+    def from_term(cls, scene: Scene, term: Contact, policy: ContactPolicy = POLICY.contact) -> ContactSurface:
         """The surface of a term and what lies behind it.
 
         Raises SceneError for a triangle that is no face of the tets' surface or is seen from inside, and for a vertex
@@ -59,10 +48,10 @@ class ContactSurface:
         surface = Surface(scene.vertices[ids], triangles)
         rest = TriangleTree(surface.vertices, triangles)
         centres = scene.vertices[scene.tets].mean(axis=1)
-        behind = scene.tets[rest.closest(centres)[2] < REACH]
+        behind = scene.tets[rest.closest(centres)[2] < policy.reach]
         flesh = TetTree(scene.vertices, behind)
         held, weights = flesh.containing(surface.vertices, ids)
-        inside = held[weights.min(axis=1) > ON_A_FACE, 0]
+        inside = held[weights.min(axis=1) > policy.on_a_face, 0]
         if inside.size:
             raise SceneError(f"Contact: vertex {ids[inside[0]]} lies inside another tet at rest: parts overlap there")
         rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
@@ -70,7 +59,7 @@ class ContactSurface:
         ring = share + identity(len(ids), dtype=np.int32)
         pairs = (ring @ ring).tocoo()
         near = np.sort(pairs.row.astype(np.int64) * len(ids) + pairs.col)
-        return cls(term, ids, triangles, surface.vertex_areas, near, rest, flesh)
+        return cls(term, ids, triangles, surface.vertex_areas, near, rest, flesh, policy)
 
     def are_near(self, first: Ints, second: Ints) -> np.ndarray:
         """Whether pairs of the surface's vertices lie within two edges of one another."""
@@ -130,8 +119,8 @@ def detect(contact: ContactSurface, x: Floats, earlier: Constraints | None = Non
     away = np.linalg.norm(points[inner] - _points(points, contact.triangles[partner], at), axis=1)
     outer = _outer_vertices(contact, points, faces, facing, distance, inner)
     gap = points[outer] - _points(points, contact.triangles[facing[outer]], on[outer])
-    length = np.linalg.norm(gap, axis=1, keepdims=True)
-    along = np.where(length > TOUCHING, gap / np.maximum(length, TOUCHING), faces[facing[outer]])
+    length, touching = np.linalg.norm(gap, axis=1, keepdims=True), contact.policy.touching
+    along = np.where(length > touching, gap / np.maximum(length, touching), faces[facing[outer]])
     pairs = tree.self_crossings()
     first, second = (tree.corners[pairs[:, k]] for k in range(2))
     edges = np.vstack([_crossing_edges(contact, pairs, crossed_edges(first, second)), _pushing_edges(contact, earlier)])
@@ -181,7 +170,7 @@ def _face_partners(
     """
     vertices, triangles, at = found
     other, on = facing[0][vertices], facing[1][vertices]
-    aside = np.einsum("kc,kc->k", normals[vertices], faces[triangles]) > TURNED
+    aside = np.einsum("kc,kc->k", normals[vertices], faces[triangles]) > contact.policy.turned
     depth = np.einsum("kc,kc->k", points[contact.triangles[other, 0]] - points[vertices], faces[other])
     aside &= (other >= 0) & (depth >= 0) & ~_is_near(contact, vertices, other)
     return np.where(aside, other, triangles), np.where(aside[:, None], on, at)
@@ -196,7 +185,7 @@ def _outer_vertices(
 ) -> Ints:
     """Vertices outside and within reach in front of the surface that faces them."""
     edge = np.sqrt(contact.areas.mean())
-    outer = distance <= contact.term.thickness + MARGIN * edge
+    outer = distance <= contact.term.thickness + contact.policy.margin * edge
     outer[inner] = False
     outer = np.flatnonzero(outer)
     corner = points[contact.triangles[facing[outer], 0]]
@@ -225,7 +214,7 @@ def _still_pushing(contact: ContactSurface, x: Floats, found: Ints, earlier: Con
     rows = earlier.select(lost & ~np.isin(earlier.ids[:, 0], contact.ids[found]))
     a, b, c = (x[rows.ids[:, k]] for k in (1, 2, 3))
     rows = replace(rows, normals=_unit(np.cross(b - a, c - a)))
-    return rows.select(np.abs(rows.gaps(x)) < MARGIN * np.sqrt(contact.areas.mean()))
+    return rows.select(np.abs(rows.gaps(x)) < contact.policy.margin * np.sqrt(contact.areas.mean()))
 
 
 def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: Floats, normals: Floats) -> Constraints:
@@ -261,7 +250,7 @@ def _edge_rows(contact: ContactSurface, points: Floats, normals: Floats, edges: 
     ub, vb = np.einsum("kc,kc->k", u, p - o), np.einsum("kc,kc->k", v, p - o)
     det = np.maximum(uu * vv - uv * uv, 1e-300)
     s, t = (ub * vv - vb * uv) / det, (ub * uv - vb * uu) / det
-    sound = (sine > PARALLEL) & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    sound = (sine > contact.policy.parallel) & (s > 0) & (s < 1) & (t > 0) & (t < 1)
     weights = np.column_stack([1 - s, s, t - 1, -t])[sound]
     edges = edges[sound]
     return _rows(contact, contact.ids[edges], weights, _unit(n[sound]), contact.areas[edges].mean(axis=1))

@@ -20,26 +20,10 @@ from ...solution import Reason
 from ...terms import Contact
 from ..coordinates import Place
 from ..descent import Point, Problem, Watch, lbfgs
+from ..policy import POLICY, ContactPolicy
 from ..system import System
 from .constraints import Constraints, Elasticity
 from .detection import ContactSurface, Detection, detect
-
-PATIENCE = 10
-"""Rounds without a lesser depth after which contact is given up."""
-ALLOWED_DEPTH = 0.05
-"""The depth [mm] up to which surfaces may overlap in the end."""
-PARTED = 0.02
-"""The depth [mm] below which a descent goes on to the end."""
-LOOSE = 0.03
-"""While surfaces are deeper than that a descent ends at this share of its first gradient norm."""
-STEP = 1.0
-"""The way [mm] that no vertex of the surface goes further than between two looks for contact."""
-LOOKS = 3
-"""Rounds of looking and pushing at one place at most."""
-NEARLY = 0.1
-"""The depth [mm] with which the way goes on."""
-SWEEPS = 200
-"""Gauss-Seidel sweeps at most; the descent that follows makes up for what they leave."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +46,14 @@ class ContactSolver:
     surfaces: tuple[ContactSurface, ...]
     vertices: Ints
     elasticity: Elasticity
+    policy: ContactPolicy = ContactPolicy()
 
     @classmethod
-    def from_scene(cls, scene: Scene, system: System) -> ContactSolver:
+    def from_scene(cls, scene: Scene, system: System, policy: ContactPolicy = POLICY.contact) -> ContactSolver:
         """Raise SceneError for triangles that are not the tets' surface."""
-        surfaces = tuple(ContactSurface.from_term(scene, term) for term in scene.of(Contact))
+        surfaces = tuple(ContactSurface.from_term(scene, term, policy) for term in scene.of(Contact))
         vertices = np.unique(np.concatenate([surface.ids for surface in surfaces]))
-        return cls(surfaces, vertices, Elasticity(system, vertices))
+        return cls(surfaces, vertices, Elasticity(system, vertices), policy)
 
     def detect(self, x: Floats, earlier: Constraints | None = None) -> Detection:
         """Detect all surfaces' contact with themselves at x [mm], shape (n, 3); `earlier` as in `detection`."""
@@ -81,25 +66,26 @@ class ContactSolver:
 
         Each round freezes the gaps where contact is, descends on energy and contact together, and takes the forces
         there for multipliers of the next round's gaps (the method of multipliers, with the geometry brought up to
-        date), until nothing is deeper than PARTED; the last descent goes on to the watch's own threshold. Where the
-        depth does not fall any more, the least deep point is returned with Reason.CONTACT. The counts are crossing
-        pairs of triangles and greatest depths [mm] before and after, and rounds.
+        date), until nothing is deeper than `policy.parted`; the last descent goes on to the watch's own threshold.
+        Where the depth does not fall any more, the least deep point is returned with Reason.CONTACT. The counts are
+        crossing pairs of triangles and greatest depths [mm] before and after, and rounds.
         """
+        policy = self.policy
         before = contact = self.detect(rest + point.u)
         reason, rounds, place = Reason.CONVERGED, 0, point.place
-        is_tight = contact.depth <= PARTED
-        if contact.depth > STEP:
-            place, contact = approach(self.elasticity, self.detect, rest, place, self.vertices)
+        is_tight = contact.depth <= policy.parted
+        if contact.depth > policy.step:
+            place, contact = approach(self.elasticity, self.detect, rest, place, self.vertices, policy)
         constraints, best, since = contact.constraints, (point, before), 0
-        while not (is_tight and contact.depth <= ALLOWED_DEPTH):
-            if since == PATIENCE:
+        while not (is_tight and contact.depth <= policy.allowed_depth):
+            if since == policy.patience:
                 point, contact, reason = *best, Reason.CONTACT
                 break
-            is_tight = contact.depth <= PARTED
+            is_tight = contact.depth <= policy.parted
             touching = self._with(problem, constraints, rest, place)
             first = touching.at(place)
             watch.forget()
-            point, reason = lbfgs(touching, first, watch if is_tight else LooseWatch(watch, LOOSE * first.norm))
+            point, reason = lbfgs(touching, first, watch if is_tight else LooseWatch(watch, policy.loose * first.norm))
             if reason is Reason.STAGNATED and watch.best is not None:
                 point = watch.best
             place, x, rounds = point.place, rest + point.u, rounds + 1
@@ -133,7 +119,7 @@ class ContactSolver:
         def precondition(vector: Floats, near: Point) -> Floats:
             return matrix.solve(vector, constraints.forces(rest + near.u) > 0.0, near.place.rotations)
 
-        return Problem(at, problem.move, precondition)
+        return Problem(at, problem.move, precondition, policy=problem.policy)
 
 
 def approach(
@@ -142,13 +128,14 @@ def approach(
     rest: Floats,
     end: Place,
     vertices: Ints,
+    policy: ContactPolicy = POLICY.contact,
 ) -> tuple[Place, Detection]:
     """Find a place like `end` that is not overlapped as deeply, and the contact there, with its forces for multipliers.
 
     rest [mm], shape (n, 3); vertices (k,) are those of the surfaces.
     """
     moved = end.u[vertices]
-    steps = max(1, int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / STEP)))
+    steps = max(1, int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / policy.step)))
     coordinates = elasticity.system.coordinates
     place = force_free = coordinates.start(0.0 * end.u)
     contact = detect(rest + place.u, None)
@@ -157,15 +144,17 @@ def approach(
         # Where contact pushed so far is a better place to look than where nothing did.
         place = coordinates.start(place.u + ahead.u - force_free.u)
         force_free = ahead
-        for _ in range(LOOKS):
+        for _ in range(policy.looks):
             contact = detect(rest + place.u, contact.constraints)
-            place, contact = _push(elasticity, rest, force_free, contact)
-            if contact.depth <= NEARLY:
+            place, contact = _push(elasticity, rest, force_free, contact, policy.sweeps)
+            if contact.depth <= policy.nearly:
                 break
     return place, contact
 
 
-def _push(elasticity: Elasticity, rest: Floats, force_free: Place, contact: Detection) -> tuple[Place, Detection]:
+def _push(
+    elasticity: Elasticity, rest: Floats, force_free: Place, contact: Detection, sweeps: int
+) -> tuple[Place, Detection]:
     """Move away from a place without contact forces by those that minimise the dual."""
     constraints = contact.constraints
     if not len(constraints.ids):
@@ -173,16 +162,16 @@ def _push(elasticity: Elasticity, rest: Floats, force_free: Place, contact: Dete
     gradients, compliance = elasticity.compliance(constraints, force_free)
     forces = constraints.multipliers.copy()
     gaps = constraints.gaps(rest + force_free.u)
-    _minimise_dual(compliance + np.diag(1.0 / constraints.stiffness), gaps, forces)
+    _minimise_dual(compliance + np.diag(1.0 / constraints.stiffness), gaps, forces, sweeps)
     step = elasticity.system.solve(gradients.T @ forces, force_free.rotations)
     place = elasticity.system.coordinates.move(force_free, step)
     return place, replace(contact, constraints=replace(constraints, multipliers=forces))
 
 
 @njit(cache=True)
-def _minimise_dual(matrix, gaps, forces):
+def _minimise_dual(matrix, gaps, forces, sweeps):
     """Projected Gauss-Seidel on the dual, from `forces` on, in place."""
-    for _ in range(SWEEPS):
+    for _ in range(sweeps):
         change = 0.0
         for i in range(len(gaps)):
             slope = gaps[i]
