@@ -83,9 +83,9 @@ class ModalConfig:
             *(f"size_{part}" for part in PARTS), "response_share.bias",
             "gain_in.bias", "response_in.bias", "effect_level.0.bias", "remainder_in.bias",
         )  # fmt: skip
-        *modes, tables, local, response, summary, expression = count_rows(network, *names)
+        settled, relaxed, remainder, tables, local, response, summary, expression = count_rows(network, *names)
         position = network["position"].shape[-1] if network["position"].ndim else 0
-        return cls(*modes, tables, position, local, response, summary, expression)
+        return cls(settled, relaxed, remainder, tables, position, local, response, summary, expression)
 
 
 def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:

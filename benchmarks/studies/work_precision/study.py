@@ -26,12 +26,12 @@ from ....surrogate.methods import (
     METHODS,
     NETWORK,
     NETWORK_AND_DERIVATIVES,
-    OTHER,
     PD,
     PD_ANDERSON,
     PD_PLAIN,
     SETTLED,
     SKFEM,
+    get_method,
 )
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, Stopwatch, Trace, distances, largest_distance, repeat_work, trace_solve
@@ -270,7 +270,7 @@ class WorkPrecision(OfPerson):
         for axis, (energy, key) in zip(axes, panels, strict=True):
             named: set[str] = set()
             for row in rows:
-                values, colour = row.values, METHODS.get(row.values["label"], OTHER).colour
+                values, colour = row.values, get_method(row.values["label"]).colour
                 label = None if values["label"] in named else values["label"]
                 if values["energy"] == energy:
                     before = float(np.median(values["prepare_s"])) if key == "seconds" else 0.0
