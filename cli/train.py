@@ -141,6 +141,7 @@ def _refuse(network: str, options: dict) -> None:
 def _gradients(
     network: str, corpus: Path, out: Path, options: dict, batch: int | None, recurrence_steps: int, read: dict, progress
 ):
+    from ..surrogate import Surrogate
     from ..surrogate.corpus.heads import Heads
     from ..surrogate.corpus.reading import Faces, Table
     from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
@@ -156,7 +157,9 @@ def _gradients(
     weights = train_gradients(faces, config, state=out / f"{network}.pt", on_progress=progress)
     if sequences is not None and pivot is not None:
         moving = RecurrenceTraining(steps=recurrence_steps)
-        weights = train_recurrence(weights, sequences, pivot, moving, on_progress=progress)
+        weights = train_recurrence(
+            weights, Surrogate(weights).bind_face, sequences, pivot, moving, on_progress=progress
+        )
     weights.save(out / f"{network}.safetensors")
     return out / f"{network}.safetensors", [dict(point) for point in weights.note.curve]
 

@@ -25,9 +25,9 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..reference.face.correction import Correction, predict
 from ..reference.face.face import Face
 from ..reference.projective.newton_step import NewtonStep
+from .bound import BoundSurrogate
 from .rig import check_weights
 from .ruler import MOVES
-from .runtime import BoundSurrogate
 
 ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""

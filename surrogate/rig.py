@@ -16,7 +16,6 @@ from ..lhm.base.geometry.likeness import check_moved
 from ..lhm.base.geometry.warp import rigid_motion
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.fit import is_upright
-from .networks.layers import silu
 
 WEIGHTS = len(ARKIT)
 FARTHEST_CODE = 4.0
@@ -147,6 +146,15 @@ def add_combination(amplitudes, shapes, surface):
         a, one = amplitudes[pending], shapes[pending]
         for i in range(len(surface)):
             surface[i] += a * one[i]
+
+
+def silu(x):
+    """Return x sigmoid(x)."""
+    if isinstance(x, np.ndarray):
+        return x / (1.0 + np.exp(-x))
+    from torch.nn.functional import silu as torch_silu  # whose slope is finite far below zero
+
+    return torch_silu(x)
 
 
 @dataclass(frozen=True, eq=False)

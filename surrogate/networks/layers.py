@@ -13,6 +13,7 @@ import numpy as np
 
 from ...lhm.base.checks import array_of_kind, finite, shape
 from ...lhm.base.errors import InputError
+from ..rig import silu
 
 EVERY = slice(None)
 Arrays = Mapping[str, Any]
@@ -53,15 +54,6 @@ def count_rows(network: Mapping[str, np.ndarray], *names: str) -> list[int]:
 def exp(x):
     """Return e to the power of each element."""
     return np.exp(x) if isinstance(x, np.ndarray) else x.exp()
-
-
-def silu(x):
-    """Return x sigmoid(x)."""
-    if isinstance(x, np.ndarray):
-        return x / (1.0 + np.exp(-x))
-    from torch.nn.functional import silu as torch_silu  # whose slope is finite far below zero
-
-    return torch_silu(x)
 
 
 def elu(x):

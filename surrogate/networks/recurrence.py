@@ -17,7 +17,8 @@ from ...lhm.base.mesh import Floats
 from ..corpus.mixture import NAMES
 from ..corpus.plan import RATE
 from ..dynamics import LearnedSwing
-from .layers import Arrays, check_numbers, check_sizes, exp, linear, perceptron, silu
+from ..rig import silu
+from .layers import Arrays, check_numbers, check_sizes, exp, linear, perceptron
 
 COEFFICIENTS = ("beta", "gamma")
 LAYERS: dict[str, tuple[str, str]] = {

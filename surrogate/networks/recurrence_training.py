@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,7 +16,8 @@ from ..corpus.face import KeptFace, Person
 from ..corpus.heads import Heads
 from ..corpus.mixture import basis
 from ..corpus.reading import Table
-from ..runtime import Surrogate
+from ..rig import Rig
+from .features import Inputs
 from .gradient_training import smooth_vertices
 from .recurrence import ARRAYS, LAYERS, WITHOUT_BIAS, LearnedRecurrence, coefficients, sizes
 from .trainer import Tensors, Trainer, TrainerConfig, draw_layers, torch
@@ -26,6 +27,8 @@ KEPT = 64
 """Sequences kept in memory between two batches: 2 MB each on the default head."""
 FAST = {"beta": -3.0, "gamma": 2.5}
 """Logits with which coefficients begin: nearly without inertia."""
+
+Bind = Callable[[KeptFace], Rig]
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class RecurrenceTraining(TrainerConfig):
 
 def train_recurrence(
     weights: Weights,
+    bind: Bind,
     table: Table,
     pivot: Floats,
     config: RecurrenceTraining | None = None,
@@ -50,11 +54,12 @@ def train_recurrence(
 ) -> Weights:
     """Return weights with coefficients learned from the sequences of a table, which its heads turn about a pivot (3,).
 
-    Raises InputError for a mesh that is not the weights', and a loss that is not finite.
+    bind: gives a face the rig of these weights, whose frames are the static answers. Raises InputError for a mesh that
+    is not the weights', and a loss that is not finite.
     """
     weights.check_mesh(table.mean)
     config = RecurrenceTraining() if config is None else config
-    lesson = RecurrenceLesson(weights, table, pivot, config)
+    lesson = RecurrenceLesson(weights, bind, table, pivot, config)
     trainer = Trainer(lesson, config)
     trainer.train(on_progress=on_progress)
     return replace(weights, recurrence=LearnedRecurrence(trainer.arrays(), pivot))
@@ -78,9 +83,10 @@ class RecurrenceLesson:
     slow: tuple[str, ...] = ("-",)  # none
     about: tuple[str, ...] = ()
 
-    def __init__(self, weights: Weights, table: Table, pivot: Floats, config: RecurrenceTraining):
+    def __init__(self, weights: Weights, bind: Bind, table: Table, pivot: Floats, config: RecurrenceTraining):
         self.table, self.config = table, config
-        self._surrogate, self._pivot = Surrogate(weights), torch.from_numpy(pivot.astype(np.float32))
+        self._inputs, self._bind = Inputs.from_weights(weights), bind
+        self._pivot = torch.from_numpy(pivot.astype(np.float32))
         held = set(weights.note.held)
         people = table.groups[:, 0].tolist()
         self.training = [k for k, person in enumerate(people) if person not in held]
@@ -127,12 +133,12 @@ class RecurrenceLesson:
         table, row = self.table, self.table[index]
         identity, group = (int(number) for number in table.groups[index])
         face = KeptFace(identity, table.person(identity), table.parameters(index), table.settled(identity, group))
-        rig = self._surrogate.bind_face(face)
+        rig = self._bind(face)
         blended = face.blend(row["weights"])
         turns = row["rotations"].astype(np.float64)
         before = row["before"].astype(np.float32)
         return _Motion(
-            code=self._surrogate.inputs.code(face.code).astype(np.float32),
+            code=self._inputs.code(face.code).astype(np.float32),
             parameters=np.clip(self._waves @ face.parameters.coefficients.T, -1.0, 1.0).astype(np.float32),
             static=np.stack([rig.frame(weights) for weights in row["weights"]]),
             simulated=(blended + row["corrected"]).astype(np.float32),

@@ -16,9 +16,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from ..rig import WEIGHTS
+from ..rig import WEIGHTS, silu
 from .features import GIVE
-from .layers import EVERY, Arrays, concatenate, exp, linear, silu
+from .layers import EVERY, Arrays, concatenate, exp, linear
 
 MIXED = 16
 """How many tables are mixed, besides the one that always counts."""

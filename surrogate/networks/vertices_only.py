@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..rig import WEIGHTS
-from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron, silu
+from ..rig import WEIGHTS, silu
+from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron
 from .trainer import Tensors, draw_layers, perceptron_layers, torch
 from .vertex_network import VertexNetwork
 

@@ -78,7 +78,9 @@ def test_learned_coefficients_of_eq_21_follow_sequences(corpus):
     quick = {"steps": 100, "validate_every": 100, "network": Widths(latent=16, hidden=8)}
     weights = train_gradients(Faces(corpus, "train"), replace(NETWORKS["hyper"], **quick))
     table = Table(corpus, "sequences", "train")
-    weights = train_recurrence(weights, table, find_mean_pivot(HEADS), RecurrenceTraining(steps=60))
+    weights = train_recurrence(
+        weights, Surrogate(weights).bind_face, table, find_mean_pivot(HEADS), RecurrenceTraining(steps=60)
+    )
     looseness = Looseness.from_people(PEOPLE, count=8)
     method = Method("network", use_network(Surrogate(weights)))
     moving, still = evaluate_motion([method], CorpusTrials(corpus, "train", heads=HEADS), looseness)

@@ -200,7 +200,9 @@ class Table1(Study):
         if network in LEARNED_MOTION and tested.manifest.counts.sequences and self.recurrence_steps:
             table = tested.table("sequences", "train")
             moving = RecurrenceTraining(steps=self.recurrence_steps)
-            weights = train_recurrence(weights, table, find_mean_pivot(tested.faces.heads), moving)
+            weights = train_recurrence(
+                weights, Surrogate(weights).bind_face, table, find_mean_pivot(tested.faces.heads), moving
+            )
         if self.trained:
             Path(self.trained).mkdir(parents=True, exist_ok=True)
             weights.save(kept)
