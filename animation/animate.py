@@ -22,7 +22,7 @@ from ..lhm.base.files.resumable import RowStore, lock_folder
 from ..lhm.base.mesh import Floats32
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..lhm.head import LayeredHead
+from ..lhm.head.head import LayeredHead
 from ..reference import Face, Reason, SettledFace, settle
 from ..reference.face.bones import Bones
 from ..reference.face.dynamics import extrapolate_turns, find_pivot

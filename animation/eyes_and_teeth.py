@@ -14,10 +14,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.arkit import ARKIT
 from ..lhm.base.files.npz import read_arrays
 from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.identities import ANNY_WITHIN, Anny
+from ..lhm.identities.arkit import ARKIT
 
 TURN = {"Up": -25.0, "Down": 30.0, "In": 35.0, "Out": 35.0}
 """Degrees of a gaze at full weight: up and down about x, to the nose and away from it about y."""

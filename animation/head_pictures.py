@@ -11,8 +11,8 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.bvh import TriangleTree
 from ..lhm.base.geometry.tets import smallest_dihedrals
 from ..lhm.base.mesh import Floats, Surface
-from ..lhm.head import LayeredHead
-from ..lhm.regressor.pairs import MeasuredDepths
+from ..lhm.head.head import LayeredHead
+from ..lhm.template.depths.pairs import MeasuredDepths
 from ..reference import Parameters, facial_scene, solve
 from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, draw_values, draw_views
 from .plots import subplots, to_png

@@ -18,13 +18,13 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ..lhm import expressions
-from ..lhm.arkit import ARKIT
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.identities.arkit import ARKIT
 from ..reference import Face
 from ..surrogate import BoundRig
 from ..surrogate.methods import BLENDSHAPES, DERIVATIVES
-from ..surrogate.rig import Remainder
+from ..surrogate.rigs.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Ints, Surface
-from ..lhm.head import LayeredHead
+from ..lhm.head.head import LayeredHead
 from .eyes_and_teeth import find_eyes_and_teeth
 
 SKIN, INSIDE = "#d8a48f", "#4a211f"

@@ -12,11 +12,11 @@ from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import SoftdecaError
 from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.progress import OnProgress
-from ..lhm.template import DEFAULT_LEVEL
+from ..lhm.template.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
-from ..surrogate.schedule import count_processors, make_schedule
+from ..surrogate.corpus.schedule import count_processors, make_schedule
 from .harness import Results, RunRequest, Study, run_together
 from .harness.processes import read_cpu_seconds
 from .harness.report import ReportPart, write_report

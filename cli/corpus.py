@@ -91,7 +91,7 @@ class Generate:
         from ..surrogate.corpus.card import write_card
         from ..surrogate.corpus.folder import Corpus
         from ..surrogate.corpus.people import people_from_text
-        from ..surrogate.schedule import check_scheduler, make_schedule
+        from ..surrogate.corpus.schedule import check_scheduler, make_schedule
 
         plan, made_with = self._plan()
         with show_progress() as progress:

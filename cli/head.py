@@ -11,16 +11,16 @@ import click
 import numpy as np
 
 from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, identities, load_template, scans
-from ..lhm.arkit import ARKIT
 from ..lhm.base.errors import FitError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.progress import OnProgress
-from ..lhm.check import Figure
-from ..lhm.head_file import export_vtk, load_head, naming_damage, read_parts, save_head
-from ..lhm.registration import landmark_ids, read_landmarks
-from ..lhm.regressor.depths import DepthRegressor
-from ..lhm.template import DEFAULT_LEVEL
-from ..lhm.template_file import read_template, save_template
+from ..lhm.head.file import export_vtk, load_head, naming_damage, read_parts, save_head
+from ..lhm.head.gates import Figure
+from ..lhm.identities.arkit import ARKIT
+from ..lhm.template.depths.depths import DepthRegressor
+from ..lhm.template.file import read_template, save_template
+from ..lhm.template.registration import landmark_ids, read_landmarks
+from ..lhm.template.template import DEFAULT_LEVEL
 from .options import FILE, LEVEL, argument, as_command, option, refuse_given
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ, PNG

@@ -13,7 +13,7 @@ import numpy as np
 from ..lhm.base.errors import InputError, quote
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
-from ..lhm.head_file import export_vtk, load_head
+from ..lhm.head.file import export_vtk, load_head
 from .head import head
 from .options import FILE, argument, as_command, option, refuse_given
 from .terminal import show_progress
@@ -78,8 +78,8 @@ class WriteMesh:
         """Mesh, write and report."""
         from ..lhm.base.files import tet_file
         from ..lhm.base.geometry.tets import tet_quality
-        from ..lhm.head_file import tets_from_head
-        from ..lhm.remesh import remesh
+        from ..lhm.head.file import tets_from_head
+        from ..lhm.head.remesh import remesh
 
         counts = parse_layers(self.layers)
         if self.size is not None:

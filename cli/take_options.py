@@ -11,9 +11,9 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take
-from ..lhm.head import LayeredHead
-from ..lhm.head_file import load_head
-from ..lhm.template import DEFAULT_LEVEL
+from ..lhm.head.file import load_head
+from ..lhm.head.head import LayeredHead
+from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
 
 

@@ -114,9 +114,9 @@ def train(
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
-    from ..surrogate.dynamics import Looseness
     from ..surrogate.networks.modal_training import ModalTraining, train_modal
     from ..surrogate.networks.weights import Weights
+    from ..surrogate.rigs.inertia import Looseness
 
     config, faces = ModalTraining(**options), Faces(corpus, "train", **read)
     more = None if neutrals is None else Faces(neutrals, "train", table="groups", **read)

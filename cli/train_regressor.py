@@ -12,9 +12,9 @@ import numpy as np
 from ..lhm import identities, load_template
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.surface_file import MILLIMETRES
-from ..lhm.regressor.depths import SKULL_PLACES, DepthRegressor, leave_one_out
-from ..lhm.regressor.pairs import PairReport, read_pairs
-from ..lhm.regressor.prior import PAIRS, SEED, prior_pairs
+from ..lhm.template.depths.depths import SKULL_PLACES, DepthRegressor, leave_one_out
+from ..lhm.template.depths.pairs import PairReport, read_pairs
+from ..lhm.template.depths.prior import PAIRS, SEED, prior_pairs
 from .head import head
 from .options import FILE, argument, as_command, option
 from .terminal import show_progress

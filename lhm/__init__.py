@@ -3,11 +3,11 @@
 from . import expressions, identities, scans
 from .base.errors import FitError, InputError, MeshError, SoftdecaError
 from .base.mesh import Surface, TetMesh
-from .build import build_template, load_template
-from .check import HeadReport, check_head
-from .fit import fit_head
-from .head import LayeredHead
-from .template import Template
+from .head.gates import HeadReport, check_head
+from .head.head import LayeredHead
+from .template.build import build_template, load_template
+from .template.fit import fit_head
+from .template.template import Template
 
 __all__ = [
     "FitError",

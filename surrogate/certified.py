@@ -24,9 +24,9 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..reference.face.correction import Correction, predict
 from ..reference.face.face import Face
-from ..reference.projective.newton_step import NewtonStep
-from .bound import BoundSurrogate
-from .rig import check_weights
+from ..reference.projective.hessian.newton_step import NewtonStep
+from .rigs.bound import BoundSurrogate
+from .rigs.rig import check_weights
 from .ruler import MOVES
 
 ACCURACY = 0.05

@@ -20,7 +20,7 @@ from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import KeptFace
 from .corpus.reading import Faces, Row
-from .rig import Needs, Rig
+from .rigs.rig import Needs, Rig
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
 ALL, VARYING = "all", "p varying over the face"

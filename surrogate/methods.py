@@ -19,11 +19,11 @@ from ..lhm.base.mesh import Floats32
 from ..reference import Prepared, prepare
 from ..reference.face.face import Face
 from ..reference.face.facial import PD_ENERGY, FaceLaw
-from .bound import BoundSurrogate
 from .certified import ACCURACY, CertifiedFace
 from .corpus.face import KeptFace
-from .dynamics import Swing
-from .rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
+from .rigs.bound import BoundSurrogate
+from .rigs.inertia import Swing
+from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
 from .runtime import Beyond, BoundRig, Surrogate, UnseenError
 
 PD, PD_PLAIN, PD_ANDERSON, PD_ARAP = "PD", "PD, plain", "PD, Anderson", "PD on ARAP"

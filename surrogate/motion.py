@@ -17,9 +17,9 @@ from .corpus.face import KeptFace
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE
 from .corpus.reading import Row, Table
-from .dynamics import OSCILLATION, DynamicRig, Looseness, Swing
 from .evaluate import Answers, Binds, Contender, Score, Trial, by_frame, measure_frames
-from .rig import Needs
+from .rigs.inertia import OSCILLATION, DynamicRig, Looseness, Swing
+from .rigs.rig import Needs
 from .trials import CorpusTrials
 
 STILL = "dynamic, by its static answer"

@@ -17,30 +17,25 @@ from ..lhm.base.checks import check_arguments, finite
 from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
-from ..lhm.head import LayeredHead
+from ..lhm.head.head import LayeredHead
+from ..lhm.head.skin import check_shapes
 from ..lhm.identities import LinearSpace
-from ..lhm.skin import check_shapes
+from ..lhm.identities.nearest import SAME, NearestPerson, check_belonging
 from ..reference import Parameters
 from ..reference.face.face import Face
 from ..reference.face.local import at_vertices as spread_over
-from .baked import compress
-from .bound import BoundSurrogate
-from .codes import SAME, NearestPerson, check_belonging
 from .corpus.face import MOVED, KeptFace
 from .corpus.mixture import NAMES, STATIC, basis
-from .dynamics import OSCILLATION, Swing, Swings
 from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
 from .networks.response_tables import expand
 from .networks.weights import Weights
-from .rig import (
-    WEIGHTS,
-    FaceModes,
-    check_code,
-    check_skin,
-)
+from .rigs.baked import compress
+from .rigs.bound import BoundSurrogate
+from .rigs.inertia import OSCILLATION, Swing, Swings
+from .rigs.rig import WEIGHTS, FaceModes, check_code, check_skin
 
 Beyond = Literal["refuse", "clamp"]
 SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))

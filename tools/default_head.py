@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.lhm.base.files.npz import write_arrays
 from softdeca.lhm.base.mesh import Floats, Ints
 from softdeca.lhm.identities import ANNY, ANNY_WITHIN
+from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.identities.cut import cut_and_close, keep_lips_together, largest_piece
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 

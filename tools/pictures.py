@@ -244,7 +244,7 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "collisions.png": (collisions, (*HEAD, *CUT)),
-    "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/registration/nonrigid.py")),
+    "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/template/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),

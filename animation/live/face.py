@@ -13,7 +13,7 @@ from ...lhm.base.mesh import Floats
 from ...reference import Face, Parameters
 from ...surrogate import BoundRig, BoundSurrogate, Surrogate
 from ...surrogate.methods import BLENDSHAPES, DERIVATIVES, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD
-from ...surrogate.rig import FaceModes, Rig
+from ...surrogate.rigs.rig import FaceModes, Rig
 from ...surrogate.ruler import MOVES
 from .messages import Change, DerivativesFound, Frame
 

@@ -16,11 +16,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...lhm.arkit import ARKIT
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.text import parse_json
 from ...lhm.base.limits import CHANGE_BYTES
 from ...lhm.base.mesh import Floats, Floats32
+from ...lhm.identities.arkit import ARKIT
 from ...reference import Parameters
 from .controls import BY_NAME, check_within
 

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from ...lhm.base.geometry.topology import midpoints
 from ...lhm.base.mesh import Floats, Ints, TetMesh
-from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.remesh import EDGES, refine_tets
-from ...lhm.wraps.columns import fill_harmonically
+from ...lhm.head.columns import fill_harmonically
+from ...lhm.head.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.head.remesh import EDGES, refine_tets
 from ...reference import Scene, materials, terms
 from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
 from .score import MESHES as MESHES

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from ...lhm.base.errors import MissingDependencyError, SoftdecaError, is_interrupt
 from ...reference import ranks
 from ...reference.added import NotModelledError, add_file, added_files
-from ...surrogate.schedule import without_interrupts
+from ...surrogate.corpus.schedule import without_interrupts
 from .study import Study, Task, Values
 
 MEGABYTE = 1e6

@@ -22,7 +22,7 @@ from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference import ranks
 from ...reference.added import added_files
-from ...surrogate.schedule import count_processors
+from ...surrogate.corpus.schedule import count_processors
 from .page import render_study
 from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 from ...lhm.base import provenance
-from ...lhm.check import Direction, is_within
+from ...lhm.head.gates import Direction, is_within
 
 Values = Mapping[str, Any]
 """The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures and HTML pages are bytes under

@@ -13,9 +13,9 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.limits import LEVEL, SEED
 from ...lhm.base.mesh import Floats
 from ...lhm.base.option import option
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
-from ...lhm.template import DEFAULT_LEVEL, LEVELS
+from ...lhm.template.template import DEFAULT_LEVEL, LEVELS
 from ...reference import Face, Parameters
 from ...reference.added import all_solvers
 from ..harness.study import Study

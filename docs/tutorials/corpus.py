@@ -22,10 +22,10 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import ready_methods
 from softdeca.surrogate.networks.modal_training import ModalTraining, train_modal
-from softdeca.surrogate.sphere import Spheres
 from softdeca.surrogate.trials import static_trials
 
 plan = CorpusPlan(

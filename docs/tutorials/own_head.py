@@ -15,7 +15,7 @@ import trimesh
 
 from softdeca.animation.head_pictures import draw_sections
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.head.file import load_head, save_head
 from softdeca.reference import Face, Parameters, facial_scene, settle, solve
 from softdeca.surrogate import METHODS
 

@@ -14,7 +14,7 @@ from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
 from ..base.geometry.surfaces import simplify, zero_surface
 from ..base.mesh import Floats, Ints, Surface
-from ..head import CRANIUM, FREE, MANDIBLE
+from ..head.head import CRANIUM, FREE, MANDIBLE
 from .bodyparts import Anatomy
 
 SPACING = 1.5

@@ -13,8 +13,8 @@ from ..base.geometry.warp import TriharmonicWarp, farthest_points
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.cut import boundary_loops, close_loop
 from ..identities.space import EYES, MOUTH
-from ..wraps.depth import mean_depth
-from ..wraps.landmarks import Landmarks, Mask, find_landmarks
+from ..template.wraps.depth import mean_depth
+from ..template.wraps.landmarks import Landmarks, Mask, find_landmarks
 from .bodyparts import Anatomy
 from .envelope import POLICY as ENVELOPE
 from .envelope import closed_envelope

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 
 from ..base.progress import OnProgress, silent
-from ..build import build_template, space_options
 from ..identities.space import LinearSpace
-from ..template import DEFAULT_LEVEL, Template
+from ..template.build import build_template, space_options
+from ..template.template import DEFAULT_LEVEL, Template
 from . import bodyparts
 from .envelope import bone_at, muscle_surface, skull_surface
 from .placement import place

@@ -1,11 +1,11 @@
 """ARKit's 52 expressions: names, weights, takes, blending, and shapes carried to other faces."""
 
-from ..arkit import ARKIT, check_weights, index, parse_weights, weights_of
-from ..rig import blend
-from ..transfer import transfer_expressions
+from ..identities.arkit import ARKIT, check_weights, index, parse_weights, weights_of
+from ..identities.transfer import transfer_expressions
 from .made_up import combinations, conversation, conversation_take, head_motion, sample_weights, speech
 from .readers import read_take
 from .recordings import Recording, recordings, starts
+from .rig import blend
 from .rigging import PersonalRig, personalise
 from .takes import Take, resample, rotations
 

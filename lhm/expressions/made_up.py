@@ -21,11 +21,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from ..arkit import ARKIT, index
 from ..base.checks import check_arguments
 from ..base.errors import InputError, MissingDependencyError, quote
 from ..base.limits import SPEECH_LETTERS
 from ..base.mesh import Floats
+from ..identities.arkit import ARKIT, index
 from .readers import read_livelink
 from .takes import Take, check_frames, check_rate
 

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arkit import ARKIT, arkit_name, index
 from ..base.checks import check_arguments, rotations_from_quaternions
 from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as load_json
 from ..base.files.text import parse_number, read_bytes
 from ..base.limits import TAKE_BYTES, TAKE_FRAMES
 from ..base.mesh import Floats
+from ..identities.arkit import ARKIT, arkit_name, index
 from .takes import Take, angles_from_rotations, take_from_columns
 
 Row = tuple[int, list[str]]

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from ..arkit import ARKIT, check_weights
 from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
-from ..transfer import HELD, Anchors, check_deltas
+from ..identities.arkit import ARKIT, check_weights
+from ..identities.transfer import HELD, Anchors, check_deltas
 
 ROUNDS = 10
 SHAPE_TRUST = (0.5, 0.1)

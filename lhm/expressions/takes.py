@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..arkit import ARKIT
 from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import TAKE_FRAMES
 from ..base.mesh import Floats
+from ..identities.arkit import ARKIT
 
 FEW = 5
 LONGEST = 1e6

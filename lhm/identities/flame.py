@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arkit import ARKIT
 from ..base.checks import finite, indices_below, real
 from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
 from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
+from .arkit import ARKIT
 from .cut import boundary_loops, close_loop, even_loop, keep_lips_together, largest_piece
 from .safe_pickle import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arkit import ARKIT
 from ..base.checks import integers
 from ..base.errors import InputError
 from ..base.files.npz import read_npy
@@ -16,6 +15,7 @@ from ..base.files.text import naming_file, read_json
 from ..base.geometry.warp import rigid_motion
 from ..base.limits import SHAPES, SPACE_VALUES
 from ..base.mesh import Floats, Ints, Surface
+from .arkit import ARKIT
 from .space import CAP, OUTSIDE, LinearSpace, check_extent
 
 CODE_SIZE = 50

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arkit import index
 from ..base.mesh import Floats, Ints, Surface
+from .arkit import index
 from .space import EYES, MOUTH, rim_of
 
 FOLLOWS = 0.5

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arkit import ARKIT, arkit_name
 from ..base.checks import array_of_kind, finite, indices_below, real, shape
 from ..base.errors import InputError, quote
 from ..base.files.npz import read_arrays
@@ -20,6 +19,7 @@ from ..base.files.surface_file import read_scan
 from ..base.limits import PARTS, SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
+from .arkit import ARKIT, arkit_name
 from .cut import cut_and_close, keep_lips_together, largest_piece
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 

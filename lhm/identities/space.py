@@ -11,7 +11,7 @@ import numpy as np
 from ..base.checks import array_of_kind, check_arguments
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
-from ..transfer import transfer_expressions
+from .transfer import transfer_expressions
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""

@@ -11,21 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from ..arkit import find_arkit_morphs
 from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from ..fit import fit_head, has_triangles_of, is_upright
-from ..head import LayeredHead
-from ..registration.alignment import Similarity
-from ..registration.landmarks import Pairs, landmark_ids, pair_landmarks
-from ..registration.registration import find_face, register
-from ..regressor.depths import DepthRegressor
-from ..skin import check_skin
-from ..template import Template
+from ..head.head import LayeredHead
+from ..head.skin import check_skin
+from ..identities.arkit import find_arkit_morphs
+from ..template.depths.depths import DepthRegressor
+from ..template.fit import fit_head, has_triangles_of, is_upright
+from ..template.registration.alignment import Similarity
+from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
+from ..template.registration.registration import find_face, register
+from ..template.template import Template
 from .placing import Placement, find_placement, millimetres
 from .repair import repair_scan
 

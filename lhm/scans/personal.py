@@ -14,23 +14,23 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arkit import ARKIT, weights_of
 from ..base.errors import FitError, InputError, SoftdecaError
 from ..base.files.surface_file import read_scan
 from ..base.files.text import find_beside, read_json
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
+from ..expressions.rig import Rig
 from ..expressions.rigging import PersonalRig, personalise
-from ..fit import has_triangles_of
-from ..head import LayeredHead
-from ..registration.alignment import Target, find_start, fit_similarity, tukey_weights
-from ..registration.nonrigid import lay_onto
-from ..registration.registration import WORST_FACE, WORST_START, find_face
-from ..rig import Rig
-from ..skin import check_registrable
-from ..template import Template
-from ..wraps.landmarks import Landmarks
+from ..head.head import LayeredHead
+from ..head.skin import check_registrable
+from ..identities.arkit import ARKIT, weights_of
+from ..template.fit import has_triangles_of
+from ..template.registration.alignment import Target, find_start, fit_similarity, tukey_weights
+from ..template.registration.nonrigid import lay_onto
+from ..template.registration.registration import WORST_FACE, WORST_START, find_face
+from ..template.template import Template
+from ..template.wraps.landmarks import Landmarks
 from .placing import UNITS, find_placement
 from .repair import repair_scan
 

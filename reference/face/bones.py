@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.geometry.warp import rigid_motion
 from ...lhm.base.mesh import Floats
-from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.head.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .. import terms
 from .parameters import Parameters
 

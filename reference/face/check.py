@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ...lhm.check import Figure, check_posed
-from ...lhm.head import LayeredHead
+from ...lhm.head.gates import Figure, check_posed
+from ...lhm.head.head import LayeredHead
 from .. import Parameters, facial_scene, solve
 
 

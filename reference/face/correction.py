@@ -10,10 +10,10 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats
 from ..projective.descent import Point, Problem, lbfgs_step, search_line
-from ..projective.energy import Energy
+from ..projective.hessian.newton_step import NewtonStep, newton_step
 from ..projective.memory import Memory
-from ..projective.newton_step import NewtonStep, newton_step
-from ..projective.springs import Springs
+from ..projective.terms.energy import Energy
+from ..projective.terms.springs import Springs
 from .derivatives import spring_norm
 from .face import Face
 

@@ -17,7 +17,7 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from .. import terms
 from ..projective import Pattern, ProjectivePrepared, Tangent, prepare
 from ..scene import Scene

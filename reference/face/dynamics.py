@@ -35,8 +35,8 @@ from scipy.spatial import cKDTree
 from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import LEAN_REGIONS, flesh_share
-from ...lhm.head import FREE, LayeredHead
+from ...lhm.head.flesh import LEAN_REGIONS, flesh_share
+from ...lhm.head.head import FREE, LayeredHead
 from .parameters import Parameters, spread_to_vertices
 
 CLOSE, DEEP = 5.0, 15.0

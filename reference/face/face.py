@@ -11,8 +11,8 @@ import numpy as np
 from ...lhm.base.checks import finite
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ...lhm.head import LayeredHead
-from ...lhm.skin import check_shapes
+from ...lhm.head.head import LayeredHead
+from ...lhm.head.skin import check_shapes
 from ..scene import Scene
 from ..solution import OnIteration
 from . import palsy

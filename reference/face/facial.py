@@ -16,7 +16,7 @@ from ...lhm.base.checks import array_of_kind, check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.likeness import check_moved
 from ...lhm.base.mesh import Floats, Ints
-from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.head.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .. import terms
 from ..added import added_laws
 from ..materials import Material, NeoHookean

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import cheek_share
-from ...lhm.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.wraps.columns import fill_harmonically
+from ...lhm.head.columns import fill_harmonically
+from ...lhm.head.flesh import cheek_share
+from ...lhm.head.head import FREE, MANDIBLE, LayeredHead
 from .. import terms
 from ..scene import Scene
 from .bones import condyles, scale_skull

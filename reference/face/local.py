@@ -9,7 +9,7 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from .parameters import Parameters
 
 

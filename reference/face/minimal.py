@@ -11,7 +11,7 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ..scene import Scene
 from ..solve import prepare
 from .parameters import Parameters

@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.flesh import expressive_share, socket_share
-from ...lhm.head import LayeredHead
+from ...lhm.head.flesh import expressive_share, socket_share
+from ...lhm.head.head import LayeredHead
 from .parameters import Parameters, spread_to_vertices
 
 SEAM = 10.0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ..projective import ProjectivePrepared, Tangent
 from ..scene import Scene
 from ..solution import Solution, volume_ratio

@@ -20,9 +20,9 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import LEAN_REGIONS, flesh_share
-from ...lhm.head import FREE, LayeredHead
-from ...lhm.wraps.columns import fill_harmonically
+from ...lhm.head.columns import fill_harmonically
+from ...lhm.head.flesh import LEAN_REGIONS, flesh_share
+from ...lhm.head.head import FREE, LayeredHead
 from .. import terms
 from ..added import all_solvers
 from ..scene import Scene

@@ -28,8 +28,8 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.tets import untangle
 from ...lhm.base.geometry.topology import split_triangles
 from ...lhm.base.mesh import FACES, Floats, Ints, Surface, as_points, tet_volumes
-from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.layers import prism_tets, stack_wraps
+from ...lhm.head.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.head.layers import prism_tets, stack_wraps
 from ..scene import Scene
 from ..terms import Strain
 

@@ -20,7 +20,7 @@ raises MissingDependencyError.
 
 # First of all, since it says in one line what to install, and keeps ufl's warning of its own imports to itself.
 from . import dolfinx_version
-from .parts import Part, PartScene, read_scene
+from .mesh.parts import Part, PartScene, read_scene
 from .prepared import PreparedFenicsx, prepare
 
 __all__ = ["Part", "PartScene", "PreparedFenicsx", "dolfinx_version", "prepare", "read_scene"]

@@ -10,12 +10,12 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..solution import Stresses
 from . import dolfinx_version as seam
-from .assembly import add_forces
 from .dolfinx_version import ALONE
-from .numbering import Numbering, ranks_for
-from .parallel import gather
-from .problem import Problem
-from .quadrature import Quadrature
+from .energy.assembly import add_forces
+from .energy.quadrature import Quadrature
+from .linear.problem import Problem
+from .mesh.numbering import Numbering, ranks_for
+from .mesh.parallel import gather
 from .run import Attempt
 
 

@@ -25,22 +25,22 @@ from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Solution, first_positions
 from ..terms import Fixed, Gravity, Hyperelastic, Inertia, Pressure, RigidBody, Term, Traction
-from .bodies import RigidProblem
 from .dolfinx_version import ALONE
-from .dynamics import March
+from .energy.solids import check_solids
 from .fields import Fields, NodalAnswer, Sampling, recover
-from .linear_solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
-from .load_path import Continuation
-from .minimise import Minimisation
-from .multipliers import Condensed, MultiplierDescent
-from .numbering import DEGREE_OF, Numbering, ranks_for
-from .parallel import anywhere, check_same
+from .linear.problem import MODELS, Problem
+from .linear.saddle import SaddleMatrix
+from .linear.saddle_block import SADDLES
+from .linear.solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
+from .mesh.numbering import DEGREE_OF, Numbering, ranks_for
+from .mesh.parallel import anywhere, check_same
 from .policy import POLICY, FenicsxPolicy
-from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
-from .saddle import SaddleMatrix
-from .saddle_block import SADDLES
-from .solids import check_solids
+from .strategies.bodies import RigidProblem
+from .strategies.dynamics import March
+from .strategies.load_path import Continuation
+from .strategies.minimise import Minimisation
+from .strategies.multipliers import Condensed, MultiplierDescent
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
 """Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""

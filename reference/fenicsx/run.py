@@ -12,8 +12,8 @@ from ...lhm.base.mesh import Floats
 from ..clock import Seconds
 from ..scene import Scene
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, Stresses, volume_ratio
-from .numbering import Numbering
-from .parallel import anywhere
+from .mesh.numbering import Numbering
+from .mesh.parallel import anywhere
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats
 from ..solution import Reason, Recorder
-from .coordinates import Place
 from .memory import Memory
 from .policy import POLICY, DescentPolicy
+from .unknowns.coordinates import Place
 
 
 @dataclass(frozen=True, eq=False)

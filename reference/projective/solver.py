@@ -18,15 +18,15 @@ from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
 from ..terms import Contact, Fixed, RigidBody, StrainRule, Term
-from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
-from .energy import PARTS, Energy, recover
+from .hessian.newton_step import newton_step
+from .hessian.tangent import Pattern, Tangent
 from .memory import Memory
-from .newton_step import newton_step
 from .policy import POLICY, ProjectivePolicy
-from .system import System
-from .tangent import Pattern, Tangent
-from .tets import TetBlocks
+from .terms.energy import PARTS, Energy, recover
+from .terms.tets import TetBlocks
+from .unknowns.coordinates import Coordinates, Place
+from .unknowns.system import System
 
 if TYPE_CHECKING:
     from .contact import ContactSolver

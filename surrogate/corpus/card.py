@@ -16,11 +16,11 @@ import numpy as np
 from ...lhm.base.files.atomic import replaced
 from ...lhm.base.mesh import Floats
 from ...lhm.identities import TransferredSpace
-from ..sphere import Spheres
 from .folder import Corpus, CorpusStatus, shorten_reason
 from .mixture import KINDS
 from .people import OfSpace, People
 from .shard import ACCEPTED, TABLES, columns_of, read_arrays_of
+from .spheres import Spheres
 
 QUARTERS = (5, 25, 50, 75, 95)
 LICENCE = "cc0-1.0"

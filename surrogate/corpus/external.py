@@ -19,10 +19,10 @@ from ...lhm.base.files.cache import load_or_make
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import ARKIT, personalise, sample_weights, transfer_expressions
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
+from ...lhm.identities.nearest import nearest_code
 from ...lhm.identities.space import LinearSpace
-from ...lhm.registration import register
-from ..codes import nearest_code
+from ...lhm.template.registration import register
 from .face import Person
 
 SCANS = 24

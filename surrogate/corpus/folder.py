@@ -22,16 +22,16 @@ from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.sequence import Velocities
-from ..schedule import Schedule, run_items
-from ..surface_hash import surface_hash
 from .intact import check_intact, check_shard, read_intact
 from .manifest import MANIFEST, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
 from .plan import CorpusPlan
+from .schedule import Schedule, run_items
 from .sequences import load_velocities
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
+from .surface_hash import surface_hash
 
 SERIAL = Schedule()
 OWN = ("person-*", "corpus", "template", "velocities", "README", "figures", "croissant")

@@ -9,7 +9,7 @@ from os import PathLike
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.progress import OnProgress, silent
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from .face import Person
 from .manifest import read_manifest
 from .people import People, people_from_text

@@ -13,7 +13,7 @@ import numpy as np
 from ...lhm.base.checks import in_range, indices_below, integers, one_of, shape
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Surface
-from ...lhm.skin import check_shapes
+from ...lhm.head.skin import check_shapes
 from .manifest import Manifest
 from .mixture import NAMES
 from .plan import LENGTH, CorpusPlan

@@ -15,10 +15,10 @@ from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Surface
-from ..surface_hash import surface_hash
 from .mixture import NAMES
 from .plan import SPLITS, CorpusPlan, Split
 from .shard import FARTHEST, FORMATS, READ
+from .surface_hash import surface_hash
 
 MANIFEST = "corpus.json"
 TEMPLATE = "template.npz"

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...reference import Parameters
 
 KINDS = ("few", "materials", "effects", "both", "single")

@@ -12,12 +12,12 @@ from ...lhm import fit_head, identities, load_template
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...lhm.identities import IdentitySpace
-from ...lhm.template import DEFAULT_LEVEL
-from ..sphere import Spheres
+from ...lhm.template.template import DEFAULT_LEVEL
 from .external import External
 from .face import Person
+from .spheres import Spheres
 
 
 class People(Protocol):

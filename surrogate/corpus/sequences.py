@@ -14,7 +14,7 @@ from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import Take, conversation, rotations
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...reference import Parameters, Sequence, settle
 from ...reference.face.dynamics import extrapolate_turns
 from ...reference.face.face import Face

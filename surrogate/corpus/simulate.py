@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities
 from .face import Person

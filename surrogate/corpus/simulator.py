@@ -10,7 +10,7 @@ import numpy as np
 from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...reference import Parameters, SettledFace, Solution
 from ...reference.face.derivatives import Analysis, spring_norm
 from ...reference.face.face import Face

@@ -20,15 +20,15 @@ import numpy as np
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.expressions import sample_weights
-from ...lhm.head import LayeredHead
+from ...lhm.head.head import LayeredHead
 from ...reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ...reference.face.palsy import Springs, skin_activation
 from ...reference.face.settle import SettledFace
-from ...reference.projective.energy import Energy
-from ...reference.projective.springs import Springs as Drawn
+from ...reference.projective.terms.energy import Energy
+from ...reference.projective.terms.springs import Springs as Drawn
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..rig import WEIGHTS, CorrectedRig, Needs
+from ..rigs.rig import WEIGHTS, CorrectedRig, Needs
 from .features import Inputs
 from .layers import Arrays, concatenate, einsum, perceptron
 from .ridge import find_components

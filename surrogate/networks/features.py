@@ -18,7 +18,7 @@ from ...reference import Parameters
 from ...reference.face.palsy import activation_share, left_share
 from ...reference.face.settle import GROWING
 from ..corpus.mixture import NAMES, STATIC, basis, select_static
-from ..dynamics import OSCILLATION
+from ..rigs.inertia import OSCILLATION
 
 if TYPE_CHECKING:
     from ..corpus.face import KeptFace

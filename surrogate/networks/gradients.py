@@ -20,8 +20,8 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.deformation import DeformationTransfer, weighted_edges
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..corpus.mixture import STATIC
-from ..dynamics import DynamicRig, Swings, dynamic_rig
-from ..rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
+from ..rigs.inertia import DynamicRig, Swings, dynamic_rig
+from ..rigs.rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
 from .layers import Arrays, check_numbers, check_sizes
 
 Bound = Callable[[Floats32], tuple[Floats32, Floats32]]

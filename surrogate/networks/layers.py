@@ -13,7 +13,7 @@ import numpy as np
 
 from ...lhm.base.checks import array_of_kind, finite, shape
 from ...lhm.base.errors import InputError
-from ..rig import silu
+from ..rigs.rig import silu
 
 EVERY = slice(None)
 Arrays = Mapping[str, Any]

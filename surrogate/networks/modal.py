@@ -25,7 +25,7 @@ import numpy as np
 from ...lhm.base.checks import shape
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ..rig import WEIGHTS, FaceModes, Remainder, silu
+from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from .features import EFFECTS, Features
 from .layers import EVERY, Arrays, check_numbers, count_rows, einsum, exp, linear, perceptron, scale_modes
 from .response_tables import MIXED, mix, responses

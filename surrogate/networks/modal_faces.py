@@ -12,7 +12,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Ints
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..surface_hash import surface_hash
+from ..corpus.surface_hash import surface_hash
 from .features import Features, Inputs
 from .trainer import hold_out_people, torch
 from .weights import Weights

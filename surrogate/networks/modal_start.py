@@ -10,7 +10,7 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..corpus.face import KeptFace
-from ..rig import WEIGHTS
+from ..rigs.rig import WEIGHTS
 from .features import EFFECTS, Features, Inputs
 from .modal import PARTS, QUIET, WITHOUT_BIAS, ModalConfig, modal_layers, modal_shapes
 from .modal_faces import LessonFaces, NeutralMotion, relaxing, settling

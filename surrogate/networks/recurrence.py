@@ -16,8 +16,8 @@ from ...lhm.base.checks import finite
 from ...lhm.base.mesh import Floats
 from ..corpus.mixture import NAMES
 from ..corpus.plan import RATE
-from ..dynamics import LearnedSwing
-from ..rig import silu
+from ..rigs.inertia import LearnedSwing
+from ..rigs.rig import silu
 from .layers import Arrays, check_numbers, check_sizes, exp, linear, perceptron
 
 COEFFICIENTS = ("beta", "gamma")

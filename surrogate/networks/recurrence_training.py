@@ -16,7 +16,7 @@ from ..corpus.face import KeptFace, Person
 from ..corpus.heads import Heads
 from ..corpus.mixture import basis
 from ..corpus.reading import Table
-from ..rig import Rig
+from ..rigs.rig import Rig
 from .features import Inputs
 from .gradient_training import smooth_vertices
 from .recurrence import ARRAYS, LAYERS, WITHOUT_BIAS, LearnedRecurrence, coefficients, sizes

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from ..rig import WEIGHTS, silu
+from ..rigs.rig import WEIGHTS, silu
 from .features import GIVE
 from .layers import EVERY, Arrays, concatenate, exp, linear
 

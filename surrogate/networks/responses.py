@@ -8,10 +8,10 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
-from ..bound import BoundSurrogate
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..rig import FaceModes, Needs
+from ..rigs.bound import BoundSurrogate
+from ..rigs.rig import FaceModes, Needs
 from .features import Inputs
 
 

@@ -11,7 +11,7 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.face import Frames, KeptFace
 from ..corpus.mixture import STATIC
 from ..corpus.reading import Faces
-from ..rig import CorrectedRig, Needs
+from ..rigs.rig import CorrectedRig, Needs
 from .features import Inputs
 
 FRAMES = 6000

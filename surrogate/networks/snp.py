@@ -11,7 +11,7 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
-from ..rig import Needs
+from ..rigs.rig import Needs
 from .features import Features, Inputs
 from .layers import perceptron
 from .ridge import find_components

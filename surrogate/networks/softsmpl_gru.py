@@ -13,7 +13,7 @@ import numpy as np
 from ...lhm.base.geometry.deformation import DeformationTransfer
 from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
-from ..rig import Needs
+from ..rigs.rig import Needs
 from .features import Features, Inputs
 from .gradient_training import still_vertices, transfer_delta
 from .layers import elu, perceptron

@@ -10,7 +10,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats32
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
-from ..rig import CorrectedRig, Needs
+from ..rigs.rig import CorrectedRig, Needs
 from .features import Inputs
 from .layers import EVERY, Arrays
 from .ridge import sample_frames

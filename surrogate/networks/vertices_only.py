@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..rig import WEIGHTS, silu
+from ..rigs.rig import WEIGHTS, silu
 from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron
 from .trainer import Tensors, draw_layers, perceptron_layers, torch
 from .vertex_network import VertexNetwork

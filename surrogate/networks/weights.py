@@ -21,8 +21,8 @@ from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
 from ..corpus.mixture import STATIC
-from ..dynamics import Looseness
-from ..surface_hash import surface_hash
+from ..corpus.surface_hash import surface_hash
+from ..rigs.inertia import Looseness
 from .forms import FORMS
 from .modal import check_modal
 from .recurrence import LearnedRecurrence

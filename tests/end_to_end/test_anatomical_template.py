@@ -8,9 +8,9 @@ from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.mesh import Surface
-from softdeca.lhm.head import CRANIUM, MANDIBLE
-from softdeca.lhm.head_file import load_head
-from softdeca.lhm.template_file import read_template
+from softdeca.lhm.head.file import load_head
+from softdeca.lhm.head.head import CRANIUM, MANDIBLE
+from softdeca.lhm.template.file import read_template
 
 from ..refusals import refused
 

@@ -21,7 +21,7 @@ from softdeca.animation.play import Output
 from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
-from softdeca.lhm.head_file import save_head
+from softdeca.lhm.head.file import save_head
 from softdeca.reference import Face, Parameters, SceneError, Sequence, settle, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters

@@ -11,9 +11,9 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.heads.depth import BETTER, PUBLISHED, Depth
 from softdeca.lhm import Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.distance import SignedDistance
-from softdeca.lhm.regressor.depths import DepthRegressor
-from softdeca.lhm.regressor.pairs import OUTSIDE, check_inside, inward_normals, move_wrap
-from softdeca.lhm.regressor.prior import prior_pairs
+from softdeca.lhm.template.depths.depths import DepthRegressor
+from softdeca.lhm.template.depths.pairs import OUTSIDE, check_inside, inward_normals, move_wrap
+from softdeca.lhm.template.depths.prior import prior_pairs
 
 DEEPER = 2.0
 BEATS = "error of the face's depths over that of one published depth everywhere"

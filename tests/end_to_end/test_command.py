@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.studies import load_study
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.head.file import load_head, save_head
 
 
 @pytest.mark.parametrize(

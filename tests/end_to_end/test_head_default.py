@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from softdeca.lhm import Surface, check_head, expressions, fit_head, identities, load_template
-from softdeca.lhm.skin import check_skin
+from softdeca.lhm.head.skin import check_skin
 
 
 @pytest.fixture(scope="module", params=["anny", "ict"])

@@ -7,7 +7,7 @@ import pytest
 
 from softdeca.lhm.base.files.tet_file import read_tets
 from softdeca.lhm.base.geometry.tets import tet_quality
-from softdeca.lhm.head_file import save_head
+from softdeca.lhm.head.file import save_head
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from PIL import Image
 
 from softdeca.animation.head_pictures import _cut_tets, _cut_triangles, draw_head
 from softdeca.lhm import load_template
-from softdeca.lhm.head_file import save_head
+from softdeca.lhm.head.file import save_head
 
 PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png", "skin.png"]
 

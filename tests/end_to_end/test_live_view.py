@@ -17,11 +17,11 @@ import pytest
 
 from softdeca.animation.head_pictures import expression_deltas
 from softdeca.lhm import expressions, fit_head, identities
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.head.file import load_head, save_head
+from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.codes import nearest_code
 from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
 
 pytest.importorskip("websockets")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, check_head, identities, load_template, scans
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.topology import close_openings
+from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.identities.gaps import find_gaps
 from softdeca.lhm.identities.space import EYES, MOUTH, OUTSIDE
 

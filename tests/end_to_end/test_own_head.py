@@ -11,9 +11,9 @@ import pytest
 
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
 from softdeca.lhm import check_head, expressions, identities, load_template
-from softdeca.lhm.head_file import load_head
+from softdeca.lhm.head.file import load_head
 from softdeca.lhm.identities.space import OUTSIDE
-from softdeca.lhm.registration import landmark_ids
+from softdeca.lhm.template.registration import landmark_ids
 from softdeca.surrogate import Surrogate
 
 from ..robustness.whole_files import grouped_obj

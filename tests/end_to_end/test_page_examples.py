@@ -16,7 +16,7 @@ from softdeca.reference.problems.meshes import box, triangles_at
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from softdeca.lhm import expressions, fit_head, load_template
-from softdeca.lhm.fit import add_own_expressions
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.head.file import load_head, save_head
+from softdeca.lhm.template.fit import add_own_expressions
 
 SMILE, OPEN = expressions.index("mouthSmileLeft"), expressions.index("jawOpen")
 STATUE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

@@ -10,8 +10,8 @@ from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.methods import NETWORK, READY
-from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
 OF_THE_CHECKOUT = {"clean tree", "commit"}

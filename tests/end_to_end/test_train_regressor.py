@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import identities, load_template
-from softdeca.lhm.regressor.depths import DepthRegressor
+from softdeca.lhm.template.depths.depths import DepthRegressor
 
 from ..unit.test_regressor import connectors, head, write
 

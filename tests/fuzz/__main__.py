@@ -37,7 +37,7 @@ MEMORY = 1_500_000_000
 """Bytes that reading may add to the process' address space: the files have 100 kB."""
 READERS = (
     "lhm/base/files", "lhm/base/checks", "lhm/base/mesh", "lhm/head", "lhm/rig", "lhm/template", "lhm/identities",
-    "lhm/expressions/readers", "lhm/expressions/takes", "lhm/anatomy/bodyparts", "lhm/registration/landmarks",
+    "lhm/expressions/readers", "lhm/expressions/takes", "lhm/anatomy/bodyparts", "lhm/template/registration/landmarks",
     "lhm/regressor", "lhm/scans/personal", "reference/face/parameters", "surrogate/corpus/folder",
     "surrogate/corpus/intact", "surrogate/corpus/manifest", "surrogate/corpus/plan", "surrogate/corpus/reading",
     "surrogate/corpus/shard", "surrogate/networks/weights", "surrogate/networks/modal.py",

@@ -15,21 +15,23 @@ from softdeca.benchmarks.face.score import AnswerError, Archive, describe_score,
 from softdeca.benchmarks.harness.report import read_part, write_report
 from softdeca.benchmarks.harness.results import compare_results
 from softdeca.benchmarks.studies import load_study
-from softdeca.lhm import InputError, Surface, expressions, head_file, identities, template_file
+from softdeca.lhm import InputError, Surface, expressions, identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files import surface_file, tet_file
 from softdeca.lhm.expressions import resample
-from softdeca.lhm.registration import read_landmarks
-from softdeca.lhm.regressor.depths import DepthRegressor
+from softdeca.lhm.head import file as head_file
+from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.scans import read_guesses
+from softdeca.lhm.template import file as template_file
+from softdeca.lhm.template.depths.depths import DepthRegressor
+from softdeca.lhm.template.registration import read_landmarks
 from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import read_status, verify_folder
 from softdeca.surrogate.corpus.manifest import read_manifest, read_template
 from softdeca.surrogate.corpus.plan import read_plan
 from softdeca.surrogate.corpus.reading import Table
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 from ..robustness import whole_files
 from . import mutations

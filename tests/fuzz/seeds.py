@@ -25,10 +25,11 @@ from scipy.sparse import csc_matrix
 from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.archive import describe, write_archive
 from softdeca.benchmarks.face.problems import MESHES, PROBLEMS
-from softdeca.lhm import head_file, template_file
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files import moving_surface, tet_file
-from softdeca.lhm.head_file import tets_from_head
+from softdeca.lhm.head import file as head_file
+from softdeca.lhm.head.file import tets_from_head
+from softdeca.lhm.identities.arkit import ARKIT
+from softdeca.lhm.template import file as template_file
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace

@@ -130,7 +130,7 @@ def corpus() -> Numbers:
     from softdeca.surrogate.corpus.people import OfSpace
     from softdeca.surrogate.corpus.plan import PRESETS
     from softdeca.surrogate.corpus.reading import Table
-    from softdeca.surrogate.sphere import Spheres
+    from softdeca.surrogate.corpus.spheres import Spheres
 
     space = Spheres(1)
     plan = replace(PRESETS["tiny"], references=0, identities=2)

@@ -32,8 +32,10 @@ from watch import bound_memory, watch
 from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
-from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, head_file, identities, template_file
+from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
 from softdeca.lhm.base.files import surface_file, tet_file
+from softdeca.lhm.head import file as head_file
+from softdeca.lhm.template import file as template_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
 from softdeca.reference.face import parameters
 from softdeca.reference.problems.meshes import box

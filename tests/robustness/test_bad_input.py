@@ -16,8 +16,8 @@ from softdeca.lhm import InputError, SoftdecaError, Surface, expressions, fit_he
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
 from softdeca.lhm.base.files.resumable import RowStore, lock_folder
 from softdeca.lhm.expressions import weights_of
-from softdeca.lhm.fit import is_upright
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.head.file import load_head, save_head
+from softdeca.lhm.template.fit import is_upright
 from softdeca.reference import Parameters, Scene, facial_scene, settle, terms
 from softdeca.surrogate.corpus.plan import PRESETS
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.reference import Parameters, Reason, facial_scene, prepare
 
 LIPS = "mouthPressLeft mouthPressRight mouthRollLower mouthRollUpper"

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import identities, load_template
 from softdeca.lhm.base.errors import InputError
-from softdeca.lhm.fit import fit_head
-from softdeca.lhm.head_file import check_head_file, load_head, save_head
-from softdeca.lhm.template_file import read_template, save_template
+from softdeca.lhm.head.file import check_head_file, load_head, save_head
+from softdeca.lhm.template.file import read_template, save_template
+from softdeca.lhm.template.fit import fit_head
 
 from ..refusals import refused
 
@@ -271,7 +271,7 @@ def test_a_damaged_template_is_refused(tmp_path, whole, name):
 def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypatch):
     """Of right arrays with wrong values too: `load_or_make` asks the reader."""
     from softdeca.lhm.base.files.cache import load_or_make
-    from softdeca.lhm.template_file import template_from_arrays
+    from softdeca.lhm.template.file import template_from_arrays
 
     monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
     np.savez(tmp_path / "thing.npz", **whole["template"] | {"parts": whole["template"]["parts"] + 9})

@@ -9,11 +9,11 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from softdeca.lhm import Surface, identities, load_template
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.head_file import check_head_file, load_head
+from softdeca.lhm.head.file import check_head_file, load_head
+from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.scans.repair import repair_scan
 
 from .whole_files import big_endian_ply, binary_strips_ply, exported, obj, stl, strips_ply

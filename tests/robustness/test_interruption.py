@@ -18,7 +18,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.base.provenance import describe_machine
-from softdeca.lhm.head_file import save_head
+from softdeca.lhm.head.file import save_head
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 WITHOUT = """
@@ -36,8 +36,8 @@ import sys
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.schedule import make_schedule
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.schedule import make_schedule
+from softdeca.surrogate.corpus.spheres import Spheres
 if __name__ == "__main__":
     space = Spheres(2)
     plan = CorpusPlan(
@@ -50,7 +50,7 @@ if __name__ == "__main__":
 """
 WORK = """
 import sys, time
-from softdeca.surrogate.schedule import Schedule, run_items
+from softdeca.surrogate.corpus.schedule import Schedule, run_items
 if __name__ == "__main__":
     print("begin", file=sys.stderr, flush=True)
     for _ in run_items(time.sleep, [0.01] * 5000, on=Schedule("processes", 2)):
@@ -532,8 +532,7 @@ def test_a_machine_is_described_whatever_the_count_of_threads(monkeypatch):
 
 
 def test_a_scheduler_that_does_not_answer_is_told_before_any_work(tmp_path, command, monkeypatch):
-    from softdeca.surrogate import schedule
-    from softdeca.surrogate.corpus import people
+    from softdeca.surrogate.corpus import people, schedule
 
     monkeypatch.setattr(schedule, "PATIENCE", "1s")
     monkeypatch.setattr(people, "people_from_text", None)  # the work that comes first

@@ -7,7 +7,7 @@ import pytest
 
 from softdeca.benchmarks.studies.agreement.effect import parse_effects, run_effect
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
-from softdeca.lhm.check import check_layers
+from softdeca.lhm.head.gates import check_layers
 from softdeca.reference import Parameters, facial_scene, solve
 from softdeca.reference.face.sequence import Sequence
 

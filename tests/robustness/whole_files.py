@@ -10,10 +10,10 @@ import trimesh
 from scipy.sparse import identity
 
 from softdeca.lhm import LayeredHead, Surface, Template
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.regressor.depths import DepthPairs, DepthRegressor
-from softdeca.lhm.rig import Rig
+from softdeca.lhm.expressions.rig import Rig
+from softdeca.lhm.identities.arkit import ARKIT
+from softdeca.lhm.template.depths.depths import DepthPairs, DepthRegressor
 
 
 def exported(kind: str, x: np.ndarray, triangles: np.ndarray, **more) -> bytes:

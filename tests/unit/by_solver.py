@@ -42,8 +42,8 @@ def dense(matrix):
 
 def projective_hessian(prepared, place, least=-1.0):
     """Projective dynamics' Hessian as an array: exact, or with no eigenvalue of an element below 0."""
-    from softdeca.reference.projective.sparsity import Sparsity
-    from softdeca.reference.projective.tangent import hessian
+    from softdeca.reference.projective.hessian.tangent import hessian
+    from softdeca.reference.projective.unknowns.sparsity import Sparsity
 
     scene, energy, coordinates = prepared.scene, prepared.energy, prepared.system.coordinates
     sparsity = Sparsity.from_scene(scene, energy.parts, coordinates)
@@ -89,9 +89,9 @@ class Fenicsx:
 
     def __init__(self, scene, element="P1"):
         pytest.importorskip("dolfinx")
-        from softdeca.reference.fenicsx.bodies import RigidProblem
-        from softdeca.reference.fenicsx.numbering import DEGREE_OF, Numbering
-        from softdeca.reference.fenicsx.problem import Problem
+        from softdeca.reference.fenicsx.linear.problem import Problem
+        from softdeca.reference.fenicsx.mesh.numbering import DEGREE_OF, Numbering
+        from softdeca.reference.fenicsx.strategies.bodies import RigidProblem
 
         self.order = Numbering(scene, DEGREE_OF[element])
         self.problem, self.nodes = Problem(scene, self.order), self.order.X

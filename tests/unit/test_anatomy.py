@@ -12,9 +12,9 @@ from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplify, zero_surface
 from softdeca.lhm.base.mesh import Surface
-from softdeca.lhm.build import find_connectors
-from softdeca.lhm.head import CRANIUM, FREE, MANDIBLE
+from softdeca.lhm.head.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
+from softdeca.lhm.template.build import find_connectors
 
 from ..refusals import refused
 

@@ -23,8 +23,8 @@ from softdeca.surrogate.methods import FENICSX
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_counts_are_the_solvers(element):
     pytest.importorskip("dolfinx")
-    from softdeca.reference.fenicsx.numbering import Numbering
-    from softdeca.reference.fenicsx.problem import Problem
+    from softdeca.reference.fenicsx.linear.problem import Problem
+    from softdeca.reference.fenicsx.mesh.numbering import Numbering
 
     X, tets = meshes.unstructured(2, 1.0)
     scene = Scene(np.vstack([X, [[9.0, 9.0, 9.0]]]), tets, [])  # a vertex in no tet is no unknown

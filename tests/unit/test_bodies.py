@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm.base.geometry.warp import rigid_motion
-from softdeca.lhm.head import CRANIUM, MANDIBLE
+from softdeca.lhm.head.head import CRANIUM, MANDIBLE
 from softdeca.reference import Reason, Scene, SceneError, prepare, terms
 from softdeca.reference.problems import meshes
 

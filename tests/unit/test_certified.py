@@ -6,7 +6,7 @@ import pytest
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import certify
 from softdeca.surrogate.certified import Reached
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 from ..refusals import refused
 

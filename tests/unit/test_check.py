@@ -8,13 +8,13 @@ import pytest
 import trimesh
 
 from softdeca.lhm import MeshError, Surface, check_head, fit_head
-from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.deformation import folded_length, greatest_stretches, torn_area
 from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
 from softdeca.lhm.base.geometry.triangles import fan_crossings
-from softdeca.lhm.check import Figure, check_layers
-from softdeca.lhm.head_file import check_head_file, save_head
-from softdeca.lhm.openings import lid_path, lip_path
+from softdeca.lhm.head.file import check_head_file, save_head
+from softdeca.lhm.head.gates import Figure, check_layers
+from softdeca.lhm.head.openings import lid_path, lip_path
+from softdeca.lhm.identities.arkit import ARKIT
 
 from ..refusals import refused
 
@@ -273,6 +273,6 @@ def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypat
     deltas[ARKIT.index("jawOpen")] *= 2.2
     wide = replace(head, rig=replace(head.rig, deltas=deltas))
     assert check.check_posed_head(wide)[0].value > jaw.value
-    monkeypatch.setattr("softdeca.lhm.check.INVERTED", check.check_posed_head(wide)[0].value - 1)
+    monkeypatch.setattr("softdeca.lhm.head.gates.INVERTED", check.check_posed_head(wide)[0].value - 1)
     assert check.check_posed_head(wide)[0].missed
     assert check.check_posed_head(template.head) == ()

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from softdeca.lhm.base.errors import SceneError
 from softdeca.lhm.base.geometry.bvh import TetTree
 from softdeca.lhm.base.geometry.triangles import parting_shifts
-from softdeca.lhm.layers import prism_tets
+from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Scene, prepare, solve, terms
 from softdeca.reference.problems import meshes
-from softdeca.reference.projective import system
 from softdeca.reference.projective.contact.constraints import Constraints
 from softdeca.reference.projective.policy import ContactPolicy
+from softdeca.reference.projective.unknowns import system
 
 ALLOWED_DEPTH = ContactPolicy().allowed_depth
 

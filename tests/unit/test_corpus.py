@@ -24,11 +24,11 @@ from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import REFERENCE, Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.references import FEM_LAWS
+from softdeca.surrogate.corpus.schedule import Schedule
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulator import make_face, simulate_static
-from softdeca.surrogate.schedule import Schedule
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)

@@ -11,8 +11,8 @@ from softdeca.reference import Parameters
 from softdeca.reference.face.settle import changes_neutral
 from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, select_static
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients
-from softdeca.surrogate.sphere import Spheres
 
 PLAN = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
 

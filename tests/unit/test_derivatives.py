@@ -8,7 +8,7 @@ import pytest
 from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Parameters, SettledFace, facial_scene, prepare, settle, terms
 from softdeca.reference.face.derivatives import differentiate, vertices_by_parameters
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 PLAIN = SPACE.fit(SPACE.skin(CODE))

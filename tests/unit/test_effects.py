@@ -20,7 +20,7 @@ from softdeca.benchmarks.studies.agreement.effect import (
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.measures import NEO_HOOKEAN, PD_ENERGY
 from softdeca.lhm.base.errors import InputError
-from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
+from softdeca.lhm.head.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.reference import Parameters, Scene, facial_scene, materials, terms
 from softdeca.reference.problems import meshes
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 from .by_solver import DISCRETE, SOLVERS, WAYS, dense
 

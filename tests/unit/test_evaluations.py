@@ -15,12 +15,12 @@ from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
-from softdeca.surrogate.dynamics import Looseness
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import Contender, by_frame, evaluate, measure_frames, score_distances
 from softdeca.surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, METHODS, Method, use_network
 from softdeca.surrogate.motion import STILL, evaluate_motion, evaluate_played
 from softdeca.surrogate.networks.weights import TrainingNote
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials, static_trials
 
 SPACE = Spheres(1)

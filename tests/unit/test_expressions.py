@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, expressions
-from softdeca.lhm.arkit import ARKIT, arkit_name, find_arkit_morphs
 from softdeca.lhm.identities import LinearSpace
+from softdeca.lhm.identities.arkit import ARKIT, arkit_name, find_arkit_morphs
 
 from ..refusals import refused
 

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, expressions
-from softdeca.lhm.flesh import flesh_share
+from softdeca.lhm.head.flesh import flesh_share
 from softdeca.reference import Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
 from softdeca.reference.face.dynamics import (
     CLOSE,

@@ -10,11 +10,11 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, SceneError, materials, prepare, terms
 from softdeca.reference.fenicsx.dolfinx_version import PETSc
-from softdeca.reference.fenicsx.linear_solvers import LINEAR_SOLVERS, ConjugateGradients, hold
-from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.energy.surface_strain import _planar_svd
+from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.solvers import LINEAR_SOLVERS, ConjugateGradients, hold
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import LinearPolicy
-from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.fenicsx.surface_strain import _planar_svd
 from softdeca.reference.problems import meshes
 
 

@@ -8,12 +8,12 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
 from softdeca.reference.clock import Seconds
-from softdeca.reference.fenicsx.equilibrium import Equilibrium
-from softdeca.reference.fenicsx.load_path import Continuation
-from softdeca.reference.fenicsx.loads import FollowerPressure
-from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.fenicsx.energy.loads import FollowerPressure
+from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.run import Record, Run
+from softdeca.reference.fenicsx.strategies.equilibrium import Equilibrium
+from softdeca.reference.fenicsx.strategies.load_path import Continuation
 from softdeca.reference.problems import bars, incompressible, meshes
 from softdeca.reference.problems.homogeneous import rollers
 from softdeca.reference.solution import Limits

@@ -10,13 +10,13 @@ from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 from softdeca.reference.clock import Seconds
-from softdeca.reference.fenicsx.linear_solvers import Factorisation
-from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
-from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.solvers import Factorisation
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import FenicsxPolicy
 from softdeca.reference.fenicsx.prepared import soften
-from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
+from softdeca.reference.fenicsx.strategies.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.problems import meshes
 from softdeca.reference.solution import Limits
 

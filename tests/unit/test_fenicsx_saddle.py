@@ -9,13 +9,13 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
-from softdeca.reference.fenicsx.linear_solvers import hold
-from softdeca.reference.fenicsx.multipliers import Condensed
-from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.saddle import FactoredSaddle
+from softdeca.reference.fenicsx.linear.saddle_block import BlockSaddle, make_saddle_solver
+from softdeca.reference.fenicsx.linear.solvers import hold
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import FenicsxPolicy, SaddlePolicy
-from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.fenicsx.saddle import FactoredSaddle
-from softdeca.reference.fenicsx.saddle_block import BlockSaddle, make_saddle_solver
+from softdeca.reference.fenicsx.strategies.multipliers import Condensed
 from softdeca.reference.problems import meshes
 
 from .test_fenicsx_multipliers import LAWS, descend, each_law

@@ -19,8 +19,8 @@ from softdeca.lhm.base.geometry.topology import across_edges, subdivide
 from softdeca.lhm.base.geometry.triangles import triangles_cross
 from softdeca.lhm.base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
 from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
-from softdeca.lhm.wraps.depth import inscribed_radius
-from softdeca.lhm.wraps.landmarks import jaw_share
+from softdeca.lhm.template.wraps.depth import inscribed_radius
+from softdeca.lhm.template.wraps.landmarks import jaw_share
 
 from ..refusals import refused
 

@@ -3,8 +3,8 @@
 import meshio
 import numpy as np
 
-from softdeca.lhm.head_file import export_vtk, load_head, save_head
-from softdeca.lhm.remesh import refine_head
+from softdeca.lhm.head.file import export_vtk, load_head, save_head
+from softdeca.lhm.head.remesh import refine_head
 
 from ..refusals import refused
 

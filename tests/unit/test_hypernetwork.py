@@ -18,7 +18,7 @@ from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.dynamics import Looseness
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, NETWORK, ready_methods
 from softdeca.surrogate.networks.forms import FORMS
@@ -37,7 +37,7 @@ from softdeca.surrogate.networks.gradient_training import (
 from softdeca.surrogate.networks.gradients import Widths
 from softdeca.surrogate.networks.trainer import Trainer, TrainerConfig
 from softdeca.surrogate.networks.weights import Weights
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)

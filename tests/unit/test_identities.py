@@ -15,9 +15,9 @@ from scipy.sparse import csc_matrix
 
 from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.head.skin import check_skin
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
-from softdeca.lhm.skin import check_skin
-from softdeca.lhm.wraps.landmarks import find_landmarks
+from softdeca.lhm.template.wraps.landmarks import find_landmarks
 
 from ..refusals import refused
 

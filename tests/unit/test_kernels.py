@@ -14,13 +14,13 @@ from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Scene, materials, terms
 from softdeca.reference.clock import Clock
 from softdeca.reference.fenicsx import dolfinx_version as seam
-from softdeca.reference.fenicsx import kernels
-from softdeca.reference.fenicsx.assembly import Stiffness
-from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms
-from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.fenicsx.quadrature import DEGREES, Quadrature
-from softdeca.reference.fenicsx.solids import Solids
+from softdeca.reference.fenicsx.energy import kernels
+from softdeca.reference.fenicsx.energy.assembly import Stiffness
+from softdeca.reference.fenicsx.energy.hyperelastic import HyperelasticForms
+from softdeca.reference.fenicsx.energy.quadrature import DEGREES, Quadrature
+from softdeca.reference.fenicsx.energy.solids import Solids
+from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.problems import meshes
 
 MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
@@ -230,8 +230,8 @@ def test_compilation_counts_as_such(tmp_path, monkeypatch):
 
 USE = """
 from softdeca.reference import Scene, materials, terms
-from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.solids import Solids
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
+from softdeca.reference.fenicsx.energy.solids import Solids
 from softdeca.reference.problems import meshes
 scene = Scene(*meshes.unstructured(1), [terms.Hyperelastic(materials.NeoHookean(1.0, 2.0))])
 order = Numbering(scene)

@@ -16,15 +16,15 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, materials, prepare, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
-from softdeca.reference.fenicsx.assembly import Stiffness
-from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms, density
-from softdeca.reference.fenicsx.kernels import Kernel
-from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.solids import VolumeLaw, hyperelastic_law, strain_law
+from softdeca.reference.fenicsx.energy.assembly import Stiffness
+from softdeca.reference.fenicsx.energy.hyperelastic import HyperelasticForms, density
+from softdeca.reference.fenicsx.energy.kernels import Kernel
+from softdeca.reference.fenicsx.energy.solids import VolumeLaw, hyperelastic_law, strain_law
+from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.materials.material import HasDensity, HasInvariants, HasRotation
 from softdeca.reference.problems import meshes
-from softdeca.reference.projective import lanes
-from softdeca.reference.projective import volumes as projective
+from softdeca.reference.projective.terms import lanes
+from softdeca.reference.projective.terms import volumes as projective
 from softdeca.reference.skfem import solids as skfem
 
 STEP = 1e-5

@@ -8,7 +8,7 @@ import pytest
 from softdeca.lhm import MeshError
 from softdeca.lhm.base.geometry.tets import untangle
 from softdeca.lhm.base.mesh import tet_volumes
-from softdeca.lhm.layers import prism_tets, stack_wraps
+from softdeca.lhm.head.layers import prism_tets, stack_wraps
 from softdeca.reference.face.tissue import Stack
 
 from ..refusals import refused

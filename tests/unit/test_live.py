@@ -15,8 +15,8 @@ from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import InputError, fit_head, identities, load_template
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Face, Parameters
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, PD
-from softdeca.surrogate.sphere import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 

@@ -15,17 +15,17 @@ import torch
 from softdeca.benchmarks.studies.agreement.faces import SolvedExpression
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError, Surface, identities
+from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters, settle
 from softdeca.reference.face.derivatives import differentiate
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.codes import nearest_code
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import STATIC, WAVES
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.dynamics import Looseness
+from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_methods
 from softdeca.surrogate.networks.features import Features
@@ -44,9 +44,9 @@ from softdeca.surrogate.networks.ridge import Ridge
 from softdeca.surrogate.networks.trainer import Trainer
 from softdeca.surrogate.networks.vertices_only import VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
-from softdeca.surrogate.rig import add_combination
+from softdeca.surrogate.rigs.inertia import Looseness
+from softdeca.surrogate.rigs.rig import add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
-from softdeca.surrogate.sphere import Spheres
 from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)

@@ -8,9 +8,17 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from softdeca.reference import Scene, SceneError, terms
-from softdeca.reference.projective.lanes import F00, LANES, R00, ROWS, S0, U00, V00
-from softdeca.reference.projective.polar import nearest_rotation, stretches
-from softdeca.reference.projective.singular import decompose
+from softdeca.reference.projective.terms.lanes import (
+    F00,
+    LANES,
+    R00,
+    ROWS,
+    S0,
+    U00,
+    V00,
+)
+from softdeca.reference.projective.terms.polar import nearest_rotation, stretches
+from softdeca.reference.projective.terms.singular import decompose
 
 from .by_solver import DISCRETE, SOLVERS
 

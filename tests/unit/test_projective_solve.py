@@ -9,12 +9,13 @@ from scipy.sparse import csc_matrix, diags, random_array
 
 from softdeca.lhm.base.errors import InputError, MissingDependencyError, SceneError
 from softdeca.lhm.base.geometry import cholesky
-from softdeca.lhm.layers import prism_tets
+from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
-from softdeca.reference.projective import system, time_local_step
-from softdeca.reference.projective.energy import Energy
+from softdeca.reference.projective import time_local_step
 from softdeca.reference.projective.memory import CAPACITY, Memory
 from softdeca.reference.projective.policy import ProjectivePolicy
+from softdeca.reference.projective.terms.energy import Energy
+from softdeca.reference.projective.unknowns import system
 
 
 def head_scene(head, amplitude=6.0):

@@ -8,7 +8,7 @@ import pytest
 from softdeca.lhm.base.errors import SceneError
 from softdeca.lhm.base.geometry import cholesky
 from softdeca.reference import Parameters, Scene, facial_scene, prepare, terms
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 from .by_solver import projective_hessian
 

@@ -12,7 +12,7 @@ from softdeca.surrogate.corpus.plan import PRESETS
 from softdeca.surrogate.corpus.references import references
 from softdeca.surrogate.corpus.shard import ACCEPTED, FEM_LAWS
 from softdeca.surrogate.corpus.simulator import describe_answer, solve_frame
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
 
 PLAN = PRESETS["tiny"]
 P = Parameters(soft_volume=1.3)

@@ -12,11 +12,17 @@ from softdeca.lhm.base.files.surface_file import read_surface
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
-from softdeca.lhm.registration import landmark_ids, pair_landmarks, read_landmarks, register, register_by_mapping
-from softdeca.lhm.registration.alignment import Target, fit_similarity
-from softdeca.lhm.registration.nonrigid import SmoothAffine
-from softdeca.lhm.registration.registration import template_ties
-from softdeca.lhm.wraps.landmarks import find_landmarks
+from softdeca.lhm.template.registration import (
+    landmark_ids,
+    pair_landmarks,
+    read_landmarks,
+    register,
+    register_by_mapping,
+)
+from softdeca.lhm.template.registration.alignment import Target, fit_similarity
+from softdeca.lhm.template.registration.nonrigid import SmoothAffine
+from softdeca.lhm.template.registration.registration import template_ties
+from softdeca.lhm.template.wraps.landmarks import find_landmarks
 
 from ..refusals import refused
 

@@ -8,11 +8,11 @@ from scipy.sparse import csr_matrix
 from softdeca.lhm import FitError, InputError, Surface, identities, load_template
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
-from softdeca.lhm.registration import Registration, Residual
-from softdeca.lhm.regressor.depths import DepthErrors, DepthPairs, DepthRegressor, _left_out, leave_one_out
-from softdeca.lhm.regressor.pairs import inward_normals, measure_depths, move_wrap, read_pairs
-from softdeca.lhm.regressor.prior import default_regressor, prior_pairs
-from softdeca.lhm.wraps import depth
+from softdeca.lhm.template.depths.depths import DepthErrors, DepthPairs, DepthRegressor, _left_out, leave_one_out
+from softdeca.lhm.template.depths.pairs import inward_normals, measure_depths, move_wrap, read_pairs
+from softdeca.lhm.template.depths.prior import default_regressor, prior_pairs
+from softdeca.lhm.template.registration import Registration, Residual
+from softdeca.lhm.template.wraps import depth
 
 from ..refusals import refused
 
@@ -297,7 +297,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
         assert template_skin is space.mean and parts is space.parts
         return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), csr_matrix((1, 1)), 0)
 
-    monkeypatch.setattr("softdeca.lhm.regressor.pairs.register", registered)
+    monkeypatch.setattr("softdeca.lhm.template.depths.pairs.register", registered)
     pairs, reports = read_pairs(folder, template, space)
     np.testing.assert_allclose(pairs.wraps[1], move_wrap(template, skin.vertices))
     assert [r.off for r in reports] == [0, 0.25, 0, 0]
@@ -305,7 +305,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
     def failing(template_skin, parts, given, *, progress):
         raise FitError("skin: no face found in it")
 
-    monkeypatch.setattr("softdeca.lhm.regressor.pairs.register", failing)
+    monkeypatch.setattr("softdeca.lhm.template.depths.pairs.register", failing)
     refused(r"p1_skin\.npz: skin: no face found", read_pairs, folder, template, space)
 
 

@@ -10,7 +10,7 @@ import pytest
 from softdeca.lhm import TetMesh
 from softdeca.lhm.base.errors import MeshError, MissingDependencyError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.remesh import refine_head, refine_tets, remesh
+from softdeca.lhm.head.remesh import refine_head, refine_tets, remesh
 from softdeca.reference import Parameters, facial_scene, solve, terms
 
 from ..refusals import refused

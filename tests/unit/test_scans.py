@@ -7,8 +7,8 @@ from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, s
 from softdeca.lhm.base.files.surface_file import Scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.registration.registration import find_face
 from softdeca.lhm.scans.repair import repair_scan
+from softdeca.lhm.template.registration.registration import find_face
 
 from ..refusals import refused
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, MeshError, Surface, TetMesh
-from softdeca.lhm.layers import prism_tets
+from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Scene, SceneError, materials, prepare, terms
 from softdeca.reference.problems.meshes import box
 

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from softdeca.lhm import InputError, SoftdecaError
-from softdeca.surrogate.schedule import Schedule, make_schedule, run_items
+from softdeca.surrogate.corpus.schedule import Schedule, make_schedule, run_items
 
 # What travels to another process has to be importable there: here functions of the standard library.
 SERIAL, TWO = Schedule(), Schedule("processes", 2)
@@ -74,6 +74,6 @@ def test_bad_schedules_are_named(options, message):
 
 @pytest.mark.parametrize("address", ["nowhere.invalid:8786", "tcp://127.0.0.1:1"])
 def test_a_scheduler_that_is_not_there_is_named(address, monkeypatch):
-    monkeypatch.setattr("softdeca.surrogate.schedule.PATIENCE", "2s")
+    monkeypatch.setattr("softdeca.surrogate.corpus.schedule.PATIENCE", "2s")
     with pytest.raises(InputError, match=f"scheduler {address}: no Dask scheduler answers"):
         list(run_items(operator.neg, [1, 2], on=make_schedule(1, address)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm.flesh import LEAN_REGIONS
+from softdeca.lhm.head.flesh import LEAN_REGIONS
 from softdeca.reference import Parameters, SceneError, materials, prepare, settle, solve, terms
 from softdeca.reference.face.facial import PD_ENERGY, apply_law
 from softdeca.reference.face.settle import neutral_scene

@@ -98,7 +98,7 @@ def test_a_sequence_is_prepared_once(solver, element):
 
 def test_only_nodal_terms_that_change_are_made_anew(monkeypatch):
     pytest.importorskip("dolfinx")
-    from softdeca.reference.fenicsx.problem import Membrane, Rings, Springs
+    from softdeca.reference.fenicsx.linear.problem import Membrane, Rings, Springs
 
     made = []
 

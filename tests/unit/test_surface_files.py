@@ -20,10 +20,10 @@ from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_scan, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import find_openings, is_closed
-from softdeca.lhm.registration import read_landmarks
+from softdeca.lhm.head.skin import check_skin
 from softdeca.lhm.scans import read_guesses
 from softdeca.lhm.scans.repair import repair_scan
-from softdeca.lhm.skin import check_skin
+from softdeca.lhm.template.registration import read_landmarks
 
 from ..refusals import refused
 from ..robustness.whole_files import Gltf, draco_glb, exported, glb, glb_words, obj, packed_glb, stl

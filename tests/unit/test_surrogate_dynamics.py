@@ -11,8 +11,8 @@ from softdeca.lhm import InputError, expressions
 from softdeca.reference import Face, Parameters, Sequence, settle
 from softdeca.surrogate import METHODS
 from softdeca.surrogate.corpus.people import OfSpace
-from softdeca.surrogate.dynamics import DynamicRig, Looseness, Swing
-from softdeca.surrogate.sphere import Spheres
+from softdeca.surrogate.corpus.spheres import Spheres
+from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness, Swing
 
 SPACE = Spheres(1)
 N = len(SPACE.mean.vertices)

@@ -6,8 +6,8 @@ import pytest
 
 from softdeca.lhm import MeshError, TetMesh
 from softdeca.lhm.base.files.tet_file import TaggedTets, read_tets, write_tets
-from softdeca.lhm.head_file import MUSCLE, SOFT, tets_from_head
-from softdeca.lhm.remesh import refine_head
+from softdeca.lhm.head.file import MUSCLE, SOFT, tets_from_head
+from softdeca.lhm.head.remesh import refine_head
 
 from ..refusals import refused
 

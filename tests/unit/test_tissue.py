@@ -9,8 +9,8 @@ from scipy.sparse import identity
 from softdeca.lhm import fit_head, identities, load_template
 from softdeca.lhm.base.geometry.topology import subdivide
 from softdeca.lhm.base.mesh import Surface, tet_volumes
-from softdeca.lhm.head import LayeredHead
-from softdeca.lhm.remesh import refine_head
+from softdeca.lhm.head.head import LayeredHead
+from softdeca.lhm.head.remesh import refine_head
 from softdeca.reference import Parameters, Scene, SceneError, apply_law, facial_scene, nested_start, solve, terms
 from softdeca.reference.face.tissue import POLICY, Guard, Stack, connecting_tets, guard
 

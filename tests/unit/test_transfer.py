@@ -5,10 +5,10 @@ import pytest
 import trimesh
 
 from softdeca.lhm import MeshError, Surface, identities
-from softdeca.lhm.arkit import index
 from softdeca.lhm.base.geometry import deformation
 from softdeca.lhm.expressions import transfer_expressions
 from softdeca.lhm.identities.anny import CLOSES
+from softdeca.lhm.identities.arkit import index
 from softdeca.lhm.identities.gaps import find_gaps
 
 from ..refusals import refused

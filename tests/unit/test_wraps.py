@@ -6,9 +6,9 @@ import trimesh
 
 from softdeca.lhm import FitError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.wraps import climb, inner
-from softdeca.lhm.wraps.columns import Columns
-from softdeca.lhm.wraps.skull import SkullFit
+from softdeca.lhm.head.columns import Columns
+from softdeca.lhm.template.wraps import climb, inner
+from softdeca.lhm.template.wraps.skull import SkullFit
 
 
 @pytest.fixture(scope="module")

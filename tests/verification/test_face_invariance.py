@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, expressions
-from softdeca.lhm.head import MANDIBLE
+from softdeca.lhm.head.head import MANDIBLE
 from softdeca.reference import Parameters, settle, solve
 from softdeca.reference.face.bones import scale_skull
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm.head import MANDIBLE
+from softdeca.lhm.head.head import MANDIBLE
 from softdeca.reference import MissingDependencyError, Parameters, Scene, apply_law, facial_scene, solve, terms
 
 

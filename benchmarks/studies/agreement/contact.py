@@ -9,7 +9,7 @@ import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
-from ....lhm.head import LayeredHead
+from ....lhm.head.head import LayeredHead
 from ....reference import Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances

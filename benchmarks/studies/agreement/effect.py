@@ -9,8 +9,8 @@ import numpy as np
 
 from ....lhm import expressions
 from ....lhm.base.mesh import Floats
-from ....lhm.flesh import cheek_share, flesh_share, mean_on_triangles
-from ....lhm.head import LayeredHead
+from ....lhm.head.flesh import cheek_share, flesh_share, mean_on_triangles
+from ....lhm.head.head import LayeredHead
 from ....lhm.identities.space import LinearSpace
 from ....reference import Face, Parameters, Scene, SettledFace, Solution, facial_scene, prepare, settle
 from ....reference.face.settle import carry_skin

@@ -7,7 +7,7 @@ import numpy as np
 from ....animation.pictures import VIEW, Panel, draw_strip
 from ....animation.plots import subplots, to_png
 from ....lhm.base.mesh import Floats, Ints
-from ....lhm.head import LayeredHead
+from ....lhm.head.head import LayeredHead
 from ....reference import terms
 from ....surrogate.methods import BLENDSHAPES, NETWORK
 from ..measures import distances

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....lhm.base.geometry.warp import rigid_motion
 from ....lhm.base.mesh import Floats, Ints
-from ....lhm.head import MANDIBLE, LayeredHead
+from ....lhm.head.head import MANDIBLE, LayeredHead
 from ....reference import Scene, SettledFace, Solution, prepare, terms
 from ....reference.face.free_scenes import jaw_hinge
 from ...harness.study import Row, Table

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats, Ints
-from ....lhm.head import FREE, MANDIBLE
+from ....lhm.head.head import FREE, MANDIBLE
 from ....reference import Parameters, Scene, facial_scene, materials, push_cheek_scene, terms
 from ....reference.face.facial import TISSUE_DENSITY
 from ....reference.problems.meshes import block, box, triangles_at, vertices_at

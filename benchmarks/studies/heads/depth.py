@@ -16,8 +16,8 @@ from ....lhm.base.files.surface_file import MILLIMETRES
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
-from ....lhm.regressor.pairs import (
+from ....lhm.template.depths.depths import SKULL_PLACES, DepthErrors, DepthRegressor
+from ....lhm.template.depths.pairs import (
     MeasuredDepths,
     check_inside,
     inward_normals,
@@ -26,9 +26,9 @@ from ....lhm.regressor.pairs import (
     read_skin,
     read_skull,
 )
-from ....lhm.regressor.prior import default_regressor
-from ....lhm.wraps.depth import LANDMARKS
-from ....lhm.wraps.landmarks import Mask
+from ....lhm.template.depths.prior import default_regressor
+from ....lhm.template.wraps.depth import LANDMARKS
+from ....lhm.template.wraps.landmarks import Mask
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 
 LEAST_MEASURED = 0.1

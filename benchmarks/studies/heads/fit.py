@@ -31,8 +31,8 @@ from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.geometry.topology import find_openings
 from ....lhm.base.limits import DRAWN_HEADS, STUDIED_HEADS
 from ....lhm.base.option import option
-from ....lhm.check import Figure
-from ....lhm.head_file import load_head
+from ....lhm.head.file import load_head
+from ....lhm.head.gates import Figure
 from ....lhm.identities.space import CLIP, LinearSpace
 from ....reference import Parameters, facial_scene, solve
 from ...harness.study import Column, Row, Table, Task, Values, at_most

@@ -16,7 +16,7 @@ from ....lhm.base.limits import STUDIED_HEADS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.expressions import ARKIT
-from ....lhm.head import LayeredHead
+from ....lhm.head.head import LayeredHead
 from ....reference import Parameters, Prepared, facial_scene, prepare
 from ....surrogate.methods import PD
 from ...harness.study import Column, Row, Table, Task, Values, at_most

@@ -16,8 +16,8 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.head import LayeredHead
-from ....lhm.remesh import refine_head
+from ....lhm.head.head import LayeredHead
+from ....lhm.head.remesh import refine_head
 from ....reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import difference, limit_of_three, limit_of_two

@@ -19,9 +19,9 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.limits import LEVEL
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.head import LayeredHead
-from ....lhm.remesh import remesh
-from ....lhm.template import DEFAULT_LEVEL
+from ....lhm.head.head import LayeredHead
+from ....lhm.head.remesh import remesh
+from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Scene
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most

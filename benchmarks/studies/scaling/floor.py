@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from ....lhm.base.mesh import Floats
 from ....reference.projective import ProjectivePrepared
-from ....reference.projective.tets import TetBlocks
+from ....reference.projective.terms.tets import TetBlocks
 
 TRIAD_NUMBERS = 8_000_000
 """Per array: 64 MB, beyond the caches of a core."""

@@ -14,7 +14,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.head import LayeredHead
+from ....lhm.head.head import LayeredHead
 from ....reference import Parameters, Scene, apply_law, facial_scene, materials, prepare, terms
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances, solve_to_end

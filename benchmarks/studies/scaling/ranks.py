@@ -156,9 +156,9 @@ def measure(scene: Scene, repeats: int) -> dict:
     """
     from ....reference.fenicsx import prepare
     from ....reference.fenicsx.dolfinx_version import ALL
-    from ....reference.fenicsx.linear_solvers import LINEAR_SOLVERS, hold
-    from ....reference.fenicsx.numbering import Numbering, ranks_for
-    from ....reference.fenicsx.problem import Problem
+    from ....reference.fenicsx.linear.problem import Problem
+    from ....reference.fenicsx.linear.solvers import LINEAR_SOLVERS, hold
+    from ....reference.fenicsx.mesh.numbering import Numbering, ranks_for
 
     prepare(scene).solve(max_iterations=1)  # compiles
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}

@@ -283,9 +283,9 @@ PARTS: dict[str, Callable[[int, int], int]] = {
 
 def measure_floor(scene: Scene, part: str) -> dict:
     """Measure the milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
-    from ....reference.fenicsx.linear_solvers import ConjugateGradients, hold
-    from ....reference.fenicsx.numbering import Numbering
-    from ....reference.fenicsx.problem import Problem
+    from ....reference.fenicsx.linear.problem import Problem
+    from ....reference.fenicsx.linear.solvers import ConjugateGradients, hold
+    from ....reference.fenicsx.mesh.numbering import Numbering
 
     problem = Problem(scene, Numbering(scene))
     x, (gradient, assembly, _) = problem.numbering.X, PARTS

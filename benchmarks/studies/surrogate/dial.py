@@ -17,7 +17,7 @@ from ....lhm.base.limits import LEVEL, SEED, STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
-from ....lhm.template import DEFAULT_LEVEL
+from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Face, Parameters
 from ....reference.face.correction import predict
 from ....reference.face.derivatives import spring_norm

@@ -10,7 +10,6 @@ from pathlib import Path
 from ....lhm.base.errors import InputError
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
-from ....surrogate.dynamics import Looseness
 from ....surrogate.evaluate import Binds, Cost, Learns, measure_bind
 from ....surrogate.methods import (
     LEARNED_RESPONSES,
@@ -22,6 +21,7 @@ from ....surrogate.methods import (
 )
 from ....surrogate.networks.responses import LearnedResponses
 from ....surrogate.networks.ridge import Ridge
+from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
 COSTED = 2

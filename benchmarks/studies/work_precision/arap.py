@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
-from ....lhm.head import LayeredHead
+from ....lhm.head.head import LayeredHead
 from ....reference import Scene, terms
 from ..measures import Trace, largest_distance
 

@@ -14,8 +14,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix, hstack
 
 from ....lhm.base.mesh import Floats, Ints
-from ..coordinates import Coordinates, Place
-from ..system import System
+from ..unknowns.coordinates import Coordinates, Place
+from ..unknowns.system import System
 
 
 @dataclass(frozen=True, eq=False)

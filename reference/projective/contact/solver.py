@@ -18,10 +18,10 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...solution import Reason
 from ...terms import Contact
-from ..coordinates import Place
 from ..descent import Point, Problem, Watch, lbfgs
 from ..policy import POLICY, ContactPolicy
-from ..system import System
+from ..unknowns.coordinates import Place
+from ..unknowns.system import System
 from .constraints import Constraints, Elasticity
 from .detection import ContactSurface, Detection, detect
 

@@ -1,0 +1,96 @@
+"""Where a face has fat that hangs free of bone, and where muscles move it: shares over the wraps' vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse.csgraph import dijkstra
+
+from ..base.errors import InputError
+from ..base.mesh import Floats
+from .columns import edge_graph
+from .head import LayeredHead
+
+FADE = 12.0
+"""Width [mm], along the skin wrap, over which the share of flesh rises from 0 to 1."""
+BROW = 10.0
+"""Height [mm] above the lids' highest point up to which a face is fleshy."""
+THROAT = (15.0, 30.0)
+"""[mm] From the lips inward along the mouth's lining, between which it ends to follow facial muscles."""
+CHEEK = 15.0
+"""Radius [mm] of a cheek's middle, seen from the front; its share falls to 0 over as much again."""
+LEAN_REGIONS = ("lips", "lids", "mouth", "eyes", "teeth", "ears")
+
+
+def flesh_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
+
+    The share rises over `fade` [mm] along the skin. Raises InputError for a head that lacks one of these regions.
+    """
+    y = head.skin_wrap.vertices[:, 1]
+    inside = (_region(head, "face") | _region(head, "neck")) & (y < y[_region(head, "lids")].max() + BROW)
+    for name in LEAN_REGIONS:
+        inside = inside & ~_region(head, name)
+    return _smooth_step(_path_from(head, ~inside) / fade)
+
+
+def cheek_share(head: LayeredHead) -> Floats:
+    """The cheeks, shape (n,), 0 to 1: half-way from mouth to lids, and a quarter beyond the mouth's corners."""
+    x = head.skin_wrap.vertices
+    lips, lids = x[_region(head, "lips")], x[_region(head, "lids")]
+    middle, half = 0.5 * (lips[:, 0].max() + lips[:, 0].min()), 0.5 * np.ptp(lips[:, 0])
+    up = x[:, 1] - 0.5 * (lips[:, 1].max() + lids[:, 1].min())
+    off = np.hypot(np.abs(x[:, 0] - middle) - 1.25 * half, up)
+    return flesh_share(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
+
+
+def expressive_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
+
+    The share rises over `fade` [mm] along the skin, and falls again far within the mouth, whose lining goes with the
+    jaw. A head without the region "face" is one everywhere.
+    """
+    n = len(head.skin_wrap.vertices)
+    none = np.zeros(n, dtype=bool)
+    if not head.regions.get("face", none).any():
+        return np.ones(n)
+    names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
+    inside = np.any([head.regions.get(name, none) for name in names], axis=0)
+    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
+    return np.minimum(share, 1.0 - _within(head, "mouth", "lips", THROAT))
+
+
+def socket_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` [mm] within."""
+    return _within(head, "eyes", "lids", (0.0, fade))
+
+
+def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
+    """Average a share per vertex (n,) over each triangle of the wraps, shape (m,)."""
+    return share[head.skin_wrap.triangles].mean(axis=1)
+
+
+def _within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
+    """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
+    share, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
+    inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
+    if inside.any() and not inside.all():
+        near, far = between
+        share[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
+    return share
+
+
+def _region(head: LayeredHead, name: str) -> np.ndarray:
+    if name not in head.regions or not head.regions[name].any():
+        raise InputError(f"head: it has no region {name!r}, which tells where the face has an effect")
+    return head.regions[name]
+
+
+def _path_from(head: LayeredHead, outside: np.ndarray) -> Floats:
+    """Length [mm] of the way along the skin wrap's edges from the vertices `outside`, shape (n,)."""
+    graph = edge_graph(head.skin_wrap.vertices, head.skin_wrap.triangles)
+    return dijkstra(graph, directed=False, indices=np.flatnonzero(outside), min_only=True)
+
+
+def _smooth_step(t: Floats) -> Floats:
+    t = np.clip(t, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)

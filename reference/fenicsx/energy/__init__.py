@@ -1,0 +1,1 @@
+"""Energies over tets, triangles and nodes, and their assembly."""

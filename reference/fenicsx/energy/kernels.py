@@ -1,0 +1,225 @@
+"""Integrals of laws over tets by compiled loops: each kind of law and element is a library, made once from `kernels.c`.
+
+A library is compiled where it is first asked for, by the compiler that DOLFINx' own forms need, and kept in the user's
+cache. Its name holds its source and the processor, so a cache may be shared; processes that ask at once wait for the
+first of them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import subprocess
+import sysconfig
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ....lhm.base.errors import MissingDependencyError
+from ....lhm.base.files.cache import cache_folder
+from ....lhm.base.mesh import Floats, Ints
+from ...clock import count_compilation
+from .. import dolfinx_version as seam
+from ..mesh.numbering import Numbering
+from .assembly import Stiffness
+from .law_code import Law
+
+SOURCE = Path(__file__).with_name("kernels.c")
+# Without -ffast-math: an energy that is not a number must stay one.
+FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+NATIVE = "-march=native"  # which not every compiler knows on every processor
+SIGNATURES = {
+    "law_stress": ("vec", "const vec *F, const vec *parameters, vec *P"),
+    "law_tangent": ("void", "const vec *F, const vec *parameters, vec A[9][9]"),
+    "law_stretches": ("vec", "const vec *s, const vec *parameters, vec *p, vec *h"),
+}
+"""Results and arguments of the functions that a law may have."""
+SUMS = {f"by[{i}]": f"p[{i}]" for i in range(3)} | {f"twice[{i}]": f"h[{i}]" for i in range(9)}
+
+
+class Tets(ctypes.Structure):
+    """`struct tets` of kernels.c."""
+
+    _fields_ = (
+        ("blocks", ctypes.c_int64),
+        ("nodes", ctypes.c_void_p),
+        ("inverse", ctypes.c_void_p),
+        ("volume", ctypes.c_void_p),
+        ("parameters", ctypes.c_void_p),
+    )
+
+
+class Kernel:
+    """The integral over some tets (k,) of the sum of laws, with energy [µJ], gradient [mN] and Hessian [mN/mm].
+
+    The rule of a degree has q points on each tet. Several laws on the same tets are laws by stretches. `cells` are the
+    tets, as the numbering counts them. A law that has a pressure takes it from linear elements, whose nodes at the
+    corners of all tets are `pressure_dofs` (tets, 4).
+    """
+
+    def __init__(
+        self, order: Numbering, cells: Ints, degree: int, laws: Sequence[Law], pressure_dofs: Ints | None = None
+    ):
+        self.cells = cells
+        points, weights = seam.quadrature_rule(degree)
+        self._per_cell = len(points)
+        shapes, corner_shapes = seam.shapes(order.degree, points)[1], seam.shapes(1, points)[0]
+        with count_compilation():
+            self._library = load_library(_header(shapes, weights / weights.sum(), corner_shapes, laws))
+        self._width = ctypes.c_int64.in_dll(self._library, "width").value
+        self._rows = np.minimum(np.arange(-(-len(cells) // self._width) * self._width), len(cells) - 1)
+        padded = cells[self._rows]
+        corners = order.X[order.dof[order.cell_vertices[padded]]]
+        inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+        self._volume = np.where(np.arange(len(padded)) < len(cells), order.cell_volumes[padded], 0.0)
+        self._nodes = np.ascontiguousarray(order.cell_dofs[padded], dtype=np.int64)
+        self._inverse = self._by_block(inverse.reshape(-1, 9))
+        self._slots: Ints | None = None
+        self._pressure_dofs: Ints | None = None
+        if laws[0].has_pressure:
+            assert pressure_dofs is not None
+            self._pressure_dofs = self._by_block(pressure_dofs[padded])
+        self.set(laws)
+
+    def _by_block(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (tets, N) in the order of kernels.c, (blocks, N, width)."""
+        blocks = rows.reshape(len(rows) // self._width, self._width, rows.shape[1])
+        return np.ascontiguousarray(blocks.transpose(0, 2, 1))
+
+    def set(self, laws: Sequence[Law]):
+        """Take the parameters of laws of the same kinds."""
+        parameters = np.concatenate([law.parameters for law in laws], axis=1)
+        if self._pressure_dofs is not None:
+            parameters = np.column_stack([parameters, np.zeros((len(parameters), 4))])
+        self._parameters = self._by_block(parameters[self._rows])
+        arrays = (self._nodes, self._inverse, self._volume, self._parameters)
+        self._tets = Tets(len(self._rows) // self._width, *(_address(array) for array in arrays))
+
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the law has a pressure."""
+        return self._pressure_dofs is not None
+
+    def take_pressure(self, p: Floats):
+        """Take the pressure [kPa] of linear elements by node, shape (n_p,), if the law has one."""
+        if self._pressure_dofs is not None:
+            self._parameters[:, -4:] = p[self._pressure_dofs]
+
+    def add_energy(self, u: Floats, gradient: Floats) -> float:
+        """Return the energy of a displacement [mm], (n, 3), and add its gradient; not finite where a law is not."""
+        return self._library.energy(ctypes.byref(self._tets), _address(u), _address(gradient))
+
+    def stress(self, u: Floats) -> Floats:
+        """Return P [kPa] at the points, shape (k q, 3, 3)."""
+        P = np.empty((len(self._rows), self._per_cell, 3, 3))
+        self._library.stress(ctypes.byref(self._tets), _address(u), _address(P))
+        return P[: len(self.cells)].reshape(-1, 3, 3)
+
+    def add_hessian(self, u: Floats, kept: float, into: Stiffness):
+        """Add the Hessian, every negative eigenvalue of every point's dP/dF multiplied by `kept`."""
+        if self._slots is None:
+            self._slots = into.slots(self._nodes)
+        arrays = (into.starts, self._slots, into.values)
+        addresses = (_address(array) for array in arrays)
+        self._library.hessian(ctypes.byref(self._tets), _address(u), ctypes.c_double(kept), *addresses)
+        into.touch()
+
+
+def _address(array: np.ndarray) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _header(shapes: Floats, weights: Floats, corner_shapes: Floats, laws: Sequence[Law]) -> str:
+    """Write law.h for kernels.c: derivatives of shapes (q, nodes, 3), weights (q,), corners' shapes (q, 4) and laws."""
+
+    def braces(array: np.ndarray) -> str:
+        return repr(float(array)) if array.ndim == 0 else "{" + ", ".join(braces(part) for part in array) + "}"
+
+    points, nodes = shapes.shape[:2]
+    lines = [
+        f"#define NODES {nodes}",
+        f"#define POINTS {points}",
+        f"#define PARAMETERS {sum(law.parameters.shape[1] + 4 * law.has_pressure for law in laws)}",
+        f"static const double SHAPES[POINTS][NODES][3] = {braces(shapes)};",
+        f"static const double WEIGHTS[POINTS] = {braces(weights)};",
+    ]
+    functions = laws[0].functions
+    if laws[0].has_pressure:
+        lines += ["#define HAS_PRESSURE", f"static const double CORNERS[POINTS][4] = {braces(corner_shapes)};"]
+    if len(laws) > 1:
+        lines += [_function(f"part{n}", **law.functions) for n, law in enumerate(laws)]
+        functions = {"law_stretches": _sum_parts(laws)}
+    lines += [_function(name, **{name: body}) for name, body in functions.items()]
+    lines += [f"#define HAS_{name.removeprefix('law_').upper()}" for name in functions]
+    return "\n".join(lines) + "\n"
+
+
+def _function(name: str, **body: str) -> str:
+    """Write a function, given its body by the kind of function that it is."""
+    ((kind, text),) = body.items()
+    result, arguments = SIGNATURES[kind]
+    begin, end = ("  vec psi;\n", "\n  return psi;") if result == "vec" else ("", "")
+    return f"static inline {result} {name}({arguments}) {{\n{begin}{text}{end}\n}}"
+
+
+def _sum_parts(laws: Sequence[Law]) -> str:
+    """Write the sum of part0, part1 and so on, laws by stretches whose parameters follow one another."""
+    lines, begin = ["  vec by[3], twice[9];", *(f"  {text} = filled(0.0);" for text in ("psi", *SUMS.values()))], 0
+    for n, law in enumerate(laws):
+        lines.append(f"  psi += part{n}(s, parameters + {begin}, by, twice);")
+        lines += [f"  {total} += {text};" for text, total in SUMS.items()]
+        begin += law.parameters.shape[1]
+    return "\n".join(lines)
+
+
+@functools.cache
+def load_library(header: str) -> ctypes.CDLL:
+    """Return the library of kernels.c with a law.h, compiled if no process of this user did so before."""
+    text = SOURCE.read_text()
+    key = hashlib.sha256("\0".join((text, header, *FLAGS, _name_processor())).encode()).hexdigest()[:32]
+    folder = cache_folder() / "kernels"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{key}.so"
+    with path.with_suffix(".lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            _compile(header, path)
+    library = ctypes.CDLL(str(path))
+    library.energy.restype = ctypes.c_double
+    return library
+
+
+def _name_processor() -> str:
+    """Name the kind of processor, and on Linux its instructions, which code for it may use."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+    return platform.machine() + next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
+
+
+def _compile(header: str, path: Path):
+    """Compile kernels.c with a law.h to a file that is whole as soon as it is there."""
+    compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        made = Path(folder, path.name)
+        Path(folder, "law.h").write_text(header)
+        for flags in ((*FLAGS, NATIVE), FLAGS):
+            command = [*compiler, *flags, f"-I{folder}", str(SOURCE), "-o", str(made), "-lm"]
+            try:
+                result = subprocess.run(command, capture_output=True, text=True, check=False)
+            except OSError as error:
+                raise MissingDependencyError(f"solver 'fenicsx' needs a C compiler ({error})") from None
+            if result.returncode == 0:
+                made.replace(path)
+                return
+    said = [line for line in result.stderr.splitlines() if "error" in line] or [f"status {result.returncode}"]
+    raise MissingDependencyError(f"solver 'fenicsx': the C compiler failed ({shlex.join(compiler)}): {said[0]}")

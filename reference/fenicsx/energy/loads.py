@@ -1,0 +1,132 @@
+"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, Target and Inertia.
+
+Follower pressure on linear or quadratic triangles: with x(ξ, η) on a triangle the outer normal times area is
+x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to the gradient. Its derivative is symmetric where the border
+of the triangles is held or slides in a plane that closes the volume, and not else (Bonet and Wood 2008, Section 8.5.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ....lhm.base.mesh import Floats, Ints
+from ...scene import Scene
+from ...terms import Gravity, Pressure, Target, Traction
+from .. import dolfinx_version as seam
+from ..mesh.numbering import CELL_SHARES, FACE_SHARES, Numbering
+from .assembly import add_forces, skew
+from .nodal import NodalEnergy
+
+PRESSURE_DEGREES = {3: 2, 6: 6}
+"""Degree of the rule that is exact, by the nodes of a triangle."""
+
+
+def dead_loads(scene: Scene, order: Numbering) -> Floats:
+    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
+    forces = np.zeros(order.X.shape)
+    for term in scene.of(Gravity):
+        tets = scene.tets_of(term)
+        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
+        cells = order.cell[tets]
+        nodes = order.cell_dofs[cells[cells >= 0]]
+        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
+    for term in scene.of(Traction):
+        if not term.triangles.size:
+            continue
+        here, nodes = order.faces(term.name, term.triangles)
+        shares = np.outer(term.areas(scene.vertices)[here], FACE_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
+    return order.nodes.sum_up(forces)
+
+
+@dataclass(frozen=True, eq=False)
+class FollowerPressure(NodalEnergy):
+    """Triangles' nodes (m, k), pressure (m,) [kPa], and a rule: weights (q,), shapes (q, k), derivatives (q, k, 2)."""
+
+    is_load: ClassVar[bool] = True
+
+    nodes: Ints
+    value: Floats
+    weights: Floats
+    shapes: Floats
+    derivatives: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[FollowerPressure]:
+        """See NodalEnergy."""
+        faces = [(term, *order.faces(term.name, term.triangles)) for term in scene.of(Pressure)]
+        return [cls.from_term(term, nodes, here) for term, here, nodes in faces]
+
+    @classmethod
+    def from_term(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
+        """The term on its triangles that are `here`, by default all, with nodes (m, 3) or (m, 6), corners first."""
+        k = nodes.shape[1]
+        points, weights = seam.quadrature_rule(PRESSURE_DEGREES[k], "triangle")
+        value = np.broadcast_to(term.value, len(term.triangles))
+        value = value if here is None else value[here]
+        return cls(nodes, value, weights, *seam.shapes(k // 3, points, "triangle"))
+
+    def _tangents(self, x: Floats) -> tuple[Floats, Floats]:
+        """x_ξ and x_η [mm] at the points, shape (m, q, 3)."""
+        both = np.einsum("mkc,qkd->dmqc", x[self.nodes], self.derivatives)
+        return both[0], both[1]
+
+    def add_gradient(self, x: Floats, into: Floats):
+        """See NodalEnergy."""
+        along, across = self._tangents(x)
+        force = np.einsum("m,q,qk,mqc->mkc", self.value, self.weights, self.shapes, np.cross(along, across))
+        add_forces(self.nodes, force, into)
+
+    def energy(self, x: Floats) -> float:
+        """The pressure times the volume under the triangles, seen from the origin [µJ]: a potential if they close."""
+        along, across = self._tangents(x)
+        at = np.einsum("mkc,qk->mqc", x[self.nodes], self.shapes)
+        return float(np.einsum("m,q,mqc,mqc->", self.value, self.weights, at, np.cross(along, across)) / 3.0)
+
+    def hessian(self, x: Floats, kept: float = 1.0) -> Floats:
+        """Return the derivative of the gradient, exact whatever is `kept`; see NodalEnergy."""
+        along, across = (skew(t) for t in self._tangents(x))
+        by_along, by_across = self.derivatives[:, :, 0], self.derivatives[:, :, 1]
+        scaled = np.einsum("m,q,qa->mqa", self.value, self.weights, self.shapes)
+        tangent = np.einsum("mqa,qb,mqij->mabij", scaled, by_across, along, optimize=True)
+        return tangent - np.einsum("mqa,qb,mqij->mabij", scaled, by_along, across, optimize=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Springs(NodalEnergy):
+    """Springs of a Target, or of inertia, at nodes that this process owns.
+
+    nodes (k, 1), positions [mm] (k, 3), stiffness [mN/mm] (k,).
+    """
+
+    nodes: Ints
+    positions: Floats
+    stiffness: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
+        """Make the springs of each target, and of all inertia together."""
+        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
+        stiffness, places = scene.inertia()
+        moving = np.flatnonzero(stiffness)
+        owned = []
+        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
+            mine, dofs = order.own_dofs(name, vertices)
+            owned.append(cls(dofs[:, None], positions[mine], np.broadcast_to(values, len(vertices))[mine]))
+        return owned
+
+    def energy(self, x: Floats) -> float:
+        """See NodalEnergy."""
+        return 0.5 * float(self.stiffness @ np.sum((x[self.nodes[:, 0]] - self.positions) ** 2, axis=1))
+
+    def add_gradient(self, x: Floats, into: Floats):
+        """See NodalEnergy."""
+        into[self.nodes[:, 0]] += self.stiffness[:, None] * (x[self.nodes[:, 0]] - self.positions)
+
+    def hessian(self, x: Floats, kept: float) -> Floats:
+        """See NodalEnergy."""
+        return np.multiply.outer(self.stiffness, np.eye(3))[:, None, None]

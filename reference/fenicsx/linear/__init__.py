@@ -1,0 +1,1 @@
+"""The assembled problem and its linear solvers: factors, conjugate gradients in multigrid, saddle points."""

@@ -1,0 +1,1 @@
+"""Nodes and their numbers, and how ranks share a mesh."""

@@ -1,0 +1,1 @@
+"""Ways to an equilibrium: Newton, minimisation, load paths, multipliers, and time."""

@@ -1,0 +1,106 @@
+"""The strategy "minimise": Newton's method on the energy, in as few load steps as keep it finite."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....lhm.base.mesh import Floats
+from ...restraint import has_free_motion
+from ...solution import Limits, Reason
+from ...terms import Traction
+from ..linear.problem import Problem, State
+from ..linear.solvers import LinearSolver
+from ..policy import POLICY, FenicsxPolicy
+from ..run import Attempt, Run
+from .bodies import RigidProblem
+from .newton import AnyState, Newton, Work
+
+
+class Minimisation:
+    """From a run's start towards what is held.
+
+    `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
+    the problem with bodies and its two. Bodies are brought to their first poses like held vertices, and set free once
+    all that is held is in place.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        problem: Problem,
+        linear: LinearSolver,
+        direct: LinearSolver,
+        rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
+        policy: FenicsxPolicy = POLICY,
+    ):
+        self._policy = policy
+        self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
+        owned, X = self._nodes.owned, run.numbering.X
+        self._work = Work()
+        self._goal = np.array(run.goal)
+        held = run.held | problem.unsupported[:, None]
+        self._rigid: RigidProblem | None = None
+        if rigid is not None:
+            self._rigid = bodies = rigid[0]
+            bodies.set(run.scene)
+            self._poses = bodies.nearest(run.numbering.to_dofs(run.start)) if run.warm else bodies.rest()
+            self._freed = Newton(bodies, bodies.held(held), *rigid[1:], self._report, self._work, policy.newton)
+            held[bodies.nodes] = True
+            places = X + self._goal
+            bodies.place(self._poses, places)
+            self._goal[bodies.nodes] = (places - X)[bodies.nodes]
+            self._goal = self._nodes.spread(self._goal[:owned])
+        rounding = policy.minimise.rounding * np.abs(run.scene.vertices).max(initial=1.0)
+        near = np.abs(self._goal - run.u) <= rounding
+        self._goal[near] = run.u[near]
+        held_dofs = np.flatnonzero(held[:owned])
+        self._newton = Newton(problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
+
+    def attempt(self) -> Attempt:
+        """Bring what is held to its goal, in load steps if need be, and minimise.
+
+        A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
+        """
+        run, loose = self._run, Limits(self._policy.minimise.load_step_tolerance)
+        left = run.record.left(self._policy.minimise.max_iterations)
+
+        def end_step(force: float, first: float) -> float:
+            return loose.threshold(run.scene, max(first, force))
+
+        state, force, reason, iterations = self._newton.approach(
+            self._at(run.u), self._goal, self._nodes, self._at, threshold=end_step, max_iterations=left
+        )
+        if reason is None:
+            newton = self._newton
+            if self._rigid is not None:
+                newton, state = self._freed, self._rigid.at(state.u, self._poses)
+            state, reason, more = newton.minimise(
+                state, threshold=lambda first: run.threshold(max(first, force)), max_iterations=left - iterations
+            )
+            iterations += more
+        sound, doubtful = reason is Reason.CONVERGED, False
+        if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
+            drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
+            sound = self._newton.is_stable(self._at(state.u), drift)
+            doubtful = iterations > self._policy.minimise.straight_iterations or not sound
+        run.record.add(iterations, **vars(self._work))
+        return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
+
+    def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
+        """See `load_path.Descent`: what is held stays where it is."""
+        state = self._at(u, share)
+        if not np.isfinite(state.energy):
+            return u, p, Reason.NOT_FINITE, 0
+        end, reason, made = self._newton.minimise(
+            state,
+            threshold=lambda first: self._policy.load_path.tolerance * first,
+            max_iterations=self._run.record.left(self._policy.minimise.max_iterations),
+        )
+        return end.u, p, reason, made
+
+    def _at(self, u: Floats, share: float = 1.0) -> State:
+        self._work.energies += 1
+        return self._problem.at(u, share=share)
+
+    def _report(self, state: AnyState, norm: float) -> bool:
+        return self._run.report(state.u, state.energy, norm)

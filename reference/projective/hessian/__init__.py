@@ -1,0 +1,1 @@
+"""The exact Hessian and Newton's step."""

@@ -1,0 +1,229 @@
+"""The Hessian of a scene's energy over its unknowns, factored: for derivatives, and as a metric of descents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csc_matrix
+
+from ....lhm.base.errors import SceneError
+from ....lhm.base.geometry import cholesky
+from ....lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definite
+from ....lhm.base.mesh import Floats
+from ...scene import Scene
+from ...terms import Contact, Target
+from ..terms.energy import PARTS, Energy
+from ..unknowns.coordinates import Coordinates, Place
+from ..unknowns.sparsity import Sparsity
+
+EXACT = -1.0
+"""Of `least`: no eigenvalue is raised."""
+SHIFT = 1e-7
+"""Relative diagonal shift of a raised Hessian, which may still be singular where tissue resists nothing."""
+
+
+def hessian(
+    scene: Scene, energy: Energy, coordinates: Coordinates, sparsity: Sparsity, place: Place, *, least: float
+) -> csc_matrix:
+    """Assemble the Hessian [mN/mm], shape (size, size), at a place: exact, or with eigenvalues raised.
+
+    With `least` EXACT it is the derivative of `Coordinates.pull` of the gradient. Else each element's share has no
+    eigenvalue below `least` times its strain weight, bending's rotations are held, and the sum is positive definite
+    where the scene is held.
+    """
+    blocks = np.zeros((len(sparsity.pairs), 3, 3))
+    for part, slots in zip(energy.parts, sparsity.slots, strict=True):
+        part.add_tangent(slots, least, place.u, blocks)
+    gradient = energy.evaluate(place.u)[1] if coordinates.bodies else np.zeros_like(place.u)
+    return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """What all tangents of a topology share: where entries are, and, by CHOLMOD, in which order they are eliminated."""
+
+    sparsity: Sparsity
+    analysis: cholesky.CholmodAnalysis | None
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """The Hessian of a scene's energy at a place, factored.
+
+    `is_exact` is False where the exact one is not positive definite, or was not asked for: then its eigenvalues are
+    raised element by element, which makes a metric for a descent, but no derivative.
+    """
+
+    scene: Scene
+    energy: Energy
+    coordinates: Coordinates
+    sparsity: Sparsity
+    place: Place
+    is_exact: bool
+    factor: Solve
+
+    @classmethod
+    def from_scene(
+        cls,
+        scene: Scene,
+        energy: Energy,
+        coordinates: Coordinates,
+        place: Place,
+        *,
+        least: float = EXACT,
+        linear_solver: LinearSolver | None = None,
+        like: Tangent | Pattern | None = None,
+    ) -> Tangent:
+        """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be; `like` lends its pattern."""
+        if scene.of(Contact):
+            raise SceneError("a tangent knows no Contact: take the scene without it")
+        pattern = like.pattern if isinstance(like, Tangent) else like
+        if pattern is None or not pattern.sparsity.fits(scene, energy.parts, coordinates):
+            pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)
+        sparsity, before = pattern.sparsity, pattern.analysis
+        if least < 0.0:
+            matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
+            try:
+                factor = factorise_definite(matrix, linear_solver=linear_solver, like=before)
+                return cls(scene, energy, coordinates, sparsity, place, True, factor)
+            except np.linalg.LinAlgError:
+                least = 0.0
+        matrix = hessian(scene, energy, coordinates, sparsity, place, least=least)
+        diagonal = matrix.diagonal()
+        matrix.setdiag(np.where(diagonal > 0.0, (1.0 + SHIFT) * diagonal, 1.0))
+        factor = factorise_definite(matrix, linear_solver=linear_solver, like=before)
+        return cls(scene, energy, coordinates, sparsity, place, False, factor)
+
+    @property
+    def pattern(self) -> Pattern:
+        """The part that serves again when the numbers, a quarter of a gigabyte for a head, are let go."""
+        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.CholmodFactor) else None)
+
+    def solve(self, right: Floats) -> Floats:
+        """Apply the inverse Hessian to gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
+        return self.factor(right.reshape(len(right), -1)).reshape(right.shape)
+
+    def vertices_by_targets(self, moved: Floats) -> Floats:
+        """Move vertices, shape (k, n, 3), to first order, as the first Target moves by `moved` (k, targets, 3)."""
+        if not self.scene.of(Target):
+            raise SceneError("the scene has no Target that could move")
+        target = self.scene.of(Target)[0]
+        moved = np.asarray(moved, dtype=np.float64)
+        if moved.ndim != 3 or moved.shape[1:] != target.positions.shape or not np.isfinite(moved).all():
+            raise SceneError(f"moved targets: expected finite values of shape (k, {len(target.positions)}, 3)")
+        right = np.empty((self.coordinates.size, len(moved)))
+        force = np.zeros(self.place.u.shape)
+        for k, move in enumerate(moved):
+            force[target.vertices] = np.reshape(target.stiffness, (-1, 1)) * move
+            right[:, k] = self.coordinates.pull(force, self.place)
+        return np.stack([self._moved(step) for step in self.solve(right).T])
+
+    def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
+        """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
+
+        Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
+        ((ahead, 1/(2h)), (behind, -1/(2h))). They may differ in all numbers, also in what is Fixed and in bodies' rest,
+        but not in vertices, tets and what is held; SceneError says where they do.
+        """
+        right, base = [], []
+        for change in changes:
+            force, carried = np.zeros(self.coordinates.size), np.zeros_like(self.place.u)
+            for scene, weight in change:
+                gradient, u = self._gradient_in(scene)
+                force -= weight * gradient
+                carried += weight * (u - self.place.u)
+            right.append(force)
+            base.append(carried)
+        if not right:
+            return np.zeros((0, *self.place.u.shape))
+        steps = self.solve(np.stack(right, axis=1))
+        return np.stack([carried + self._moved(step) for carried, step in zip(base, steps.T, strict=True)])
+
+    def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
+        """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
+        coordinates = Coordinates.from_scene(scene)
+        mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
+        same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
+        bodies = [body.vertices for body in self.coordinates.bodies]
+        if not same or len(bodies) != len(coordinates.bodies):
+            raise SceneError("a scene to differentiate by has other vertices, tets, bodies or held components")
+        held, values = scene.dirichlet()
+        u = np.where(held, values - scene.vertices, self.place.u)
+        for body, its, rotation in zip(self.coordinates.bodies, coordinates.bodies, self.place.rotations, strict=True):
+            its.put(u, body.shift(self.place.u), rotation)
+        gradient = self._energy_of(scene).evaluate(u)[1]
+        return coordinates.pull(gradient, Place(u, self.place.rotations)), u
+
+    def _energy_of(self, scene: Scene) -> Energy:
+        """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
+        mine, its = (
+            [type(t) for t in which.terms if t.joined(which).size and type(t) in PARTS] for which in (self.scene, scene)
+        )
+        return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
+
+    def _moved(self, step: Floats) -> Floats:
+        """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
+        moved = np.zeros_like(self.place.u)
+        moved.reshape(-1)[self.coordinates.index] = step[: len(self.coordinates.index)]
+        motions = step[len(self.coordinates.index) :].reshape(-1, 6)
+        for body, rotation, motion in zip(self.coordinates.bodies, self.place.rotations, motions, strict=True):
+            moved[body.vertices] = motion[:3] + np.cross(motion[3:], body.arms @ rotation.T)
+        return moved
+
+
+def _body_rows(
+    sparsity: Sparsity, blocks: Floats, coordinates: Coordinates, place: Place, gradient: Floats, *, least: float
+) -> Floats:
+    """Assemble the bodies' rows of the Hessian, (6 bodies, size), at a place with this gradient [mN], shape (n, 3).
+
+    The share that a turn adds by the forces alone is raised to zero where it is negative, unless `least` is.
+    """
+    n, free, count = len(place.u), len(coordinates.index), len(coordinates.bodies)
+    rows = np.zeros((6 * count, coordinates.size))
+    if not count:
+        return rows
+    owner, motion = np.full(n, -1), np.zeros((n, 3, 6))
+    for b, body in enumerate(coordinates.bodies):
+        owner[body.vertices] = b
+        motion[body.vertices, :, :3] = np.eye(3)
+        arms = body.arms @ place.rotations[b].T
+        motion[body.vertices, :, 3:] = np.cross(np.eye(3), arms[:, None, :]).transpose(0, 2, 1)
+    over = np.zeros((6 * count, 3 * n))
+    _add_carried(sparsity.pairs, blocks, owner, motion, over)
+    rows[:, :free] = over[:, coordinates.index]
+    for b, body in enumerate(coordinates.bodies):
+        own = motion[body.vertices].reshape(-1, 6)
+        columns = (3 * body.vertices[:, None] + np.arange(3)).ravel()
+        block = slice(free + 6 * b, free + 6 * b + 6)
+        rows[:, block] = over[:, columns] @ own
+        # The second derivative of a turned arm a along the force g: (θ·a)(θ·g) - (a·g) |θ|².
+        arms = body.arms @ place.rotations[b].T
+        moment = arms.T @ gradient[body.vertices]
+        curved = 0.5 * (moment + moment.T) - np.trace(moment) * np.eye(3)
+        if least >= 0.0:
+            values, vectors = np.linalg.eigh(curved)
+            curved = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        rows[6 * b + 3 : 6 * b + 6, free + 6 * b + 3 : free + 6 * b + 6] += curved / body.radius
+    return rows
+
+
+@njit(cache=True)
+def _add_carried(pairs, blocks, owner, motion, over):
+    """Add motionᵀ K to the rows of the bodies for all blocks that touch one."""
+    for k in range(len(pairs)):
+        high, low = pairs[k]
+        b = owner[high]
+        if b >= 0:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * low + c] += motion[high, r, m] * blocks[k, r, c]
+        b = owner[low]
+        if b >= 0 and high != low:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * high + c] += motion[low, r, m] * blocks[k, c, r]

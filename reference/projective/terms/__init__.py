@@ -1,0 +1,1 @@
+"""What each term adds: energy, gradient, and its part of the system."""

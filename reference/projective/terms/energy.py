@@ -1,0 +1,131 @@
+"""A scene's energy and its gradient at a displacement, and the PD matrix that majorises it.
+
+Stresses and reactions of an answer: P from what each tet alone gives to the gradient.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ....lhm.base.mesh import Floats
+from ...scene import Scene
+from ...solution import Stresses
+from ...terms import (
+    Bending,
+    Gravity,
+    Inertia,
+    Strain,
+    SurfaceStrain,
+    Target,
+    Term,
+    Traction,
+    Volume,
+)
+from .bending import Rings
+from .part import Part
+from .springs import DeadLoads, Springs
+from .tets import TetBlocks, shape_gradients
+from .triangles import Triangles
+
+PARTS: dict[type[Term], type[Part]] = {
+    Gravity: DeadLoads,
+    Traction: DeadLoads,
+    Strain: TetBlocks,
+    Volume: TetBlocks,
+    SurfaceStrain: Triangles,
+    Bending: Rings,
+    Target: Springs,
+    Inertia: Springs,
+}
+"""The class that models each term that has an energy, in the order in which their energies are added up."""
+AnyPart = TypeVar("AnyPart", bound=Part)
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """E(u) over displacements u = x - X: the sum of its parts. What the scene does not name costs nothing."""
+
+    parts: tuple[Part, ...]
+
+    @classmethod
+    def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
+        """Build what depends on mesh and stiffnesses."""
+        parts = (kind.from_scene(scene) for kind in dict.fromkeys(PARTS.values()))
+        return cls(tuple(part.on_threads(threads) for part in parts if part is not None))
+
+    def for_scene(self, scene: Scene) -> Energy:
+        """Take another scene's numbers that are `varying`."""
+        return Energy(tuple(part.for_scene(scene) for part in self.parts))
+
+    def rebuilt(self, scene: Scene) -> Energy:
+        """Take all numbers of another scene of the same terms."""
+        parts = (part.rebuilt(scene) for part in self.parts)
+        return Energy(tuple(part for part in parts if part is not None))
+
+    def part(self, kind: type[AnyPart]) -> AnyPart | None:
+        """Return the part of a class, None if there is none."""
+        return next((part for part in self.parts if isinstance(part, kind)), None)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the PD matrix bounds it, so that a plain step never raises it."""
+        return all(part.is_bounded for part in self.parts)
+
+    @property
+    def loads(self) -> Floats:
+        """The dead loads [mN], shape (n, 3)."""
+        loads = self.part(DeadLoads)
+        assert loads is not None
+        return loads.forces
+
+    def untangling(self, volume_share: float = 1.0) -> Energy:
+        """Return an energy that leads out of inverted tets: all weight on their shape, bounded by a share's matrix."""
+        parts = (part.untangling(volume_share) if isinstance(part, TetBlocks) else part for part in self.parts)
+        return Energy(tuple(parts))
+
+    def evaluate(self, u: Floats) -> tuple[float, Floats]:
+        """Return energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
+        energy, gradient = 0.0, np.zeros_like(u)
+        for part in self.parts:
+            energy = part.add_to(u, gradient, energy)
+        return energy, gradient
+
+    def matrix(self, scene: Scene, *, volume_share: float = 1.0) -> tuple[csr_matrix, np.ndarray]:
+        """Return the PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
+
+        With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
+        one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian,
+        and so it is with less of a strain limit that leaves stretches up to two or more free.
+        Entries that happen to be zero are kept, so that scenes of one topology have matrices of one pattern.
+        """
+        n = len(scene.vertices)
+        anchored = np.zeros(n)
+        for part in self.parts:
+            part.add_anchors(anchored)
+        entries = [(np.arange(n), np.arange(n), anchored)]
+        entries += [part.matrix_entries(scene, volume_share) for part in self.parts]
+        rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+        return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
+
+
+def recover(scene: Scene, positions: Floats) -> Stresses:
+    """Recover stresses and reactions at positions [mm], shape (n, 3)."""
+    energy, u = Energy.from_scene(scene), positions - scene.vertices
+    reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
+    every = np.arange(len(scene.tets))
+    _, gradients = shape_gradients(scene, every)
+    F = np.eye(3) + np.einsum("mai,maj->mij", u[scene.tets], gradients)
+    P = np.zeros((len(every), 3, 3))
+    if (tets := energy.part(TetBlocks)) is not None:
+        # The local step on tets that share no vertex: P = Σ f_a (X_a - X_0)ᵀ / V from the nodes' forces f = V P ∇N.
+        apart = tets.separate()
+        forces = np.zeros((4 * len(apart.tets), 3))
+        apart.add_to(u[scene.tets[apart.tets]].reshape(-1, 3), forces)
+        X = scene.vertices[scene.tets[apart.tets]]
+        rows = np.einsum("rai,raj->rij", forces.reshape(-1, 4, 3)[:, 1:], (X - X[:, :1])[:, 1:])
+        np.add.at(P, apart.tets, rows / scene.volumes[apart.tets, None, None])
+    return Stresses.from_points(P[:, None], F[:, None], scene.volumes[:, None], reactions)

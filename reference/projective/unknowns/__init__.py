@@ -1,0 +1,1 @@
+"""Unknowns of a scene, with rigid bodies, and the factored system over them."""

@@ -1,0 +1,1 @@
+"""Rigs: frames of a bound face, baked, and with inertia."""
