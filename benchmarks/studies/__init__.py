@@ -39,7 +39,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "throughput": "scaling.throughput:Throughput",
         "unknowns": "scaling.unknowns:Unknowns",
         "ranks": "scaling.ranks:Ranks",
-        "parts": "scaling.parts:Parts",
         "mixed": "scaling.mixed:Mixed",
     },
     "What can a scene leave out?": {

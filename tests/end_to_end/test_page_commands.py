@@ -85,7 +85,6 @@ ELSEWHERE = [
     "softdeca bench export face-benchmark.zip",
     "softdeca bench score my-jaw.vtu --archive face-benchmark.zip",
     "softdeca bench mixed",
-    "softdeca bench parts",
     "softdeca bench ranks",
     "softdeca corpus generate plan.toml --out corpus --workers 2",
     "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run",

@@ -15,7 +15,8 @@ pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.mpirun import SETTINGS, strip_notices
-from softdeca.benchmarks.studies.scaling.ranks import PHASES, Ranks, compare_counts
+from softdeca.benchmarks.studies.scaling.phases import PHASES, compare_phases
+from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean
@@ -414,7 +415,7 @@ def test_the_command_says_an_error_once(tmp_path):
 
 @needs_mpirun
 def test_the_study_of_ranks_compares_answers_and_phases(cases):
-    rows = compare_counts(cases["neo-Hookean"][0], Ranks(rounds=1, repeats=1))
+    rows = compare_phases(cases["neo-Hookean"][0], (1, 2), 1, 1)
     one, two = rows
     assert (one["processes"], two["processes"]) == (1, 2) and one["tets"] == 6000
     assert one["off"] == 0.0 < two["off"] <= 1e-10  # sums in another order

@@ -16,7 +16,8 @@ import h5py
 from mpi4py import MPI
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.scaling.parts import Parts, compare_counts
+from softdeca.benchmarks.studies.scaling.blocks import compare_blocks
+from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Scene, march, prepare, solve, terms, write_solution
 from softdeca.reference.fenicsx import dolfinx_version as seam
@@ -174,18 +175,18 @@ def test_unlike_terms_are_told_once(file, tmp_path):
 
 @needs_mpirun
 def test_the_study_of_parts_compares_answers_and_memory():
-    rows = compare_counts((1, 2), 4000, each=False)
+    rows = compare_blocks((1, 2), 4000, each=False)
     one, two = rows
     assert (one["processes"], two["processes"]) == (1, 2) and one["unknowns"] == two["unknowns"] == 3993
     assert one["off"] == 0.0 and two["off"] <= 1e-10
     assert min(line["peak_mb"] for line in rows) > min(line["empty_mb"] for line in rows) > 50.0
     row = Row("strong, 4000 unknowns", "FEniCSx", "done", "", {"rows": rows}, 1.0, None, 0.0, "")
-    assert all(gate["passed"] for gate in Parts().gates([row])) and "largest of 2 processes" in Parts().words([row])
+    assert all(gate["passed"] for gate in Ranks().gates([row])) and "largest of 2 processes" in Ranks().words([row])
     two["off"] = 1e-9
-    assert [gate["passed"] for gate in Parts().gates([row])] == [False, True]
+    assert [gate["passed"] for gate in Ranks().gates([row])] == [False, True]
 
 
 @pytest.mark.parametrize("unknowns", [(), ("few",), ("100",)])
-def test_a_study_of_parts_needs_sizes(unknowns):
+def test_a_study_of_ranks_needs_sizes(unknowns):
     with pytest.raises(InputError, match="unknowns: expected 3000 or more each"):
-        Parts(unknowns=unknowns).tasks()
+        Ranks(unknowns=unknowns).tasks()

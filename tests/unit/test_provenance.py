@@ -35,7 +35,7 @@ def test_every_kept_result_says_where_and_with_what_it_was_measured():
 
 
 def test_what_a_result_lacks_is_named():
-    whole = content(RESULTS / "parts.json")
+    whole = content(RESULTS / "ranks.json")
     assert provenance.list_missing(whole) == []
     for key, missing in (("commit", "commit"), ("versions", "versions"), ("processor", "machine")):
         without = {name: value for name, value in whole["machine"].items() if name != key}
