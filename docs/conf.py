@@ -1,8 +1,13 @@
 """Sphinx' settings: pages in MyST and as programs, run when they are built; no page needs a network."""
 
 import re
+import sys
 import zlib
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from results import fill  # noqa: E402
 
 project = "softdeca"
 author = "The softdeca authors"
@@ -26,6 +31,7 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = [
     "conf.py",
+    "results.py",
     "tutorials/gent.py",
     "upstream/*.py",
     "tutorials/quasi_newton.py",
@@ -164,8 +170,14 @@ def _by_alias(app, what, name, obj, options, signature, returned):
     )
 
 
+def _fill(app, docname, source):
+    """Fill a page from the results; what no result has ends the build."""
+    source[0] = fill(source[0], f"docs/{docname}.md")
+
+
 def setup(app):
-    """Let docstrings pass `_plain` and signatures `_by_alias`."""
+    """Let pages pass `_fill`, docstrings `_plain` and signatures `_by_alias`."""
+    app.connect("source-read", _fill)
     app.connect("autodoc-process-docstring", _plain)
     for part in ("description", "options", "arguments", "epilog"):
         app.connect(f"sphinx-click-process-{part}", _plain_command)

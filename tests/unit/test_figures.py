@@ -1,91 +1,87 @@
-"""Every measured figure of README and docs is what benchmarks/results say; every picture is of today's program."""
+"""Pages tell what benchmarks/results say, or cannot be built; every picture is of today's program."""
 
 import importlib.util
 import json
 import re
 import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from softdeca.surrogate.methods import METHODS
+
 ROOT = Path(__file__).parents[2]
 
 
-def tool(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
+    sys.modules[path.stem] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
 
 
-pytest.importorskip("tomllib")  # from Python 3.11 on
-figures, pictures = tool("figures"), tool("pictures")
-FIGURES, SETTINGS, EXCLUDED = figures.read_map()
-PAGES = figures.list_pages(EXCLUDED)
+results, pictures = load(ROOT / "docs" / "results.py"), load(ROOT / "tools" / "pictures.py")
+PAGES = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_no_figure_without_a_result(page):
-    text = (ROOT / page).read_text()
-    here = [figure for figure in FIGURES if figure.page == page]
-    assert figures.find_wrong(text, here) == [], "run `python tools/figures.py --update`"
-    assert figures.find_unknown(page, text, here, SETTINGS.get(page, [])) == []
+def test_a_page_is_filled_from_the_results(page):
+    filled = results.fill((ROOT / page).read_text(), page)
+    assert "{{ " not in filled and "nan" not in re.findall(r"\| (nan) \|", filled)
 
 
-def test_every_figure_is_on_a_page_that_is_read():
-    assert {figure.page for figure in FIGURES} | set(SETTINGS) <= set(PAGES)
-    assert "README.md" in PAGES and len([figure for figure in FIGURES if figure.page == "README.md"]) >= 7
+def test_readme_is_its_template_filled():
+    text = results.fill(results.README_TEMPLATE.read_text(), "docs/readme.in")
+    assert results.README.read_text() == text, "run `python docs/results.py`"
 
 
-def test_a_changed_figure_a_new_one_and_an_unused_setting_are_named():
-    page = "docs/corpus.md"
-    text, here = (ROOT / page).read_text(), [figure for figure in FIGURES if figure.page == page]
-    (figure,) = (figure for figure in here if "simulates takes {:.0f} MB" in figure.text)
-    match = figures.find_place(text, figure)
-    changed = text[: match.start(1)] + "417,000" + text[match.end(1) :]
-    (told,) = figures.find_wrong(changed, here)
-    assert told.startswith(f"docs/corpus.md: 417,000 should be {match[1]} in ")
-    assert figures.update_text(changed, here) == text
-    more = text + "\nIt is 3.7 mm off,\ntakes two minutes and .5 s.\n\n| a | 17 |\n|---|---|\n"
-    told = figures.find_unknown(page, more, here, SETTINGS[page])
-    assert len(told) == 4 and all("no figure with a result" in line for line in told)
-    assert [number in line for number, line in zip(("3.7", "two", ".5", "17"), told, strict=True)] == 4 * [True]
-    (told,) = figures.find_unknown(page, text, here, [*SETTINGS[page], "never said"])
-    assert "no place for the setting 'never said'" in told
+def test_most_figures_of_the_pages_are_from_results():
+    templates = [results.README_TEMPLATE, *(ROOT / page for page in PAGES)]
+    assert sum(len(results.BRACES.findall(path.read_text())) for path in templates) > 300
+
+
+def test_methods_on_pages_have_the_labels_of_the_house():
+    assert set(results.READY) <= set(METHODS)
+
+
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        ('one("none", "share")', "none.json: no such file in benchmarks/results"),
+        ('one("split", "shares", case="defaults")', "split.json: no line with shares"),
+        ('every("split", "share", case="nobody")', "split.json: no line with share of {'case': 'nobody'}"),
+        ('one("split", "share")', "split.json: [0-9]+ lines with share of {}, expected one"),
+        ('share("netwrok")', "surrogate/fresh.json: 0 scores of 'netwrok' on 'all', expected one"),
+        ('gate("split", "none of them")', "split.json: 0 gates 'none of them', expected one"),
+        ('of("split", "gates.99")', "split.json: no gates.99"),
+        ("open('x')", "name 'open' is not defined"),
+        ('share("network") : .1q', "Unknown format code|Invalid format specifier"),
+    ],
+)
+def test_what_no_result_has_is_named_with_its_page(expression, words):
+    with pytest.raises(results.MissingResultError, match=words) as error:
+        results.fill(f"It leaves {{{{ {expression} }}}} %.", "docs/page.md")
+    assert str(error.value).startswith(f"docs/page.md: {{{{ {expression} }}}}: ") and "\n" not in str(error.value)
 
 
 def test_a_figure_follows_its_results(tmp_path, monkeypatch):
-    shutil.copytree(figures.RESULTS, tmp_path / "results")
-    monkeypatch.setattr(figures, "RESULTS", tmp_path / "results")
+    shutil.copytree(results.RESULTS, tmp_path / "results")
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "results")
     path = tmp_path / "results" / "agreement.json"
     content = json.loads(path.read_text())
-    for row in content["rows"]:
-        if row["values"].get("another_minimum_mm"):
-            row["values"]["another_minimum_mm"] = 0.987
+    for gate in content["gates"]:
+        gate |= {"value": 0.987, "passed": False}
     path.write_text(json.dumps(content))
-    (figure,) = (each for each in FIGURES if "two minima" in each.text)
-    figures.lines.cache_clear()
+    results.read.cache_clear()
     try:
-        assert figure.numbers() == ["0.99"]
-        assert figures.as_written("0.99", ".23") == ".99" and figures.as_written("0.99", "0.23") == "0.99"
-        with pytest.raises(SystemExit, match="agreement.json: no line with another_minimum_mm"):
-            replace(figure, values=(figure.values[0].replace("mouthSmile*", "none"),)).numbers()
+        asked = ['gate("agreement", "smallest*") : .2f', 'gate("agreement", "smallest*") : ~.2f']
+        asked.append('verdict("agreement", "smallest*")')
+        page = " ".join(f"{{{{ {expression} }}}}" for expression in asked)
+        assert results.fill(page, "docs/page.md") == "0.99 .99 missed"
     finally:
-        figures.lines.cache_clear()
-
-
-def test_a_missed_gate_is_told_beside_its_figure():
-    missed = [figure for figure in FIGURES if figure.misses]
-    assert all("missed" in figure.text for figure in missed)
-    (kept,) = (figure for figure in FIGURES if "linear solves and {:.1f} GB" in figure.text)
-    assert not kept.misses  # its memory has a gate
-    text = re.sub(r"and (\d\.\d GB)", r"and missed \1", (ROOT / kept.page).read_text())
-    figure = replace(kept, text=kept.text.replace("and {:.1f}", "and missed {:.1f}"))
-    (told,) = figures.find_wrong(text, [figure])
-    assert "keeps its gate: say so" in told
+        results.read.cache_clear()
 
 
 DRAWN_ELSEWHERE = {"surrogate-cost.png", "surrogate-frames.png"}

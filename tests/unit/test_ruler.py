@@ -189,14 +189,6 @@ def test_derivatives_without_a_network_fail_the_gate_of_both(rival):
     assert not make_gates(planted)[-1]["passed"]
 
 
-def test_the_model_card_has_the_committed_shares():
-    card = (RESULTS.parents[2] / "docs" / "surrogate.md").read_text()
-    scores = [Score(**row) for row in json.loads((RESULTS / "fresh.json").read_text())["scores"]]
-    for kind in {score.kind for score in scores}:
-        shares = " | ".join(f"{100 * score.share:.1f}" for score in scores if score.kind == kind)
-        assert f" | {shares} |" in card, kind
-
-
 def test_where_the_network_loses_is_said_first():
     shares = {(NETWORK, "gravity"): 0.2, (TRIVIAL[1], "gravity"): 0.1, (NETWORK, ALL): 0.3, (TRIVIAL[1], ALL): 0.5}
     scores = [Score(method=method, kind=kind, share=share) for (method, kind), share in shares.items()]

@@ -1,0 +1,236 @@
+"""Fill pages from results: `{{ expression : format }}` on a page becomes the number that benchmarks/results says.
+
+An expression asks for values of lines of a results file by case, method and other keys (`one`, `every`), for a value of
+the file (`of`), or for that of a study's gate (`gate`); `shares`, `errors` and `costs` are whole tables of the
+surrogate's scores. `~` before a format leaves the zero before a point out. Sphinx fills the pages of docs when it builds
+them. README.md is read where nothing fills it, so `python docs/results.py` writes it from docs/readme.in.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+README, README_TEMPLATE = ROOT / "README.md", ROOT / "docs" / "readme.in"
+BRACES = re.compile(r"\{\{ (.+?) \}\}")
+Line = Mapping[str, Any]
+
+
+class MissingResultError(Exception):
+    """A page asks for what no result has."""
+
+
+@cache
+def read(file: str) -> Any:
+    """Read a results file; MissingResultError where there is none."""
+    path = RESULTS / f"{file}.json"
+    if not path.is_file():
+        raise MissingResultError(f"{file}.json: no such file in benchmarks/results")
+    return json.loads(path.read_text())
+
+
+def list_lines(file: str) -> Iterator[Line]:
+    """List the lines of a results file: each row of a study with its values, and each entry of its lists."""
+    content = read(file)
+    if isinstance(content, list):
+        yield from content
+    elif "scores" in content:
+        yield from content["scores"]
+    else:
+        for row in content.get("rows", []):
+            yield from _lines_of(row)
+
+
+def _lines_of(row: Line) -> Iterator[Line]:
+    values = row.get("values", {})
+    yield {key: value for key, value in row.items() if key != "values"} | values
+    for name, entries in values.items():
+        if isinstance(entries, list) and entries and isinstance(entries[0], dict):
+            for entry in entries:
+                yield {
+                    "case": row["case"],
+                    "method": row["method"],
+                    "list": name,
+                } | entry
+
+
+def _matches(line: Line, where: Line) -> bool:
+    return all(
+        fnmatchcase(str(line.get(key)), wanted)
+        if isinstance(wanted, str)
+        else line.get(key) == wanted
+        for key, wanted in where.items()
+    )
+
+
+def every(file: str, key: str, /, **where: Any) -> list[Any]:
+    """Collect a value of all lines that match; `key` may go deeper by dots. MissingResultError where there is none."""
+    values = []
+    for line in list_lines(file):
+        if _matches(line, where):
+            value: Any = line
+            for part in key.split("."):
+                value = value.get(part) if isinstance(value, Mapping) else None
+            if value is not None:
+                values.append(value)
+    if not values:
+        raise MissingResultError(f"{file}.json: no line with {key} of {where}")
+    return values
+
+
+def one(file: str, key: str, /, **where: Any) -> Any:
+    """Return a value of the one line that matches."""
+    values = every(file, key, **where)
+    if len(values) > 1:
+        raise MissingResultError(
+            f"{file}.json: {len(values)} lines with {key} of {where}, expected one"
+        )
+    return values[0]
+
+
+def of(file: str, key: str, /) -> Any:
+    """Return a value of the file itself, by dots."""
+    value = read(file)
+    for part in key.split("."):
+        try:
+            value = value[int(part) if isinstance(value, list) else part]
+        except (KeyError, IndexError):
+            raise MissingResultError(f"{file}.json: no {key}") from None
+    return value
+
+
+def _find_gate(file: str, what: str) -> Line:
+    matching = [each for each in of(file, "gates") if fnmatchcase(each["what"], what)]
+    if len(matching) != 1:
+        raise MissingResultError(
+            f"{file}.json: {len(matching)} gates {what!r}, expected one"
+        )
+    return matching[0]
+
+
+def gate(file: str, what: str, /) -> float:
+    """Return the measured value of a study's one gate whose words match."""
+    return float(_find_gate(file, what)["value"])
+
+
+def verdict(file: str, what: str, /) -> str:
+    """Say "kept" or "missed" of that gate."""
+    return "kept" if _find_gate(file, what)["passed"] else "missed"
+
+
+READY = (
+    "network", "network + derivatives", "derivatives", "settled + blendshapes", "bones carried", "blendshapes",
+)  # fmt: skip
+
+
+def _score(file: str, method: str, kind: str) -> Line:
+    matching = [
+        line
+        for line in list_lines(file)
+        if line["method"] == method and line["kind"] == kind
+    ]
+    if len(matching) != 1:
+        raise MissingResultError(
+            f"{file}.json: {len(matching)} scores of {method!r} on {kind!r}, expected one"
+        )
+    return matching[0]
+
+
+def _row(cells: Sequence[Any]) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def shares(file: str, kinds: Sequence[str | tuple[str, str]], /) -> str:
+    """Tabulate shares [%] of READY by kind of frames, or by kind and what its row is called."""
+    rows = []
+    for kind, name in (
+        (each, each) if isinstance(each, str) else each for each in kinds
+    ):
+        scores = [_score(file, method, kind) for method in READY]
+        head = [
+            name,
+            scores[0]["faces"],
+            scores[0]["frames"],
+            f"{scores[0]['moved']:.3f}",
+        ]
+        rows.append(_row([*head, *(f"{100 * score['share']:.1f}" for score in scores)]))
+    return "\n".join(rows)
+
+
+def errors(file: str, method: str, kinds: Sequence[str], /) -> str:
+    """Tabulate a method's errors [mm] by kind of frames."""
+    rows = []
+    for kind in kinds:
+        score = _score(file, method, kind)
+        rows.append(_row([kind, *_distances(score), f"{score['everywhere']:.3f}"]))
+    return "\n".join(rows)
+
+
+def _distances(score: Line) -> list[str]:
+    return [f"{score['mean']:.3f}", f"{score['p95']:.3f}", f"{score['largest']:.2f}"]
+
+
+def costs(file: str, /) -> str:
+    """Tabulate READY's errors and what each costs [ms]."""
+    rows = []
+    for method in READY:
+        score = _score(file, method, "all")
+        head = "–" if score["head_ms"] is None else f"{score['head_ms']:.0f}"
+        waits = [head, f"{score['bind_ms']:.0f}", f"{score['frame_ms']:.2f}"]
+        rows.append(
+            _row([method, f"{100 * score['share']:.1f}", *_distances(score), *waits])
+        )
+    return "\n".join(rows)
+
+
+def share(method: str, kind: str = "all", file: str = "surrogate/fresh") -> float:
+    """Return a method's share [%] on a kind of frames."""
+    return 100.0 * _score(file, method, kind)["share"]
+
+
+KNOWN = {
+    "one": one, "every": every, "of": of, "gate": gate, "verdict": verdict, "share": share, "shares": shares,
+    "errors": errors, "costs": costs, "dict": dict, "min": min, "max": max, "sum": sum, "len": len, "zip": zip,
+    "mean": statistics.fmean, "median": statistics.median, "sqrt": math.sqrt,
+}  # fmt: skip
+
+
+def fill(text: str, page: str) -> str:
+    """Fill a page's braces; MissingResultError, with page and expression, for what no result has."""
+
+    def number(match: re.Match[str]) -> str:
+        expression, _, how = (
+            match[1].rpartition(" : ") if " : " in match[1] else (match[1], "", "")
+        )
+        try:
+            value = eval(expression, {"__builtins__": {}} | KNOWN)  # noqa: S307  # of this repository's own pages
+            shown = f"{{:{how.removeprefix('~')}}}".format(value)
+        except (
+            MissingResultError,
+            NameError,
+            SyntaxError,
+            TypeError,
+            ValueError,
+        ) as error:
+            raise MissingResultError(f"{page}: {{{{ {match[1]} }}}}: {error}") from None
+        return (
+            shown.removeprefix("0")
+            if how.startswith("~") and shown.startswith("0.")
+            else shown
+        )
+
+    return BRACES.sub(number, text)
+
+
+if __name__ == "__main__":
+    README.write_text(fill(README_TEMPLATE.read_text(), "docs/readme.in"))
+    print(f"wrote {README}")
