@@ -120,6 +120,7 @@ class Surrogate:
         oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
         return self._bind(skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation))
 
+    @check_arguments
     def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
         """Bind a face, live or of a corpus; with `exact`, with its own offset and responses.
 

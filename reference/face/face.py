@@ -51,7 +51,10 @@ class Face:
         if self.per not in ("skin", "wraps"):
             raise InputError(f"per: expected 'skin' or 'wraps', got {quote(self.per)!r}")
         if self.code is not None:
-            object.__setattr__(self, "code", finite("code", self.code, (None,)))
+            code = finite("code", self.code, (None,))
+            if not code.size:
+                raise InputError("code: expected numbers, got none")
+            object.__setattr__(self, "code", code)
         shapes = check_shapes(self.shapes, self.head.skin)
         object.__setattr__(self, "shapes", np.asarray(shapes, dtype=np.float64))
 

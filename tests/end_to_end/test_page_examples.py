@@ -46,7 +46,8 @@ def test_every_block_is_run_here():
         'apply_law(scene, "neo-Hookean")',
         "heavier = settle",
         "surrogate = Surrogate.load()",
-        "CertifiedFace.from_head",
+        "certify(Face(",
+        'METHODS["PD"]',
         "meshio.read",
         "fit_scan",
         "read_scene",
@@ -105,8 +106,13 @@ def test_the_surrogate():
     assert np.array_equal(names["moving"].frame(weights), names["skin"])
 
 
+def test_any_head_by_every_method(capsys):
+    names = ran('METHODS["PD"]', level=1)
+    assert float(capsys.readouterr().out.split()[0]) < 0.5 and names["truth"].shape == names["skin"].vertices.shape
+
+
 def test_a_face_that_knows_its_error():
-    names = ran("CertifiedFace.from_head", level=1)
+    names = ran("certify(Face(", level=1)
     assert names["frame"].bound <= 0.01 and names["face"].method == "network + derivatives"
 
 

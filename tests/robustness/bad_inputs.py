@@ -85,7 +85,7 @@ EMPTY_OF = {
 BY_DEFAULT = {
     "space", "folder", "values", "tets", "rest", "positions", "velocities", "kappa", "start", "max_iterations", "scene",
     "keep", "acceleration", "region", "velocity", "hinge", "centre", "parameters", "blended", "out", "base", "seconds",
-    "after",
+    "after", "code", "surrogate",
 }  # fmt: skip
 
 
