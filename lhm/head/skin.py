@@ -119,6 +119,8 @@ def check_shapes(expressions, skin: Surface) -> Floats:
     InputError for other shapes, and for displacements of another unit or order of vertices.
     """
     shapes = real("expressions", expressions, (len(ARKIT), len(skin.vertices), 3), most=FARTHEST)
+    if shapes.dtype == np.float16:  # whose squares are too coarse
+        shapes = shapes.astype(np.float32)
     largest = np.abs(shapes).max(axis=(1, 2))
     if 0.0 < largest.max() < LEAST_SHAPE:
         raise InputError(
