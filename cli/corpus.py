@@ -129,7 +129,7 @@ class Generate:
         if self.plan_file is not None:
             plan = read_plan(self.plan_file)
         elif self.preset is None and is_there:
-            plan, _ = read_kept_plan(self.out)
+            plan = read_kept_plan(self.out)
         else:
             plan = CorpusPlan.of({"preset": "tiny" if self.preset is None else self.preset})
         plan = plan if self.takes is None else replace(plan, takes=str(self.takes))

@@ -1,6 +1,7 @@
 """Which head and which take a command is about."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import click
@@ -32,7 +33,7 @@ class HeadChoice:
                 more = "both say which head; give one" if name == "seed" else "is of a head yet to be fitted"
                 raise click.UsageError(f"--head and --{name} {more}", click.get_current_context())
 
-    @property
+    @cached_property
     def space(self) -> identities.LinearSpace:
         """The people that are named, or the default's."""
         return identities.from_text("anny" if self.space_name is None else self.space_name)
@@ -45,8 +46,7 @@ class HeadChoice:
     def face(self, parameters: Parameters, progress: OnProgress) -> Face:
         """The head under p, whose local values are one per face of the skin."""
         head, shapes = self.head(progress)
-        space = None if self.head_file is not None else self.space
-        return Face(head, shapes, parameters, code=None if space is None else self.code(space))
+        return Face(head, shapes, parameters, code=None if self.head_file else self.code(self.space))
 
     def head(self, progress: OnProgress) -> tuple[LayeredHead, Floats]:
         """The head, and what each expression adds to its skin [mm], shape (52, n, 3)."""

@@ -18,6 +18,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from softdeca.surrogate.methods import READY
+
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 README, README_TEMPLATE = ROOT / "README.md", ROOT / "docs" / "readme.in"
@@ -125,11 +127,6 @@ def gate(file: str, what: str, /) -> float:
 def verdict(file: str, what: str, /) -> str:
     """Say "kept" or "missed" of that gate."""
     return "kept" if _find_gate(file, what)["passed"] else "missed"
-
-
-READY = (
-    "network", "network + derivatives", "derivatives", "settled + blendshapes", "bones carried", "blendshapes",
-)  # fmt: skip
 
 
 def _score(file: str, method: str, kind: str) -> Line:

@@ -181,16 +181,15 @@ class Distances:
         self,
         groups: Mapping[str, np.ndarray],
         costs: Mapping[str, Cost] = MappingProxyType({}),
-        fits: Sequence[float | None] = (),
     ) -> list[Score]:
         """Score each contender on each group of frames; groups in which nothing moves are left out.
 
-        costs: of binds by name, where a method needs a head or the simulator; without one it has no cost. fits: seconds
-        of each contender's learning. Raises InputError where simulation moves no frame of ALL.
+        costs: of binds by name, where a method needs a head or the simulator; without one it has no cost. Raises
+        InputError where simulation moves no frame of ALL.
         """
         scores = []
         for number, contender in enumerate(self.contenders):
-            cost = self._cost(number, costs, fits[number] if fits else None)
+            cost = self._cost(number, costs)
             for name, rows in groups.items():
                 faces = len(np.unique(self.columns["trial"][rows]))
                 score = score_distances(
@@ -202,12 +201,12 @@ class Distances:
                     raise InputError("evaluate: simulation moves no frame of these faces beyond their bones")
         return scores
 
-    def _cost(self, number: int, costs: Mapping[str, Cost], fitted: float | None) -> Cost:
+    def _cost(self, number: int, costs: Mapping[str, Cost]) -> Cost:
         bind, frame = (1e3 * float(np.median(s)) if s else None for s in (self.binds[number], self.frames[number]))
         contender = self.contenders[number]
         if contender.needs == "nothing":
-            return Cost(fitted, None, bind, frame)
-        return replace(costs.get(contender.name, Cost()), fit_seconds=fitted, frame_ms=frame)
+            return Cost(bind_ms=bind, frame_ms=frame)
+        return replace(costs.get(contender.name, Cost()), frame_ms=frame)
 
 
 def measure_bind(method: Binds, faces: Sequence[KeptFace]) -> Cost:
@@ -218,7 +217,8 @@ def measure_bind(method: Binds, faces: Sequence[KeptFace]) -> Cost:
     rows = []
     for face in (kept.anew() for kept in (faces[0], *faces)):
         begin = time.process_time()
-        _ = method.needs == "nothing" or face.live
+        if method.needs != "nothing":
+            _ = face.live
         fitted = time.process_time()
         method.bind(face)
         rows.append((fitted - begin, time.process_time() - fitted))

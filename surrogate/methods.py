@@ -8,15 +8,18 @@ a corpus have a file each in `networks`; solvers of other packages have one in t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats32
-from ..reference import Prepared, prepare
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..reference import Solution, prepare
+from ..reference.face.correction import predict
+from ..reference.face.derivatives import FRAME_ACCURACY, spring_norm
 from ..reference.face.face import Face
 from ..reference.face.facial import PD_ENERGY, FaceLaw
 from .certified import ACCURACY, CertifiedFace
@@ -24,7 +27,7 @@ from .corpus.face import KeptFace
 from .rigs.bound import BoundSurrogate
 from .rigs.inertia import Swing
 from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
-from .runtime import Beyond, BoundRig, Surrogate, UnseenError
+from .runtime import Beyond, BoundRig, Surrogate
 
 PD, PD_PLAIN, PD_ANDERSON, PD_ARAP = "PD", "PD, plain", "PD, Anderson", "PD on ARAP"
 PD_FIRST_ORDER = "PD, from first order"
@@ -69,40 +72,46 @@ def no_face(face: AnyFace) -> Rig:
     raise InputError("this method moves no face")
 
 
-@dataclass(eq=False)
-class SolverRig:
-    """Frames of a face by a solver of `reference`, under a law, prepared by the first one.
+@dataclass(frozen=True, eq=False)
+class SolvedRig:
+    """Frames of a face's own shapes by what solves for the skin [mm], shape (n, 3), of weights (52,)."""
 
-    `how` are options of `prepare`, `options` those of `Prepared.solve`. Each frame begins at rest. One that does not
-    converge raises InputError with the reason.
-    """
-
-    face: Face
-    solver: str
-    law: FaceLaw = PD_ENERGY
-    how: Mapping[str, Any] = field(default_factory=dict)
-    options: Mapping[str, Any] = field(default_factory=dict)
-    prepared: Prepared | None = None
+    skin: Surface
+    solve: Callable[[Floats], Floats | Floats32]
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
-        """Solve an expression's scene; see `Rig.frame`."""
+        """Solve for a frame; see `Rig.frame`. InputError for `blended`, too, and what solving raises."""
         if blended is not None:
             raise InputError("blended: a solver moves the face's own shapes alone")
         known = check_weights(weights).astype(np.float64)
-        surface = check_out(out, self.face.skin.vertices.shape)
-        scene = self.face.scene(known, self.law)
-        if self.prepared is None:
-            self.prepared = prepare(scene, solver=self.solver, **self.how)
-        solution = self.prepared.solve(scene, **self.options)
-        if not solution.converged:
-            raise InputError(f"{self.solver}: {solution.reason}")
-        surface[:] = self.face.skin_after(known, solution.positions, self.law)
+        surface = check_out(out, self.skin.vertices.shape)
+        surface[:] = self.solve(known)
         return surface
 
 
 def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how: Any) -> Binder:
-    """Return what binds a face to a solver; `how` are options of `prepare`."""
-    return lambda face: SolverRig(get_live(face), solver, law, how, {"tolerance": tolerance})
+    """Return what binds a face to a solver, prepared at bind; `how` are options of `prepare`.
+
+    Each frame begins at rest. One that does not converge raises InputError with the reason.
+    """
+
+    def bind(face: AnyFace) -> SolvedRig:
+        live = get_live(face)
+        prepared = prepare(live.settled(law).scene(live.skin.vertices), solver=solver, **how)
+
+        def solve(weights: Floats) -> Floats:
+            solution = prepared.solve(live.scene(weights, law), tolerance=tolerance)
+            return live.skin_after(weights, _converged(solver, solution).positions, law)
+
+        return SolvedRig(live.skin, solve)
+
+    return bind
+
+
+def _converged(method: str, solution: Solution) -> Solution:
+    if not solution.converged:
+        raise InputError(f"{method}: {solution.reason}")
+    return solution
 
 
 @check_arguments
@@ -146,40 +155,29 @@ def use_network(surrogate: Surrogate | None = None, *, exact: bool = False, beyo
     return bind
 
 
-@dataclass(frozen=True, eq=False)
-class DialRig:
-    """Frames of a face that tells its error, each within an accuracy [mm]."""
-
-    face: CertifiedFace
-    accuracy: float
-
-    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
-        """Make a frame by the cheapest method; see `Rig.frame`."""
-        if blended is not None:
-            raise InputError("blended: the dial moves the face's own shapes alone")
-        surface = check_out(out, self.face.skin.vertices.shape)
-        surface[:] = self.face.frame(weights, self.accuracy).skin
-        return surface
-
-
 def use_dial(accuracy: float = ACCURACY) -> Binder:
     """Return what binds a face to the dial, at an accuracy [mm]."""
-    return lambda face: DialRig(certify(get_live(face)), accuracy)
+
+    def bind(face: AnyFace) -> SolvedRig:
+        certified = certify(get_live(face))
+        return SolvedRig(certified.skin, lambda weights: certified.frame(weights, accuracy).skin)
+
+    return bind
 
 
 @check_arguments
-def start_at_first_order(face: AnyFace) -> CorrectedRig:
-    """Bind PD whose frames begin at the first order, as a corpus makes them."""
+def start_at_first_order(face: AnyFace) -> SolvedRig:
+    """Bind PD whose frames begin at the first order and go on by the PD matrix, as a corpus makes them."""
     live = get_live(face)
+    prepared = live.derivatives.prepared
 
-    def correct(weights: Floats32) -> Floats32:
-        expression = live.blend(weights)
-        solution = live.derivatives.solve(expression)
-        if not solution.converged:
-            raise InputError(f"{PD_FIRST_ORDER}: {solution.reason}")
-        return (live.skin_after(weights, solution.positions) - expression).astype(np.float32)
+    def solve(weights: Floats) -> Floats:
+        scene = live.scene(weights)
+        stop = FRAME_ACCURACY * spring_norm(scene)
+        solution = prepared.solve(scene, start=predict(live, weights), absolute=stop, untangle=False)
+        return live.skin_after(weights, _converged(PD_FIRST_ORDER, solution).positions)
 
-    return CorrectedRig(face.skin, face.shapes, correct)
+    return SolvedRig(live.skin, solve)
 
 
 def simulate(name: str, bind: Binder, colour: str, mark: str = "s") -> Method:
@@ -261,15 +259,13 @@ def ready_methods(surrogate: Surrogate) -> dict[str, Method]:
 def certify(face: Face, surrogate: Surrogate | None = None) -> CertifiedFace:
     """Bind a face that tells each frame's error to the simulator; some seconds.
 
-    The surrogate, by default the shipped one, adds what is not linear where it knows the head's triangles and the
+    The surrogate, by default the shipped one, adds what is not linear where it can be bound to the head and the
     parameters; elsewhere it is left out. Raises what the simulator raises.
     """
     network = Surrogate.load() if surrogate is None else surrogate
     if network.has_derivatives and network.knows(face.skin):
-        try:
+        with suppress(InputError):  # a skin unlike its people's, or parameters beyond what it has seen
             rig = network.bind_face(face, exact=True)
             assert isinstance(rig, BoundSurrogate)
             return CertifiedFace(face, rig, NETWORK_AND_DERIVATIVES)
-        except UnseenError:
-            pass
     return CertifiedFace(face, differentiate(face), DERIVATIVES)

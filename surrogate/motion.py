@@ -110,5 +110,5 @@ def evaluate_played(name: str, method: Plays, tested: CorpusTrials, on_progress:
     fitted = time.process_time() - begin
     trials = tested.moving(only_differentiated=False)
     distances = measure_frames([as_played(name, method, tested.table("sequences"))], trials, on_progress)
-    (score,) = distances.scores(distances.parts(), fits=[fitted])
-    return score
+    (score,) = distances.scores(distances.parts())
+    return replace(score, fit_seconds=fitted)

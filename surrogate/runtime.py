@@ -46,10 +46,6 @@ Described = tuple[Surface, Floats, Floats, Floats32, Swings | None]
 """What a network needs of a face: skin, code, p at its vertices, shapes, and how it swings."""
 
 
-class UnseenError(InputError):
-    """Parameters are beyond what a network has seen."""
-
-
 class Surrogate:
     """A trained network for any person and parameters of its space; see `networks.modal` for the shipped one's form."""
 
@@ -125,8 +121,7 @@ class Surrogate:
         """Bind a face, live or of a corpus; with `exact`, with its own offset and responses.
 
         A face without a code gets that of the nearest person. A network that has one value of each parameter for the
-        whole face takes the mean of those that vary in a corpus. Raises as `bind`; UnseenError for p beyond what the
-        network has seen.
+        whole face takes the mean of those that vary in a corpus. Raises as `bind`.
         """
         if exact:
             self.check_exact()
@@ -297,7 +292,7 @@ def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], b
         worst = at_vertices[np.argmax(np.abs(at_vertices[:, k])), k]
         text = f"parameter {name} = {info.denormalise(worst):.4g} is beyond [{bounds}], what the network has seen"
         if beyond == "refuse":
-            raise UnseenError(f"{text}; bind(beyond='clamp') takes the nearest")
+            raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
 

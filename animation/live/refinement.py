@@ -46,8 +46,9 @@ class Refinement:
         SupersededError as soon as it is; InputError for a face that does not settle, and what the simulator raises.
         """
         self._now = None  # before another is made: a factor is an eighth of a gigabyte
-        watched = lambda *_: _check(is_superseded)  # noqa: E731
-        face = replace(self._face, parameters=parameters, like=self._analysis, on_iteration=watched)
+        face = replace(
+            self._face, parameters=parameters, like=self._analysis, on_iteration=lambda *_: _check(is_superseded)
+        )
         self._now, self._analysis = (parameters, certify(face, self._network)), face.derivatives.analysis
         offset, responses = (array.astype(np.float32) for array in (face.offset, face.responses))
         return DerivativesFound(parameters, offset, responses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class Face:
     code: Floats | None = None
     like: Analysis | None = None
     on_iteration: OnIteration | None = None
-    _settled: dict[Any, SettledFace] = field(default_factory=dict, init=False, repr=False)
+    _settled: dict[FaceLaw, SettledFace] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
         for name, kind in (("head", LayeredHead), ("parameters", Parameters)):
@@ -82,13 +82,13 @@ class Face:
         """How scaled bones carry the neutral skin [mm], shape (n, 3)."""
         return carry_skin(self.head, self.on_wraps)
 
-    def settled(self, law: FaceLaw = PD_ENERGY, **options: Any) -> SettledFace:
-        """Return the neutral face settled by a law, once for each; options of `settle`, by default TARGET_OPTIONS."""
-        key = (law, *sorted(options.items()))
-        if key not in self._settled:
-            chosen = options or TARGET_OPTIONS
-            self._settled[key] = settle(self.head, self.on_wraps, law=law, on_iteration=self.on_iteration, **chosen)
-        return self._settled[key]
+    def settled(self, law: FaceLaw = PD_ENERGY) -> SettledFace:
+        """Return the neutral face settled by a law, once for each."""
+        if law not in self._settled:
+            self._settled[law] = settle(
+                self.head, self.on_wraps, law=law, on_iteration=self.on_iteration, **TARGET_OPTIONS
+            )
+        return self._settled[law]
 
     def scene(self, weights: Floats | Floats32, law: FaceLaw = PD_ENERGY) -> Scene:
         """Return the scene of an expression under a law, on the neutral face that this law has settled."""

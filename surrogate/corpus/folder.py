@@ -297,18 +297,17 @@ def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
     return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
 
 
-def read_kept_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
-    """Return a corpus' plan, and how to make its people again, from its folder; InputError where that is not told."""
+def read_kept_plan(folder: str | PathLike[str]) -> CorpusPlan:
+    """Return a corpus' plan from its folder; InputError for other recordings, and people that no command knows."""
     manifest = read_manifest(folder)
+    _ = manifest.known_people
     takes = manifest.said.get("takes", "")
-    plan, made_with = replace(manifest.counts, takes=takes), dict(manifest.made_with)
-    if not (isinstance(made_with.get("identities"), str) and made_with.get("level") in (1, 2, 3)):
-        raise InputError(f"corpus {folder}: it was made from Python, of people that no command knows by name")
+    plan = replace(manifest.counts, takes=takes)
     if plan.digest != manifest.said["plan"]:
         raise InputError(
             f"corpus {folder}: its recordings are not what they were (takes in {takes or 'none'}); make another one"
         )
-    return plan, made_with
+    return plan
 
 
 class _Rate:

@@ -29,11 +29,8 @@ class Heads:
         """Fit the heads of a corpus' people, as its folder says how."""
 
         def make() -> People:
-            made_with = read_manifest(folder).made_with
-            known = isinstance(made_with.get("identities"), str) and made_with.get("level") in (1, 2, 3)
-            if not known:
-                raise InputError(f"corpus {folder}: it was made from Python, of people that no command knows by name")
-            return people_from_text(made_with["identities"], level=made_with["level"], on_progress=on_progress)
+            identities, level = read_manifest(folder).known_people
+            return people_from_text(identities, level=level, on_progress=on_progress)
 
         return cls(make)
 

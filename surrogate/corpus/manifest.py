@@ -40,6 +40,14 @@ class Manifest:
     made_with: Mapping[str, Any]
 
     @property
+    def known_people(self) -> tuple[str, int]:
+        """The people by name and their template's level; InputError where no command knows them."""
+        identities, level = self.made_with.get("identities"), self.made_with.get("level")
+        if not (isinstance(identities, str) and level in (1, 2, 3)):
+            raise InputError(f"corpus {self.folder}: it was made from Python, of people that no command knows by name")
+        return identities, level
+
+    @property
     def recordings(self) -> dict[str, int]:
         """Frames of each recording by name."""
         return {name: each[1] for name, each in self.said["content"]["recordings"].items()}

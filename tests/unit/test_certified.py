@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from softdeca.lhm import InputError
 from softdeca.reference import Face, Parameters
-from softdeca.surrogate import certify
+from softdeca.surrogate import Surrogate, certify
 from softdeca.surrogate.certified import Reached
 from softdeca.surrogate.corpus.spheres import Spheres
 
@@ -92,3 +93,15 @@ def test_a_frame_is_never_told_worse_than_before(face):
         assert all(after <= before for before, after in zip(bounds[:-1], bounds[1:-1], strict=False)), bounds
         assert all(after <= 1.1 * before + 1e-6 for before, after in zip(true, true[1:], strict=False)), true
         assert frames[-1].method == "converged"
+
+
+@pytest.mark.parametrize("why", ["skin: its edges", "parameter connector_ratio"])
+def test_a_network_that_refuses_a_face_is_left_out(monkeypatch, why):
+    """A scan in the default's triangles may be unlike all of the network's people."""
+
+    def refuse(*given, **options):
+        raise InputError(why)
+
+    monkeypatch.setattr(Surrogate, "knows", lambda self, skin: True)
+    monkeypatch.setattr(Surrogate, "bind_face", refuse)
+    assert certify(Face(HEAD, SPACE.expression_deltas(CODE), P)).method == "derivatives"

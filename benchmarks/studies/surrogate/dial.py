@@ -26,6 +26,7 @@ from ....surrogate.certified import DOUBT
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.corpus.people import People, people_from_text
 from ....surrogate.methods import DERIVATIVES, DIAL, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD_FIRST_ORDER, SETTLED
+from ....surrogate.rigs.rig import Rig
 from ....surrogate.ruler import MOVES
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_least
 
@@ -92,8 +93,12 @@ class Dial(Study):
         group, person = task.case.split(", person ")
         face, kind, rng = self._bind(group, int(person))
         frames = [_Frame(face, self._weights(rng, number)) for number in range(self.frames)]
+        methods: tuple[str, ...] = (SETTLED, DERIVATIVES, PD_FIRST_ORDER)
+        if face.method == NETWORK_AND_DERIVATIVES:
+            methods += (NETWORK, NETWORK_AND_DERIVATIVES)
+        rigs = {method: METHODS[method].bind(face.face) for method in methods}
         told = [frame.ask(accuracy) for frame in frames for accuracy in ACCURACIES]
-        lean = [row for frame in frames for row in frame.lean()]
+        lean = [row for frame in frames for row in frame.lean(rigs)]
         rows = [_line(accuracy, [row for row in told if row["accuracy"] == accuracy]) for accuracy in ACCURACIES]
         return {"group": group, "kind": kind, "told": told, "lean": lean, "rows": rows}
 
@@ -238,14 +243,10 @@ class _Frame:
             "certain": frame.certain, "ms": ms, "inverted": self.inverted,
         }  # fmt: skip
 
-    def lean(self) -> list[dict]:
+    def lean(self, rigs: Mapping[str, Rig]) -> list[dict]:
         """Return errors and milliseconds of methods that tell none, and of PD alone."""
-        methods: tuple[str, ...] = (SETTLED, DERIVATIVES, PD_FIRST_ORDER)
-        if self.certified.method == NETWORK_AND_DERIVATIVES:
-            methods = (*methods, NETWORK, NETWORK_AND_DERIVATIVES)
         rows = []
-        for method in methods:
-            rig = METHODS[method].bind(self.face)
+        for method, rig in rigs.items():
             begin = time.process_time()
             skin = rig.frame(self.weights)
             rows.append({"method": method, "true": self.error(skin), "ms": 1e3 * (time.process_time() - begin)})
