@@ -21,9 +21,9 @@ from .harness import Results, RunRequest, Study, run_together
 from .harness.processes import read_cpu_seconds
 from .harness.report import ReportPart, write_report
 from .harness.runner import Only
-from .studies.agreement.effects import Effects
 from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
+from .studies.cases import WEIGHTS_AND_LOADS, parse_expression
 from .studies.scaling.throughput import ITERATION, Throughput
 from .studies.surrogate.dial import Dial
 from .studies.surrogate.split import Split
@@ -34,6 +34,15 @@ from .studies.work_precision.study import FACE, WorkPrecision
 TITLE = "is the fast simulator right, and how far is the network from it?"
 PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
+
+
+BESIDE_EXPRESSIONS = (*(case.name for case in WEIGHTS_AND_LOADS), "bells-palsy", "weight-40")
+"""Cases of the main study beside the expressions that are asked for."""
+
+
+def choose_cases(expressions: Sequence[str]) -> tuple[str, ...]:
+    """List the cases of the main study. InputError for an expression that cannot be read."""
+    return (*(parse_expression(text).name for text in expressions), *BESIDE_EXPRESSIONS)
 
 
 def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
@@ -48,7 +57,6 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Ru
         (Verification(), ""),
         (Hard(solvers=("projective",)), ""),
         (Material(poisson=("0.45",)), ""),
-        (Effects(identities=whose, effects=("bells-palsy", "weight-40")), ""),
     ]
     if learned and not agreement.weights:
         frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")

@@ -37,12 +37,11 @@ class MainStudy:
 
     def run(self) -> int:
         """Run the studies, and print gates and files."""
-        from ..benchmarks.main_study import run_study
+        from ..benchmarks.main_study import choose_cases, run_study
         from ..benchmarks.studies.agreement.study import Agreement
 
         weights = "" if self.surrogate is None else str(self.surrogate)
-        expressions = tuple(self.expressions.split(","))
-        asked = Agreement(identities=self.identities, expressions=expressions, weights=weights)
+        asked = Agreement(identities=self.identities, cases=choose_cases(self.expressions.split(",")), weights=weights)
         with show_progress() as progress:
             done = run_study(asked, self.out, only=self.only, progress=progress)
         if self.json:

@@ -245,12 +245,18 @@ def get_method(name: str) -> Method:
     return METHODS.get(name) or _added.get(name) or Method(name, no_face)
 
 
-def ready_methods(surrogate: Surrogate) -> dict[str, Method]:
-    """Return READY with the weights of a surrogate, less what these cannot do, and the methods that were added."""
+def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> dict[str, Method]:
+    """Return READY with the weights of a surrogate, less what these cannot do, and the methods that were added.
+
+    Without a surrogate the network's methods are left out. `beyond` is what the network does with p out of its range.
+    """
     ready = {name: METHODS[name] for name in READY}
-    ready[NETWORK] = replace(METHODS[NETWORK], bind=use_network(surrogate))
-    ready[NETWORK_AND_DERIVATIVES] = replace(METHODS[NETWORK_AND_DERIVATIVES], bind=use_network(surrogate, exact=True))
-    if not surrogate.has_derivatives:
+    networks = {NETWORK: False, NETWORK_AND_DERIVATIVES: True} if surrogate is not None else {}
+    for name, exact in networks.items():
+        ready[name] = replace(METHODS[name], bind=use_network(surrogate, exact=exact, beyond=beyond))
+    if surrogate is None:
+        del ready[NETWORK]
+    if surrogate is None or not surrogate.has_derivatives:
         del ready[NETWORK_AND_DERIVATIVES]
     return ready | _added
 

@@ -10,7 +10,6 @@ from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
-from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.heads.shapes import Shapes
 from softdeca.benchmarks.studies.mesh.convergence import Convergence
@@ -25,6 +24,7 @@ from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.benchmarks.studies.surrogate.dial import Dial
 from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions
+from softdeca.reference import Face
 
 
 class Sphere(Person):
@@ -37,6 +37,9 @@ class Sphere(Person):
 
     def shape(self, text):
         return self.blend(expressions.parse_weights(text)[None])[0]
+
+    def face(self, parameters):
+        return Face(self.head, self.blend(np.eye(52)) - self.head.skin.vertices, parameters, per="wraps")
 
 
 @lru_cache
@@ -82,11 +85,6 @@ class SphereWorkPrecision(OfSphere, WorkPrecision):
     def tasks(self):
         # No network knows spheres.
         return [task for task in super().tasks() if "learned" not in task.method]
-
-
-@dataclass(frozen=True)
-class SphereEffects(OfSphere, Effects):
-    pass
 
 
 @dataclass(frozen=True)
@@ -140,21 +138,15 @@ class SphereAgreement(Agreement):
     def network(self):
         return None
 
-    def person(self):
-        return small_sphere()
+    def person(self, level=None, seed=None):
+        return small_sphere() if self.level == 1 else sphere(self.level)
 
 
 @lru_cache
 def small_sphere():
     head = layered_sphere(1)
     head = replace(head, regions={"lips": np.arange(len(head.bone)) < 5})
-    return Sphere(SimpleNamespace(name="spheres", expression_deltas=lambda code: _shapes(head)), np.zeros(3), head)
-
-
-def _shapes(head):
-    deltas = np.zeros((52, len(head.skin.vertices), 3))
-    deltas[expressions.index("jawOpen")] = [0.0, 0.0, 1.0]
-    return deltas
+    return Sphere(SimpleNamespace(name="spheres"), np.zeros(3), head)
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,11 @@ LIVE_PAGE = (
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
 )
-CUT = ("benchmarks/studies/agreement/effect.py", "benchmarks/studies/agreement/effect_pictures.py")
+CUT = (
+    "benchmarks/studies/cases.py",
+    "benchmarks/studies/agreement/solved.py",
+    "benchmarks/studies/agreement/pictures.py",
+)
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -114,15 +118,20 @@ def weight(scan: Path) -> bytes:
 
 def collisions(scan: Path) -> bytes:
     """Draw both lips cut open, the lower one raised, without contact and with it."""
-    from softdeca.benchmarks.studies.agreement.effect import parse_effects, run_effect
-    from softdeca.benchmarks.studies.agreement.effect_pictures import draw_lips
-    from softdeca.lhm import expressions
+    from softdeca.benchmarks.studies.agreement.pictures import draw_lips
+    from softdeca.benchmarks.studies.agreement.solved import SolvedCase
+    from softdeca.benchmarks.studies.cases import CASES
+    from softdeca.benchmarks.studies.person import Person
+    from softdeca.surrogate.methods import PD
 
-    (effect,), (head, space, code) = parse_effects("collisions"), face()
-    result = run_effect(head, effect, expressions.blend(space, code, effect.weights())[0])
-    if not (result.plain.converged and result.solution.converged):
-        raise SystemExit(f"collisions: {result.solution.reason}")
-    return draw_lips(head, {"without contact": result.plain.positions, "with contact": result.solution.positions})
+    head, space, code = face()
+    solved = SolvedCase(Person(space, code, head), CASES["collisions"])
+    assert solved.without is not None
+    answers = {"without contact": solved.without.answer(PD), "with contact": solved.answer(PD)}
+    for caption, answer in answers.items():
+        if not answer.converged:
+            raise SystemExit(f"collisions, {caption}: {answer.solution.reason}")
+    return draw_lips(head, {caption: answer.solution.positions for caption, answer in answers.items()})
 
 
 def own_head(scan: Path) -> bytes:

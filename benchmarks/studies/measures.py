@@ -107,7 +107,9 @@ def trace_solve(
     return solution, _trace(solution, error)
 
 
-def trace_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
+def trace_to_itself(
+    prepared: Prepared | ProjectivePrepared, *, start: Floats | None = None, tolerance: float = TIGHT
+) -> tuple[Solution, Trace]:
     """Trace a tight solve to its own end, to 1e-5 mm: positions on the way are kept in float32."""
     visited: list[np.ndarray] = []
 
@@ -115,7 +117,7 @@ def trace_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float
         visited.append(positions.astype(np.float32))
         return False
 
-    solution = prepared.solve(tolerance=tolerance, on_iteration=see)
+    solution = prepared.solve(start=start, tolerance=tolerance, on_iteration=see)
     return solution, _trace(solution, [largest_distance(x, solution.positions) for x in visited])
 
 

@@ -45,9 +45,9 @@ def parse_solvers(solvers: Sequence[str]) -> tuple[str, ...]:
     return tuple(solvers) or all_solvers()
 
 
-def check_person(seed: int, level: int) -> None:
+def check_person(seed: int | None, level: int) -> None:
     """Refuse a negative seed, and a level that the default template has not, by an InputError."""
-    if seed < 0:
+    if seed is not None and seed < 0:
         raise InputError(f"seed: must be at least 0, got {seed}")
     if level not in LEVELS:
         raise InputError(f"level: there are {', '.join(map(str, LEVELS))}, got {level}")

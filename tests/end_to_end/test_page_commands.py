@@ -56,7 +56,6 @@ ELSEWHERE = [
     "softdeca head train-regressor pairs/",
     "softdeca head show head.npz --expression jawOpen",
     "softdeca bench agreement",
-    "softdeca bench effects",
     "softdeca bench arena",
     "softdeca bench work-precision",
     "softdeca bench throughput",

@@ -80,7 +80,7 @@ WRONG = [
     ("head mesh head.npz --layers 2,2 --size 3", "leave out --layers"),
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
-    ("bench effects --effect slimming", "unknown effect 'slimming'"),
+    ("bench agreement --case slimming", "case 'slimming': none of jawOpen"),
     ("bench convergence --expression grin", "grin"),
     ("bench depth --skull head.npz", "Missing option '--skin'"),
     ("bench depth --skin head.npz", "Missing option '--skull'"),

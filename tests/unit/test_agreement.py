@@ -10,23 +10,32 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies.agreement import faces, study
-from softdeca.benchmarks.studies.agreement.faces import TO_NEO
+from softdeca.benchmarks.studies.agreement import solved
+from softdeca.benchmarks.studies.agreement.solved import ALL, SKIN, TRUTHS
 from softdeca.benchmarks.studies.agreement.study import (
-    ALL,
+    ALL_SOLVERS,
     BESIDE,
-    FEWER,
+    FEWER_SOLVERS,
     FIT,
     HEAD,
-    SKIN,
-    SOLVERS,
-    TO_FENICSX,
-    TO_PD,
     TURNED,
     Agreement,
+    solve_case,
 )
 from softdeca.benchmarks.studies.measures import difference, distances
-from softdeca.surrogate.methods import BLENDSHAPES, FENICSX, FENICSX_NEO_HOOKEAN, PD, PD_PLAIN, SKFEM, SKFEM_NEO_HOOKEAN
+from softdeca.surrogate.methods import (
+    BLENDSHAPES,
+    CARRIED,
+    DERIVATIVES,
+    FENICSX,
+    FENICSX_NEO_HOOKEAN,
+    NETWORK,
+    PD,
+    PD_PLAIN,
+    SETTLED,
+    SKFEM,
+    SKFEM_NEO_HOOKEAN,
+)
 
 
 def test_difference_is_that_of_two_points_by_hand():
@@ -45,32 +54,36 @@ def test_difference_where_nothing_moves_is_all_or_nothing():
     assert difference(rest + 1e-3, rest, rest).relative == 1.0
 
 
-def apart(what, relative=1e-10):
-    return {"compared": what, "mean": 0.1, "rms": 0.1, "p95": 0.2, "max": 0.3, "relative": relative}
+def line(truth, over, relative=1e-10, mean=0.1):
+    return {"to": truth, "over": over, "mean": mean, "rms": 0.1, "p95": 0.2, "max": 0.3, "relative": relative}
 
 
-def solved(method, what, **more):
-    values = {"compared": [apart(what + ALL), apart(what + SKIN)], "done": True, "iterations": 2} | more
+def solved_row(method, **more):
+    compared = [line(TRUTHS[method], ALL), line(TRUTHS[method], SKIN)]
+    values = {"compared": compared, "done": True, "iterations": 2, "without_targets": False} | more
     return Row("jawOpen", method, "done", "", values, 1.0, None, 0.0, "")
 
 
 @pytest.fixture
 def rows():
+    pd = {"to_001_mm": 10, "least_ratio": 0.12, "lips_mm": [0.2, 0.9, 1.5], "energy_rise": 0.0}
     return [
-        solved(FENICSX, TO_PD, another_minimum_mm=None),
-        solved(PD, TO_FENICSX, to_001_mm=10, least_ratio=0.12, lips_mm=[0.2, 0.9, 1.5]),
-        solved(PD_PLAIN, TO_PD, to_001_mm=100),
-        solved(SKFEM, TO_FENICSX),
-        solved(FENICSX_NEO_HOOKEAN, TO_PD),
-        solved(SKFEM_NEO_HOOKEAN, TO_NEO),
+        solved_row(FENICSX, another_minimum_mm=None),
+        solved_row(PD, to_other_start_mm=1e-8, change_max_mm=2.0, shown="Figure 7", **pd),
+        solved_row(PD_PLAIN, to_001_mm=100),
+        solved_row(SKFEM),
+        solved_row(FENICSX_NEO_HOOKEAN),
+        solved_row(SKFEM_NEO_HOOKEAN),
+        Row("jawOpen", NETWORK, "done", "", {"compared": [line(PD, SKIN)]}, 1.0, None, 0.0, ""),
+        Row("jawOpen", SETTLED, "done", "", {"compared": [line(PD, SKIN, mean=0.2)]}, 1.0, None, 0.0, ""),
     ]
 
 
 def edited(rows, method, key, value):
     found = copy.deepcopy(rows)
     values = next(row.values for row in found if row.method == method)
-    if key == "relative":
-        values["compared"][0]["relative"] = value
+    if key in ("relative", "mean"):
+        values["compared"][0][key] = value
     else:
         values[key] = value
     return found
@@ -78,8 +91,8 @@ def edited(rows, method, key, value):
 
 def test_all_gates_are_passed_by_good_rows(rows):
     found = Agreement().gates(rows)
-    assert len(found) == 6 and all(gate["passed"] for gate in found)
-    assert sum(gate["answer"] for gate in found) == 5
+    assert len(found) == 8 and all(gate["passed"] for gate in found)
+    assert sum(gate["answer"] for gate in found) == 7
     assert next(gate for gate in found if gate["what"].startswith("accelerated"))["value"] == 0.1
     json.dumps(found, allow_nan=False)
 
@@ -92,6 +105,8 @@ def test_all_gates_are_passed_by_good_rows(rows):
         (SKFEM_NEO_HOOKEAN, "relative", 1.1e-8, "neo-Hookean", True),
         (PD, "least_ratio", -0.01, "smallest volume ratio", True),
         (PD, "least_ratio", 0.0, "smallest volume ratio", True),
+        (PD, "energy_rise", 1e-9, "energy rises", True),
+        (PD, "to_other_start_mm", 0.02, "another start", True),
         (PD_PLAIN, "done", False, "did not reach what was asked", True),
         (PD, "to_001_mm", 21, "accelerated PD's iterations", False),
         (PD, "to_001_mm", None, "accelerated PD's iterations", False),
@@ -105,26 +120,35 @@ def test_a_miss_is_a_miss(rows, method, key, value, missed, answer):
 
 def test_what_failed_is_left_out_of_the_gates(rows):
     """A solver without a row has no statement; that its case failed is one of every study."""
-    assert len(Agreement().gates([row for row in rows if row.method not in (SKFEM, PD_PLAIN)])) == 4
+    assert len(Agreement().gates([row for row in rows if row.method not in (SKFEM, PD_PLAIN)])) == 6
 
 
 def test_a_second_minimum_stands_in_the_words(rows):
     assert "two minima" not in Agreement().words(rows)
     words = Agreement().words(edited(rows, FENICSX, "another_minimum_mm", 0.226))
-    assert "PD's energy has two minima on jawOpen: FEniCSx from rest ends up to 0.23 mm away" in words
+    assert "PD's energy has two minima on jawOpen: FEniCSx from the settled face ends up to 0.23 mm away" in words
 
 
 def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides):
     """Skin that targets hold differs least: its mean alone is no answer to how far two laws are apart."""
     held = next(row for row in rows if row.method == FENICSX_NEO_HOOKEAN)
     held.values["compared"][0]["max"], held.values["inside"] = 1.74, insides
-    free = replace(held, case="jaw opened by its bone, 12 degrees", values=copy.deepcopy(held.values))
+    free = replace(held, case="jaw-by-bone", values=copy.deepcopy(held.values) | {"without_targets": True})
     words = Agreement().words([*rows, free])
     for where in ("where targets hold it", "where none does"):
         assert f"by at most 0.100 mm on average {where}, and any vertex by at most 1.74 mm" in words
-    assert len(words.split()) < 120
-    inside, jaw = Agreement().tables([free])
+    assert len(words.split()) < 130
+    _, inside, jaw = Agreement().tables([free])
     assert inside.rows[0][:3] == (free.case, 0.03, 1.74) and jaw.rows[0][-4:] == (900.0, 700.0, 80.0, 70.0)
+
+
+def test_a_case_that_the_network_loses_is_named(rows):
+    assert "loses" not in Agreement().words(rows)
+    lost = edited(rows, NETWORK, "mean", 0.3)
+    assert "The network loses to settled + blendshapes on jawOpen." in Agreement().words(lost)
+    effects, faces, methods = Agreement().tables(rows)
+    assert effects.rows[0][:2] == ("jawOpen", "Figure 7") and faces.rows[0][-3:] == (0.2, 0.9, 1.5)
+    assert methods.rows[-1][:3] == ("jawOpen", SETTLED, 0.2)
 
 
 @pytest.fixture
@@ -144,40 +168,54 @@ def sphere(monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
     import sphere_studies
 
-    study._face.cache_clear()
-    return sphere_studies.SphereAgreement(expressions=("jawOpen",), volume=1.2, push=0.0)
+    solve_case.cache_clear()
+    return sphere_studies.SphereAgreement(level=1, cases=("jawOpen", "rest-3-g", "rest-volume", "jaw-by-bone"))
 
 
 def test_the_study_of_a_sphere(sphere, tmp_path):
     results = run(sphere, tmp_path)
     assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
-    methods = dict.fromkeys(("jawOpen", "gravity 3 g"), (*SOLVERS, BLENDSHAPES, BESIDE))
-    methods["soft tissue of 1.2 times the volume"] = (*FEWER, BLENDSHAPES, BESIDE)
-    methods["jaw opened by its bone, 12 degrees"] = (*FEWER, BESIDE)  # a sphere has no cheeks to push
+    rivals = (DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
+    methods = dict.fromkeys(("jawOpen", "rest-3-g", "rest-volume"), (*ALL_SOLVERS, *rivals, BESIDE))
+    methods["jaw-by-bone"] = (*FEWER_SOLVERS, BESIDE)
     asked = [(HEAD, FIT), *((case, method) for case, by in methods.items() for method in by), (TURNED, BESIDE)]
     assert [(row.case, row.method) for row in results.rows] == asked
-    assert results.passed and len(results.gates) == 7 and "in all 4 scenes" in results.words
+    assert results.passed and len(results.gates) == 9 and "in all 4 cases" in results.words
     text = unescape((tmp_path / "index.html").read_text())
     assert text.count("<iframe") == 1 and "three.js" in text and text.count('<div class="panels">') == 5
-    blends = next(row for row in results.rows if row.method == BLENDSHAPES)
-    assert [line["compared"] for line in blends.values["compared"]] == [
-        what + SKIN for what in (TO_PD, TO_FENICSX, TO_NEO)
-    ]
-    # Blendshapes are as far from FEniCSx' answer as from PD's, which is the same.
-    assert blends.values["compared"][0]["mean"] == pytest.approx(blends.values["compared"][1]["mean"], rel=1e-6)
+    blends = next(row for row in results.rows if row.method == BLENDSHAPES).values["compared"]
+    assert [(each["to"], each["over"]) for each in blends] == [(PD, SKIN), (FENICSX_NEO_HOOKEAN, SKIN)]
+    # Where p is the default nothing settles, and doing nothing leaves all of the motion.
+    assert blends[0]["share"] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_an_effect_of_a_sphere(sphere, tmp_path):
+    results = run(replace(sphere, level=3, cases=("bells-palsy", "collisions")), tmp_path)
+    assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
+    assert results.passed and "Of 2 effects bells-palsy changes its expression most" in results.words
+    pictures = [row.values for row in results.rows if row.method == BESIDE and row.case != TURNED]
+    assert [len(each) for each in pictures] == [4, 5]
 
 
 def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere, monkeypatch):
-    solve, starts = faces.solve, []
+    prepare, starts = solved.prepare, []
 
-    def elsewhere(scene, **asked):
-        solution = solve(scene, **asked)
-        starts.append(asked.get("start"))
-        return solution if starts[-1] is not None else replace(solution, positions=solution.positions + [0, 0.5, 0])
+    class Elsewhere:
+        def __init__(self, prepared):
+            self.prepared = prepared
 
-    monkeypatch.setattr(faces, "solve", elsewhere)
-    face = sphere.make("gravity 3 g")
-    row = face.solve_by(FENICSX)
-    assert starts[0] is None and np.array_equal(starts[1], face.pd[0].positions) and len(starts) == 2
-    assert row["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3) and row["start"] == "PD's answer"
-    assert row["compared"][0]["relative"] < 1e-6
+        def solve(self, **asked):
+            starts.append(asked["start"])
+            solution = self.prepared.solve(**asked)
+            return solution if len(starts) > 1 else replace(solution, positions=solution.positions + [0, 0.5, 0])
+
+    def prepare_elsewhere(scene, **how):
+        prepared = prepare(scene, **how)
+        return Elsewhere(prepared) if how.get("solver") == "fenicsx" else prepared
+
+    monkeypatch.setattr(solved, "prepare", prepare_elsewhere)
+    case = solve_case(sphere, "rest-3-g")
+    told, (everything, _) = case.tell_solve(FENICSX), case.compare(FENICSX, PD)
+    assert np.array_equal(starts[1], case.answer(PD).solution.positions) and len(starts) == 2
+    assert told["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3) and told["start"] == "PD's answer"
+    assert everything["relative"] < 1e-6

@@ -13,7 +13,7 @@ from softdeca.benchmarks.studies.agreement.contact import (
     measure_pushes,
     solve_by_barrier,
 )
-from softdeca.benchmarks.studies.agreement.effect_pictures import cut_tets
+from softdeca.benchmarks.studies.agreement.pictures import cut_tets
 from softdeca.reference import Reason, solve, terms
 from softdeca.reference.problems import meshes
 

@@ -1,30 +1,21 @@
-"""Effects: where they act, how a face settles under them, and what a run of them has to show."""
+"""Effects: where they act, how a face settles under them, and what is solved of a case."""
 
-import copy
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.agreement.effect import (
-    EFFECTS,
-    Effect,
-    apply_rules,
-    compare_laws,
-    parse_effects,
-    run_effect,
-    simulate_expression,
-)
-from softdeca.benchmarks.studies.agreement.effects import Effects
-from softdeca.benchmarks.studies.measures import NEO_HOOKEAN, PD_ENERGY
+from softdeca.benchmarks.studies.agreement.solved import SolvedCase
+from softdeca.benchmarks.studies.cases import CASES, EFFECTS, Case, add_case, get_case, keep_defaults
+from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.head.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
-from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
+from softdeca.reference import Face, Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
-from softdeca.surrogate.methods import CARRIED, FENICSX_NEO_HOOKEAN, PD, SETTLED
+from softdeca.surrogate.methods import CARRIED, FENICSX, FENICSX_NEO_HOOKEAN, PD
 
 from ..conftest import with_regions
 
@@ -73,7 +64,7 @@ def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_every_effect_builds_its_scene(head, effect):
-    changed, plain = effect.with_it(head), effect.without(head)
+    changed, plain = effect.parameters(head), effect.without(head)
     neutral = facial_scene(head, plain, head.skin.vertices, bones="rigid")
     scene = facial_scene(head, changed, head.skin.vertices, bones="rigid", contact=effect.contact)
     if effect.contact:
@@ -83,11 +74,12 @@ def test_every_effect_builds_its_scene(head, effect):
         assert changed != plain and len(scene.terms) >= len(neutral.terms)
 
 
-def test_effects_by_name():
-    assert parse_effects("") == EFFECTS
-    assert [effect.name for effect in parse_effects("jaw, zombie,jaw")] == ["jaw", "zombie"]
-    with pytest.raises(InputError, match="'slimming'; there are bells-palsy, weight-20"):
-        parse_effects("slimming")
+def test_cases_by_name():
+    assert get_case("jaw") is CASES["jaw"] and get_case("jawOpen*0.5").expression == {"jawOpen": 0.5}
+    with pytest.raises(InputError, match="'slimming': none of jawOpen, .*bells-palsy, weight-20"):
+        get_case("slimming")
+    with pytest.raises(InputError, match="'jaw' is there already"):
+        add_case(CASES["jaw"])
 
 
 def test_wraps_are_carried_by_a_scaled_mandible(head):
@@ -174,122 +166,59 @@ def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkey
     # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
     monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
-    effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
-    at_rest, solution = simulate_expression(toothless, effect, head.skin.vertices)
+    heavy = Case("heavy", "", parameters=lambda head: Parameters(gravity=3.0))
+    answer = solved_on(toothless, heavy).answer(PD)
+    at_rest, solution = answer.settled, answer.solution
     first = solve(facial_scene(toothless, Parameters(gravity=3.0), head.skin.vertices, bones="rigid"), max_iterations=0)
     assert at_rest.converged and at_rest.solution.converged
     assert solution.history.gradient_norm[0] < 1e-5 * first.history.gradient_norm[0]
 
 
 def test_palsy_is_measured(head):
-    shape = head.skin.vertices + [0.0, 4.0, 0.0]
-    result = run_effect(head, EFFECTS[0], shape)
+    solved = solved_on(head, replace(CASES["bells-palsy"], expression={"browInnerUp": 1.0}), [0.0, 4.0, 0.0])
     x, _, z = head.skin.vertices.T
     left = (x > 20) & (z > 40)  # of the face; the rest stays tied
-    up = [skin[left, 1].mean() - head.skin.vertices[left, 1].mean() for skin in (result.without, result.with_it)]
+    skins = [each.answer(PD).skin for each in (solved.without, solved)]
+    up = [skin[left, 1].mean() - head.skin.vertices[left, 1].mean() for skin in skins]
     assert up[1] < 0.5 * up[0]
-    record = result.record
-    assert set(record["runs"]) == {"with", "without"}
-    moved = np.linalg.norm(result.with_it - result.without, axis=1)
-    assert record["change_mm"]["max"] == moved.max()
-    run = record["runs"]["with"]
-    assert run["monotone"] and run["gradient_ratio"] <= 1e-6 and run["inverted_tets"] == 0
-    assert record["to_other_start_mm"] < 0.01 and record["to_own_limit_mm"] < 0.01
-
-
-def solved_run(**changes) -> dict:
-    run = {"iterations": 3, "seconds": 1.0, "gradient_ratio": 9e-7, "monotone": True, "largest_rise": 0.0}
-    return run | {"inverted_tets": 0, "smallest_volume_ratio": 0.5, "soft_volume_percent": -0.1} | changes
-
-
-@pytest.fixture
-def record() -> dict:
-    return {
-        "name": "jaw",
-        "shown": "Figure <7>",
-        "expression": {"jawOpen": 0.2},
-        "runs": {"with": solved_run(), "without": solved_run()},
-        "to_own_limit_mm": 0.001,
-        "to_other_start_mm": 0.002,
-        "change_mm": {"mean": 0.1, "max": 2.0},
-        "neutral_change_mm": 0.5,
-    }
-
-
-def figures(mean: float) -> dict:
-    return {"skin_mean": mean, "skin_max": 10.0 * mean, "share": mean}
-
-
-def by_laws(**changes) -> dict:
-    stress = {
-        law: {layer: {"mean": 0.3, "p95": 1.0} for layer in ("soft", "muscle")} for law in (PD_ENERGY, NEO_HOOKEAN)
-    }
-    load = {"force": 4.0, "torque": 500.0}
-    inside = {
-        "vertices": {"mean": 0.05, "max": 0.625},
-        "stress": stress,
-        "mandible": {"mm": 0.1, "degrees": 0.2},
-        "held_at_pd": load,
-        "prescribed": {PD: load},
-    }
-    found = {"same_mm": 0.003, "done": True, "inside": inside, "law_mean_mm": 0.04, "law_max_mm": 0.5}
-    return (
-        found
-        | {"to_pd": {FENICSX_NEO_HOOKEAN: figures(0.04)}, "to_law": {PD: figures(0.04), CARRIED: figures(0.3)}}
-        | changes
-    )
-
-
-def rows_of(*records) -> list[Row]:
-    return [Row(record.get("name", "jaw"), "PD", "done", "", record, 1.0, None, 0.0, "") for record in records]
-
-
-def test_gates_miss_what_is_missed(record):
-    study = Effects()
-    assert all(gate["passed"] for gate in study.gates(rows_of(record, by_laws())))
-    worse = copy.deepcopy(record)
-    worse["runs"]["without"] |= {"gradient_ratio": 2e-6, "monotone": False}
-    worse["to_other_start_mm"] = 0.02
-    gates = study.gates(rows_of(record, worse, by_laws(), by_laws(same_mm=0.02, done=False)))
-    assert len(gates) == 5 and not any(gate["passed"] for gate in gates)
-    assert len(study.gates(rows_of(record))) == 3
-
-
-def test_methods_insides_and_scenes_are_told(record):
-    rows = rows_of(record | {"max_mm": 2.0, "to_pd": {CARRIED: figures(0.2)}}, by_laws())
-    methods, inside, jaw, scenes = Effects().tables(rows)
-    assert [row[1:] for row in methods.rows] == [
-        (PD, None, None, None, 0.04, 0.4, 0.04),
-        (FENICSX_NEO_HOOKEAN, 0.04, 0.4, 0.04, None, None, None),
-        (CARRIED, 0.2, 2.0, 0.2, 0.3, 3.0, 0.3),
-    ]
-    assert inside.rows == [("jaw", 0.05, 0.625, *(0.3, 1.0) * 4)]
-    assert jaw.rows == [("jaw", 0.1, 0.2, 4.0, 500.0, 4.0, None, 500.0, None)]
-    assert [row[:2] for row in scenes.rows] == [("jaw", "with"), ("jaw", "without")]
-    words = Effects().words(rows)
-    assert "jaw changes the expression most, by 2.0 mm" in words
-    # The largest over all vertices stands beside the skin's, which targets hold.
-    assert "0.500 mm at most, all vertices by 0.050 mm on average and 0.625 mm at most" in words
+    told = solved.tell_face()
+    assert told["change_max_mm"] == np.linalg.norm(skins[1] - skins[0], axis=1).max()
+    assert told["energy_rise"] < 1e-12 and told["least_ratio"] > 0.0 and told["to_other_start_mm"] < 1e-5
 
 
 def test_an_effect_by_both_laws(head):
-    """FEniCSx finds PD's answer to the same energy, and the law's is that of scikit-fem."""
+    """FEniCSx settles the face itself and finds PD's answer; the law's is that of scikit-fem."""
     pytest.importorskip("dolfinx")
-    effect = Effect("weight", "", {}, lambda head: Parameters(soft_volume=1.3))
-    shape = head.skin.vertices + [0.0, 1.0, 0.0]
-    result = run_effect(head, effect, shape)
-    others = apply_rules(head, shape, result.at_rest)
-    np.testing.assert_allclose(others[CARRIED], shape)
-    np.testing.assert_allclose(others[SETTLED], shape + result.at_rest.displacement)
-    found = compare_laws(head, effect, shape, result, "fenicsx", others)
-    assert found["done"] and found["same_mm"] < 1e-3 and found["another_minimum_mm"] is None
+    weight = Case("weight", "", {"browInnerUp": 1.0}, lambda head: Parameters(soft_volume=1.3), keep_defaults)
+    solved = solved_on(head, weight, [0.0, 1.0, 0.0])
+    pd, same, law = (solved.answer(solver) for solver in (PD, FENICSX, FENICSX_NEO_HOOKEAN))
+    assert same.settled is not pd.settled and same.another is None
+    assert all(answer.converged for answer in (pd, same, law))
+    everything, skin = solved.compare(PD, FENICSX)
+    assert everything["max"] < 1e-6 and skin["share"] < 1e-6
+    np.testing.assert_allclose(solved.skins[CARRIED], solved.shape, atol=1e-5)
     neutral = settle(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
-    other = solve(neutral.scene(shape), solver="skfem", start=result.solution.positions, tolerance=1e-9)
-    apart = np.linalg.norm(neutral.skin_after(shape, other.positions) - result.with_it, axis=1)
-    law = found["to_pd"][FENICSX_NEO_HOOKEAN]
-    np.testing.assert_allclose([law["skin_mean"], law["skin_max"]], [apart.mean(), apart.max()], rtol=1e-3)
-    motion = np.linalg.norm(result.with_it - shape, axis=1)
-    assert law["share"] == pytest.approx(apart[motion > 0.05].mean() / motion[motion > 0.05].mean(), rel=1e-3)
-    assert found["to_law"][PD]["skin_max"] == law["skin_max"]
-    inside = found["inside"]
-    assert inside["vertices"]["max"] >= law["skin_max"] and inside["held_at_pd"]["force"] > 0.0
+    other = solve(neutral.scene(solved.shape), solver="skfem", start=pd.solution.positions, tolerance=1e-9)
+    apart = np.linalg.norm(neutral.skin_after(solved.shape, other.positions) - pd.skin, axis=1)
+    everything, skin = solved.compare(FENICSX_NEO_HOOKEAN, PD)
+    np.testing.assert_allclose([skin["mean"], skin["max"]], [apart.mean(), apart.max()], rtol=1e-3)
+    motion = np.linalg.norm(pd.skin - solved.shape, axis=1)
+    assert skin["share"] == pytest.approx(apart[motion > 0.05].mean() / motion[motion > 0.05].mean(), rel=1e-3)
+    inside = solved.compare_inside()
+    assert inside["vertices"]["max"] == pytest.approx(everything["max"]) and inside["held_at_pd"]["force"] > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Moved(Person):
+    """A person whose every expression moves all of the skin by `by` [mm] a weight."""
+
+    by: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def face(self, parameters):
+        shapes = np.broadcast_to(self.by, (52, *self.head.skin.vertices.shape))
+        return Face(self.head, shapes, parameters, per="wraps")
+
+
+def solved_on(head, case, by=(0.0, 0.0, 0.0)):
+    """A case on a head that every expression moves by `by` [mm] a weight."""
+    return SolvedCase(Moved(SimpleNamespace(name="spheres"), np.zeros(3), head, np.array(by)), case)

@@ -85,14 +85,14 @@ def test_the_first_sentence_names_lost_effects_too():
 
 def test_sentences_are_of_rows_that_are_there():
     assert first_screen.write_sentences({}) == [] and first_screen.draw_figure({}) == ""
-    compared = [{"compared": "to FEniCSx, all vertices", "mean": 1e-9, "max": 2e-8}]
+    compared = [{"to": "FEniCSx", "over": "all vertices", "mean": 1e-9, "max": 2e-8}]
     neo = [
-        {"compared": "to PD, all vertices", "mean": 0.03, "max": 1.75},
-        {"compared": "to PD, skin", "mean": 0.005, "max": 0.3},
+        {"to": "PD", "over": "all vertices", "mean": 0.03, "max": 1.75},
+        {"to": "PD", "over": "skin", "mean": 0.005, "max": 0.3},
     ]
     agreement = [row("PD", {"compared": compared}), row("FEniCSx, neo-Hookean", {"compared": neo}), row("side", {})]
     agreed, law, cost = first_screen.write_sentences({"agreement": agreement, "work-precision": TIMED})
-    assert "at most 2.0e-08 mm apart in 1 scene" in agreed
+    assert "at most 2.0e-08 mm apart in 1 case" in agreed
     assert "by at most 0.005 mm on average, and a vertex by at most 1.75 mm" in law
     assert cost == (
         "For a frame to 0.01 mm pick PD, which takes 3 s; FEniCSx takes 6 s. "

@@ -293,10 +293,7 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
 
 
 GIVEN = {
-    "bench agreement --jaw 0 --push 0 --volume 1 --expression jawOpen": {
-        "jaw": 0.0, "push": 0.0, "volume": 1.0, "expressions": ("jawOpen",), "gravity": 3.0,
-    },
-    "bench effects --level 1 --seed 0": {"level": 1, "seed": 0, "reference": "fenicsx"},
+    "bench agreement --level 1 --seed 0 --case zombie": {"level": 1, "seed": 0, "cases": ("zombie",)},
     "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
     "bench dial --seed 0": {"seed": 0, "faces": 6},
     "bench table-1 --recurrence-steps 0 --steps 0 --external ''": {

@@ -6,14 +6,11 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from softdeca.benchmarks.studies.agreement.faces import SolvedExpression
-from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError, Surface, identities
 from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters, settle
@@ -598,17 +595,6 @@ def test_features_follow_the_mirror():
     p = np.random.default_rng(0).uniform(-1.0, 1.0, size=(N, len(STATIC)))
     assert np.array_equal(features.mirror_parameters(features.mirror_parameters(p)), p)
     assert len(set(features.points.tolist())) == len(features.points)
-
-
-def test_the_study_asks_the_surrogate_for_its_faces(surrogate):
-    skin, weights, deltas = SPACE.mean, np.zeros(52), shapes()
-    weights[7] = 0.6
-    space = SimpleNamespace(expression_deltas=lambda code: deltas)
-    person = Person(space, np.zeros(4), SPACE.fit(skin))
-    face = SolvedExpression.__new__(SolvedExpression)  # nothing is simulated here
-    face.of, face.weights, face.parameters, face._network = person, weights, Parameters(), surrogate
-    bound = surrogate.bind(skin, np.zeros(4), Parameters(), expressions=deltas)
-    assert np.array_equal(face.learned, bound.frame(weights).astype(np.float64))
 
 
 @pytest.mark.parametrize(

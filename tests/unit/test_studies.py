@@ -11,7 +11,6 @@ from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
 from softdeca.benchmarks.studies.agreement.contact import Contact
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
-from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.heads.fit import Heads
@@ -32,7 +31,6 @@ CHEAP = {
     "SphereConvergence": {"level": 1, "expressions": ("jawOpen",)},
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
-    "SphereEffects": {"level": 3, "effects": ("bells-palsy",)},
     "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
     "SphereLocking": {"level": 1, "poisson": ("0.45", "0.499"), "finer": (), "free": ("0.45",), "size": 20.0},
     "SphereShapes": {"count": 1},
@@ -78,19 +76,15 @@ def test_the_law_that_pd_stands_for(tmp_path):
 
 # What is wrong with a study's options, and words of the refusal.
 WRONG = [
-    (Agreement, {"gravity": -1.0}, "gravity"),
-    (Agreement, {"jaw": 90.0}, "jaw"),
-    (Agreement, {"push": -1.0}, "push"),
-    (Agreement, {"volume": 9.0}, "volume"),
-    (Agreement, {"expressions": ("jaw",)}, "'jaw'"),
+    (Agreement, {"cases": ("slimming",)}, "case 'slimming': none of jawOpen"),
+    (Agreement, {"cases": ("jawOpen*2",)}, "outside"),
+    (Agreement, {"seed": -1}, "seed"),
     (Agreement, {"identities": "nobody"}, "'nobody'"),
     (Contact, {"poses": ("kiss",)}, "unknown pose 'kiss'"),
     (Convergence, {"expressions": ()}, "none"),
     (Dynamics, {"level": 4}, "level: there are 1, 2"),
     (Dynamics, {"frames": 3}, "at least 8"),
     (Dynamics, {"seed": -1}, "seed"),
-    (Effects, {"effects": ("x",)}, "'x'"),
-    (Effects, {"reference": "PD"}, "unknown reference"),
     (Heads, {"count": 0}, "count"),
     (Heads, {"gallery": -1}, "gallery"),
     (Heads, {"seed": -1}, "seed"),

@@ -26,14 +26,13 @@ def compare_insides(
     one: tuple[str, Scene, Solution],
     other: tuple[str, Scene, Solution],
     *,
-    solver: str = "fenicsx",
     settled: tuple[SettledFace, SettledFace] | None = None,
 ) -> dict:
     """Compare two laws' answers, each a name, a scene and its solution, over all vertices, in stress and at the jaw.
 
     Nothing holds a free mandible, so "mandible" has the distance of the two and "held_at_pd" the load that holds the
-    other's where the first one's is, solved by `solver` (None where that does not converge); there the first one's load
-    is zero. A prescribed mandible has its load by law in "prescribed": that of both answers, or of the `settled` faces.
+    other's where the first one's is, by FEniCSx (None where that does not converge); there the first one's load is
+    zero. A prescribed mandible has its load by law in "prescribed": that of both answers, or of the `settled` faces.
     """
     (_, scene, solution), (_, law_scene, law_solution) = one, other
     ids = mandible(head)
@@ -41,7 +40,7 @@ def compare_insides(
     apart = held = None
     if free:
         apart = mandible_apart(head, law_solution.positions, solution.positions)
-        prepared = prepare(with_mandible_at(head, law_scene, solution.positions), solver=solver)
+        prepared = prepare(with_mandible_at(head, law_scene, solution.positions), solver="fenicsx")
         answer = prepared.solve(start=solution.positions, tolerance=TOLERANCE)
         held = load_on_mandible(head, answer) if answer.converged else None
     prescribed: dict[str, Solution | None] = {} if free or not len(ids) else {n: s for n, _, s in (one, other)}

@@ -1,6 +1,8 @@
-"""Pictures of an effect: head and face with and without it, beside the network, and lips in contact cut open."""
+"""Pictures of a case: skins beside each other, a head with and without an effect, and lips in contact cut open."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,11 +10,11 @@ from ....animation.pictures import VIEW, Panel, draw_strip
 from ....animation.plots import subplots, to_png
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head.head import LayeredHead
-from ....reference import terms
-from ....surrogate.methods import BLENDSHAPES, NETWORK
-from ..measures import distances
-from .effect import EffectResult
+from ....surrogate.methods import BLENDSHAPES, FENICSX_NEO_HOOKEAN, NETWORK, PD, SETTLED
+from ..measures import NEO_HOOKEAN, distances
+from .solved import SolvedCase
 
+BESIDE_CAPTION = "blendshapes; simulated; and as colours [mm] on the simulated face, how far the others are from it"
 FRONT = (0.0, 0.05, 1.0)
 CLOSE = 560
 """Width [pixels] of each close picture."""
@@ -25,48 +27,55 @@ EDGE = 4.0
 """[mm] about the lips that a cut shows."""
 
 
-def draw_effect(head: LayeredHead, result: EffectResult, shape: Floats, network: Floats | None) -> dict[str, bytes]:
-    """Draw PNG by caption: the head from the front and from three quarters, the face of it, and the face by a network.
+def draw_case(solved: SolvedCase) -> dict[str, bytes]:
+    """Draw PNG by caption: the skins of a case beside each other, and where it is an effect, what the effect does."""
+    pictures = {BESIDE_CAPTION: draw_beside(solved)}
+    if solved.without is not None:
+        pictures |= draw_effect(solved)
+        if solved.case.contact:
+            answers = {"without contact": solved.without, "with contact": solved}
+            positions = {caption: each.answer(PD).solution.positions for caption, each in answers.items()}
+            pictures["the lips, cut"] = draw_lips(solved.person.head, positions)
+    return pictures
 
-    The last, where there is a network's skin: blendshapes, simulated, network, and how far both are from the simulated.
-    """
 
-    def panel(caption: str, skin: Floats, values: Floats | None = None, top: float = 1.0) -> Panel:
-        return Panel(caption, head.skin.with_vertices(skin), values, top)
+def draw_beside(solved: SolvedCase) -> bytes:
+    """Draw the blendshapes, PD's skin, and how far the law's and each method's are from PD's: PNG."""
+    skin, pd = solved.person.head.skin, solved.answer(PD).skin
+    others = {} if solved.case.contact else {NEO_HOOKEAN: solved.answer(FENICSX_NEO_HOOKEAN).skin}
+    others |= {name: solved.skins[name] for name in (BLENDSHAPES, SETTLED, NETWORK) if name in solved.skins}
+    errors = {f"{name} - {PD}": distances(other, pd) for name, other in others.items()}
+    top = find_top(max(errors.values(), key=lambda error: float(error.mean())))
+    simulated = skin.with_vertices(pd)
+    panels = [Panel("blendshapes", skin.with_vertices(solved.shape)), Panel(f"simulated ({PD})", simulated)]
+    panels += [Panel(f"{name}, mean {error.mean():.2f} mm", simulated, error, top) for name, error in errors.items()]
+    return draw_strip([replace(panel, weights=solved.case.weights) for panel in panels], rest=skin)
 
-    def find_top(values: Floats) -> float:
-        return max(LEAST_TOP, float(np.percentile(values, 99.5)))
 
-    face, simulated = head.skin_wrap.vertices[head.regions["face"]], result.with_it
-    moved = distances(simulated, result.without)
+def draw_effect(solved: SolvedCase) -> dict[str, bytes]:
+    """Draw the head with and without an effect, from the front and from three quarters, and the face of it."""
+    head, pd = solved.person.head, solved.answer(PD)
+    assert solved.without is not None and pd.settled is not None
+    before = solved.without.answer(PD).skin
+    moved = distances(pd.skin, before)
     panels = [
-        panel("neutral", head.skin.vertices),
-        panel("neutral under the effect", result.neutral),
-        panel("expression", result.without),
-        panel("expression under the effect", simulated),
-        panel("difference of both", simulated, moved, find_top(moved)),
+        Panel("neutral", head.skin),
+        Panel("neutral under the effect", head.skin.with_vertices(pd.settled.skin)),
+        Panel("expression", head.skin.with_vertices(before)),
+        Panel("expression under the effect", head.skin.with_vertices(pd.skin)),
+        Panel("difference of both", head.skin.with_vertices(pd.skin), moved, find_top(moved)),
     ]
-    images = {
+    face = head.skin_wrap.vertices[head.regions["face"]]
+    return {
         "from the front": draw_strip(panels, view=FRONT),
         "from three quarters": draw_strip(panels, view=VIEW),
         "the face": draw_strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
     }
-    if network is not None:
-        off = [distances(skin, simulated) for skin in (shape, network)]
-        top = find_top(off[0])
-        beside = [
-            panel(BLENDSHAPES, shape),
-            panel("simulated (PD)", simulated),
-            panel(NETWORK, network),
-            panel(f"{BLENDSHAPES} - PD, mean {off[0].mean():.2f} mm", simulated, off[0], top),
-            panel(f"{NETWORK} - PD, mean {off[1].mean():.2f} mm", simulated, off[1], top),
-        ]
-        images["beside the surrogate"] = draw_strip(beside, view=VIEW, framed=face)
-    if result.scene.of(terms.Contact):
-        images["the lips, cut"] = draw_lips(
-            head, {"without contact": result.plain.positions, "with contact": result.solution.positions}
-        )
-    return images
+
+
+def find_top(values: Floats) -> float:
+    """Return where the colours of some distances [mm] end."""
+    return max(LEAST_TOP, float(np.percentile(values, 99.5)))
 
 
 def draw_lips(head: LayeredHead, answers: dict[str, Floats]) -> bytes:

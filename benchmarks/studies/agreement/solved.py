@@ -1,0 +1,291 @@
+"""A case on a person with what has been solved of it, each answer once: by PD, FEniCSx, scikit-fem and another law."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ....lhm.base.mesh import Floats
+from ....reference import Face, Scene, SettledFace, Solution, prepare, settle, solve
+from ....reference.face.facial import FaceLaw, apply_law
+from ....surrogate import Surrogate
+from ....surrogate.methods import (
+    FENICSX,
+    FENICSX_NEO_HOOKEAN,
+    PD,
+    PD_PLAIN,
+    SKFEM,
+    SKFEM_NEO_HOOKEAN,
+    ready_methods,
+)
+from ....surrogate.ruler import measure
+from ..cases import Case
+from ..measures import (
+    ACCURACY,
+    NEO_HOOKEAN,
+    PD_ENERGY,
+    TIGHT,
+    Trace,
+    difference,
+    distances,
+    trace_solve,
+    trace_to_itself,
+)
+from ..person import Person
+from .insides import compare_insides
+
+WARM = 1e-9
+"""Gradient norm over its start of those that start at PD's answer, where it is smaller already."""
+ROUGH = 1e-6
+"""PD is stopped here to start scikit-fem, whose part is to check the answer and not to be fast."""
+APART = 1e-4
+"""Of the largest displacement: converged answers that are farther apart than this are two minima."""
+PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
+"""Plain projective dynamics stops here [mm], below what its iterations are counted to, or after so many."""
+ROUNDING = 1e-12
+"""A rise of the energy by at most this share of it is rounding."""
+TRUTHS: Mapping[str, str] = {
+    PD: FENICSX,
+    PD_PLAIN: PD,
+    FENICSX: PD,
+    SKFEM: FENICSX,
+    FENICSX_NEO_HOOKEAN: PD,
+    SKFEM_NEO_HOOKEAN: FENICSX_NEO_HOOKEAN,
+}
+"""Solvers, and the one that each is compared with."""
+ALL, SKIN = "all vertices", "skin"
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """How a solver answers a case: `solution` of `scene`, and the skin [mm], shape (n, 3).
+
+    settled: the neutral face as this solver settles it; None where no target follows one. start: where it began.
+    another: how far [mm] from PD's answer it ended first, where that is another minimum. trace: the way, if kept.
+    """
+
+    solution: Solution
+    scene: Scene
+    settled: SettledFace | None
+    skin: Floats
+    start: str
+    another: float | None = None
+    trace: Trace | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the neutral face and the scene came to rest."""
+        return self.solution.converged and (self.settled is None or self.settled.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCase:
+    """A case on a person; each solver's answer is computed when it is first asked, once.
+
+    PD, FEniCSx and each law settle the neutral face by themselves, so no comparison of them shares it. Plain PD takes
+    PD's scene, and scikit-fem those of FEniCSx, whose solves it checks.
+    """
+
+    person: Person
+    case: Case
+    network: Surrogate | None = None
+    _answers: dict[str, Answer] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def face(self) -> Face:
+        """The person's face under the case's p."""
+        return self.person.face(self.case.parameters(self.person.head))
+
+    @cached_property
+    def shape(self) -> Floats:
+        """The expression's blendshapes [mm], shape (n, 3), without p."""
+        return self.face.blend(self.case.weights)
+
+    def answer(self, solver: str) -> Answer:
+        """Return a solver's answer, by its label in TRUTHS."""
+        if solver not in self._answers:
+            solve_case = {
+                PD: self._solve_by_pd,
+                PD_PLAIN: self._solve_by_plain_pd,
+                FENICSX: self._solve_by_fenicsx,
+                SKFEM: self._solve_by_skfem,
+                FENICSX_NEO_HOOKEAN: self._solve_by_law,
+                SKFEM_NEO_HOOKEAN: self._solve_law_by_skfem,
+            }[solver]
+            self._answers[solver] = solve_case()
+        return self._answers[solver]
+
+    def _set_scene(self, law: FaceLaw, solver: str) -> tuple[SettledFace | None, Scene, Floats]:
+        """Return the neutral face that a solver settles, the case's scene on it, and where the scene starts [mm]."""
+        if self.case.scene is not None:
+            scene = apply_law(self.case.scene(self.person.head), law)
+            return None, scene, scene.vertices
+        choices: dict[str, Any] = {"contact": self.case.contact} if self.case.contact else {}
+        settled = settle(self.person.head, self.face.on_wraps, law=law, solver=solver, tolerance=TIGHT)
+        return settled, settled.scene(self.shape, **choices), settled.positions
+
+    def _skin(self, settled: SettledFace | None, solution: Solution) -> Floats:
+        if settled is not None:
+            return settled.skin_after(self.shape, solution.positions)
+        head = self.person.head
+        return head.skin_after(head.skin.vertices, solution.positions[: len(head.bone)])
+
+    def _solve_by_pd(self) -> Answer:
+        settled, scene, start = self._set_scene(PD_ENERGY, "projective")
+        solution, trace = trace_to_itself(prepare(scene), start=start)
+        return Answer(solution, scene, settled, self._skin(settled, solution), "settled", trace=trace)
+
+    def _solve_by_plain_pd(self) -> Answer:
+        pd = self.answer(PD)
+        start = pd.scene.vertices if pd.settled is None else pd.settled.positions
+        solution, trace = trace_solve(
+            prepare(pd.scene, method="plain"),
+            pd.solution.positions,
+            start=start,
+            enough=PLAIN_STOP,
+            max_iterations=PLAIN_LIMIT,
+        )
+        return Answer(solution, pd.scene, pd.settled, self._skin(pd.settled, solution), "settled", trace=trace)
+
+    def _solve_by_fenicsx(self) -> Answer:
+        settled, scene, start = self._set_scene(PD_ENERGY, "fenicsx")
+        by_pd, begun, another = self.answer(PD).solution.positions, "settled", None
+        prepared = prepare(scene, solver="fenicsx")
+        solution = prepared.solve(start=start, tolerance=TIGHT)
+        apart = difference(solution.positions, by_pd, scene.vertices)
+        if apart.relative > APART:
+            begun, another = "PD's answer", apart.max
+            solution = prepared.solve(start=by_pd, tolerance=WARM)
+        return Answer(solution, scene, settled, self._skin(settled, solution), begun, another)
+
+    def _solve_by_skfem(self) -> Answer:
+        fenicsx = self.answer(FENICSX)
+        rough = solve(fenicsx.scene, tolerance=ROUGH).positions
+        solution = solve(fenicsx.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
+        skin = self._skin(fenicsx.settled, solution)
+        return Answer(solution, fenicsx.scene, fenicsx.settled, skin, "PD, stopped early")
+
+    def _solve_by_law(self) -> Answer:
+        settled, scene, start = self._set_scene(NEO_HOOKEAN, "fenicsx")
+        by_pd, begun = self.answer(PD).solution, "settled"
+        if by_pd.volume_ratio.min() > 0.0:  # where a tet is inverted the law is infinite
+            start, begun = by_pd.positions, "PD's answer"
+        solution = solve(scene, solver="fenicsx", tolerance=WARM, start=start)
+        return Answer(solution, scene, settled, self._skin(settled, solution), begun)
+
+    def _solve_law_by_skfem(self) -> Answer:
+        law, by_pd = self.answer(FENICSX_NEO_HOOKEAN), self.answer(PD).solution
+        start = by_pd.positions if by_pd.volume_ratio.min() > 0.0 else law.solution.positions
+        solution = solve(law.scene, solver="skfem", tolerance=WARM, start=start)
+        return Answer(solution, law.scene, law.settled, self._skin(law.settled, solution), law.start)
+
+    @cached_property
+    def without(self) -> SolvedCase | None:
+        """The same expression without the effect and without contact; None if the case is no effect."""
+        if self.case.without is None:
+            return None
+        plain = Case(self.case.name, "without", self.case.expression, self.case.without)
+        return SolvedCase(self.person, plain)
+
+    @cached_property
+    def other_start(self) -> Solution:
+        """PD's answer from where every wrap is moved by the skin wrap's way to its targets, bone or not.
+
+        Such a start inverts tets.
+        """
+        head, pd = self.person.head, self.answer(PD)
+        assert pd.settled is not None
+        targets = head.wrap_targets(pd.settled.targets(self.shape))
+        return prepare(pd.scene).solve(
+            start=head.vertices + np.tile(targets - head.skin_wrap.vertices, (3, 1)), tolerance=TIGHT
+        )
+
+    @cached_property
+    def skins(self) -> dict[str, Floats]:
+        """The skins [mm] of the methods that solve no expression, by label; p beyond what a network knows is clamped.
+
+        A scene without targets has none, and without a network the methods that need one are left out.
+        """
+        if self.case.scene is not None:
+            return {}
+        methods = ready_methods(self.network, beyond="clamp")
+        weights = self.case.weights
+        return {name: method.bind(self.face).frame(weights).astype(np.float64) for name, method in methods.items()}
+
+    def compare(self, method: str, truth: str) -> list[dict]:
+        """Measure a method's distance to a solver's answer: over all vertices, if it has them, and over the skin.
+
+        The skin's `share` is by `surrogate.ruler`; None in a scene without targets, and where bones explain all.
+        """
+        other, head, lines = self.answer(truth), self.person.head, []
+        skin = self.skins.get(method)
+        if skin is None:
+            solved = self.answer(method)
+            skin = solved.skin
+            apart = difference(solved.solution.positions, other.solution.positions, other.scene.vertices)
+            lines.append({"to": truth, "over": ALL, **asdict(apart)})
+        beside = asdict(difference(skin, other.skin, head.skin.vertices))
+        return [*lines, {"to": truth, "over": SKIN, **beside, "share": self._share(skin, other.skin)}]
+
+    def _share(self, skin: Floats, truth: Floats) -> float | None:
+        if self.case.scene is not None:
+            return None
+        figures = measure(distances(skin, truth), distances(truth, self.shape + self.face.carried))
+        return figures.share if figures.vertices else None
+
+    def tell_solve(self, solver: str) -> dict:
+        """Say what a solver did."""
+        answer = self.answer(solver)
+        norms = answer.solution.history.gradient_norm
+        told = {
+            "start": answer.start,
+            "iterations": answer.solution.iterations,
+            "linear_iterations": answer.solution.detail.get("linear_iterations"),
+            "gradient": float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0,
+            "reason": answer.solution.reason.name,
+            "done": answer.converged,
+        }
+        if answer.trace is not None:
+            told["to_001_mm"] = answer.trace.iterations_to(ACCURACY)
+        if solver == PD_PLAIN:
+            told["done"] = told["to_001_mm"] is not None
+        if solver == FENICSX:
+            told["another_minimum_mm"] = answer.another
+        return told
+
+    def tell_face(self) -> dict:
+        """Say what PD's answer is: volumes, whether it is the only one, how near lips come, what an effect changes."""
+        pd, head = self.answer(PD), self.person.head
+        solution, soft = pd.solution, slice(0, len(head.soft.tets))
+        volumes = pd.scene.volumes[soft]
+        told: dict[str, Any] = {
+            "least_ratio": float(solution.volume_ratio.min()),
+            "soft_volume_percent": float(100.0 * (solution.volume_ratio[soft] @ volumes / volumes.sum() - 1.0)),
+        }
+        told |= {name: value for name, value in solution.detail.items() if name.startswith("contact")}
+        if pd.settled is not None:
+            if not self.case.contact:  # each round of contact has an energy of its own
+                energy = solution.history.energy
+                size = np.maximum(np.abs(energy[:-1]), np.finfo(float).tiny)
+                told["energy_rise"] = float(np.max(np.diff(energy) / size, initial=0.0))
+            told["to_other_start_mm"] = float(distances(solution.positions, self.other_start.positions).max())
+            told["neutral_change_mm"] = float(distances(pd.settled.skin, head.skin.vertices).max())
+            left = distances(solution.positions[: len(head.bone)], head.wrap_targets(pd.settled.targets(self.shape)))[
+                head.regions["lips"]
+            ]
+            told["lips_mm"] = [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())]
+        if self.without is not None:
+            change = distances(pd.skin, self.without.answer(PD).skin)
+            told |= {"change_mean_mm": float(change.mean()), "change_max_mm": float(change.max())}
+        return told
+
+    def compare_inside(self) -> dict:
+        """Compare PD's answer with the law's inside; see `compare_insides`."""
+        pd, law = self.answer(PD), self.answer(FENICSX_NEO_HOOKEAN)
+        settled = None if pd.settled is None or law.settled is None else (pd.settled, law.settled)
+        both = (PD_ENERGY, pd.scene, pd.solution), (NEO_HOOKEAN, law.scene, law.solution)
+        return compare_insides(self.person.head, *both, settled=settled)
