@@ -107,7 +107,7 @@ def test_all_gates_are_passed_by_good_rows(rows):
         (PD, "least_ratio", 0.0, "smallest volume ratio", True),
         (PD, "energy_rise", 1e-9, "energy rises", True),
         (PD, "to_other_start_mm", 0.02, "another start", True),
-        (PD_PLAIN, "done", False, "did not reach what was asked", True),
+        (SKFEM, "done", False, "did not reach what was asked", True),
         (PD, "to_001_mm", 21, "accelerated PD's iterations", False),
         (PD, "to_001_mm", None, "accelerated PD's iterations", False),
         (PD_PLAIN, "to_001_mm", None, "accelerated PD's iterations", False),

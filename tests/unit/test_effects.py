@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from softdeca.benchmarks.studies.agreement.solved import SolvedCase
+from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.cases import CASES, EFFECTS, Case, add_case, get_case, keep_defaults
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm.base.errors import InputError
@@ -80,6 +81,17 @@ def test_cases_by_name():
         get_case("slimming")
     with pytest.raises(InputError, match="'jaw' is there already"):
         add_case(CASES["jaw"])
+
+
+def test_a_case_of_ones_own_is_asked_like_the_others(monkeypatch):
+    monkeypatch.setitem(CASES, "grin", None)  # so that it is gone after the test
+    del CASES["grin"]
+    grin = add_case(
+        Case("grin", "a stiff smile", {"mouthSmileLeft": 0.5}, lambda head: Parameters(skin_stiffness=80.0))
+    )
+    assert get_case("grin") is grin and grin.weights.sum() == 0.5
+    methods = [task.method for task in Agreement(cases=("grin",)).tasks() if task.case == "grin"]
+    assert methods[0] == FENICSX and {PD, CARRIED} < set(methods)
 
 
 def test_wraps_are_carried_by_a_scaled_mandible(head):
