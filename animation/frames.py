@@ -15,7 +15,7 @@ from ..reference import Sequence, SettledFace, Solution
 from ..reference.face.dynamics import extrapolate_turns
 from ..reference.face.sequence import TOLERANCE, State
 from ..reference.face.settle import carry_skin
-from ..surrogate.certified import DOUBT, CertifiedFace, Reached, find_counted
+from ..surrogate.certified import POLICY, CertifiedFace, Reached, find_counted
 from .play import blend_linearly
 
 TIGHTER, TIGHTEST = 0.1, 1e-9
@@ -117,7 +117,7 @@ class SimulatedFrames:
             error, certain = self._estimate(expression, solution)
             while (
                 error is not None
-                and error * (1.0 if certain else DOUBT) > self._accuracy
+                and error * (1.0 if certain else POLICY.doubt) > self._accuracy
                 and solution.converged
                 and tolerance > TIGHTEST
             ):

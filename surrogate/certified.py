@@ -33,25 +33,25 @@ ACCURACY = 0.05
 """[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
 FINEST, COARSEST = 1e-6, 100.0
 """[mm] Accuracy below which rounding is asked for, and beyond which nothing is."""
-SETTLING = 8
-"""Iterations of L-BFGS before an error is first told, where Newton's step has no end at once: there tets fold."""
-MOST_SMOOTHING = 32
-"""Iterations of L-BFGS between two errors at most; each costs a tenth of telling an error."""
-FURTHER, FARTHEST = 0.1, 0.02
-"""By which share of its error a round aims to leave a frame where no accuracy is asked for, and at least."""
-DIRECT, TINY = 0.2, 1e-12
-"""An accuracy below this share of the first order's rough error, which nothing then meets, is sought by L-BFGS at once;
-[mm] keeps the share finite."""
-MARGIN = 0.5
-"""Of an accuracy that a round aims at: the error falls about as the residual does."""
-APART = 1.0
-"""[mm] Mean distance of a frame's vertices from their first order at most; other faces' are farther."""
-CONVERGED = 1e-6
-"""Gradient norm, relative to that of the targets' springs each 1 mm long, from which a frame counts as converged."""
-MOST_SOLVES = 2000
-"""Solves of a frame before it is given up, as where lids that are pressed into each other find no rest."""
-DOUBT = 3.0
-"""What is not certain is off by at most this factor, but for some in a hundred."""
+
+
+@dataclass(frozen=True)
+class DialPolicy:
+    """When the dial smooths, aims and gives up; counts are of solves."""
+
+    settling: int = 8  # iterations of L-BFGS before an error is first told where tets fold: Newton's step has no end
+    most_smoothing: int = 32  # iterations of L-BFGS between two errors; each costs a tenth of telling one
+    further: float = 0.1  # share of its error at which a round aims where no accuracy is asked for
+    farthest: float = 0.02  # the least such share
+    direct: float = 0.2  # an accuracy below this share of the rough error is sought by L-BFGS at once
+    margin: float = 0.5  # of an accuracy that a round aims at: the error falls about as the residual does
+    apart: float = 1.0  # [mm] mean distance of a frame from its first order; other faces' are farther
+    converged: float = 1e-6  # gradient norm over that of the targets' springs, each 1 mm long
+    most_solves: int = 2000  # of a frame: lids that are pressed into each other find no rest
+    doubt: float = 3.0  # what is not certain is off by at most this factor, but for some in a hundred
+
+
+POLICY = DialPolicy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class CertifiedFrame(Reached):
     @property
     def bound(self) -> float:
         """What the error [mm] is at most, but for some in a hundred."""
-        return self.error if self.certain else DOUBT * self.error
+        return self.error if self.certain else POLICY.doubt * self.error
 
 
 class CertifiedFace:
@@ -137,11 +137,13 @@ class CertifiedFace:
         known = check_weights(weights).astype(np.float64)
         correction = Correction(self.face, known, self._start(known, after))
         correction.smooth(1)
-        if accuracy is not None and (share := accuracy / self._estimate_roughly(correction)) < DIRECT:
-            correction.smooth(MOST_SMOOTHING, until=MARGIN * share * correction.residual)
+        if accuracy is not None:
+            share = accuracy / max(self._estimate_roughly(correction), FINEST)
+            if share < POLICY.direct:
+                correction.smooth(POLICY.most_smoothing, until=POLICY.margin * share * correction.residual)
         ahead = correction.newton_step()
-        if not ahead.is_near and correction.solves < SETTLING:
-            correction.smooth(SETTLING)
+        if not ahead.is_near and correction.solves < POLICY.settling:
+            correction.smooth(POLICY.settling)
             ahead = correction.newton_step()
         guess = self._tell(correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin())
         before, best = guess.skin, replace(guess, method=self.method)
@@ -150,12 +152,12 @@ class CertifiedFace:
             if frame.bound <= best.bound or frame.method == "converged":
                 best = frame
             yield replace(best, positions=frame.positions, seconds=frame.seconds, solves=frame.solves)
-            if correction.residual <= CONVERGED or correction.solves >= MOST_SOLVES:
+            if correction.residual <= POLICY.converged or correction.solves >= POLICY.most_solves:
                 return
-            share = FURTHER if accuracy is None else max(MARGIN * accuracy / frame.bound, FARTHEST)
+            share = POLICY.further if accuracy is None else max(POLICY.margin * accuracy / frame.bound, POLICY.farthest)
             goal, before = share * correction.residual, frame.skin
             correction.take(ahead.step)
-            correction.smooth(MOST_SMOOTHING, until=goal)
+            correction.smooth(POLICY.most_smoothing, until=goal)
             ahead = correction.newton_step()
 
     def _start(self, weights: Floats, after: Reached | None) -> Floats | None:
@@ -167,9 +169,10 @@ class CertifiedFace:
             shape = np.shape(after.positions)
             raise InputError(f"after: a frame of another face, with vertices of shape {shape}, not {start.shape}")
         left = finite("after", after.positions) - predict(self.face, check_weights(after.weights).astype(np.float64))
-        if (away := float(np.linalg.norm(left, axis=1).mean())) > APART:
+        if (away := float(np.linalg.norm(left, axis=1).mean())) > POLICY.apart:
             raise InputError(
-                f"after: a frame of another face: {away:.2g} mm from this one's first order, expected at most {APART:g}"
+                f"after: a frame of another face: {away:.2g} mm from this one's first order, "
+                f"expected at most {POLICY.apart:g}"
             )
         return start + left
 
@@ -181,7 +184,7 @@ class CertifiedFace:
     def _estimate_roughly(self, correction: Correction) -> float:
         """Estimate the error [mm] within a factor of some, by one solve."""
         answer, counted = self._find_answer(correction, correction.rough_step())
-        return float(np.linalg.norm(answer - correction.skin(), axis=1)[counted].mean()) + TINY
+        return float(np.linalg.norm(answer - correction.skin(), axis=1)[counted].mean())
 
     def _tell(
         self,
@@ -194,7 +197,7 @@ class CertifiedFace:
         """Tell the error of a skin by where Newton's step leads, or where that has no end by another skin if nearer."""
         answer, counted = self._find_answer(correction, ahead.step)
         errors = np.linalg.norm(answer - skin, axis=1)
-        has_converged = correction.residual <= CONVERGED
+        has_converged = correction.residual <= POLICY.converged
         if not (ahead.is_near or has_converged):
             # Where tets fold Newton's step leads up to thirty times too far.
             apart = np.linalg.norm(other - skin, axis=1)

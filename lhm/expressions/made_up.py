@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
@@ -76,10 +77,25 @@ CONTRADICTORY = (
 )
 """Pairs, by how their names begin, that one face does not show at once."""
 
-MOVED, HOLDS, MEET = (0.15, 0.6), (0.1, 0.4), 0.3  # [s], [s], share of a fall in which the next begins to rise
-JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
-HARD_SHAPES, HARD_RANGES = (2, 5), ((0.2, 1.0), (0.1, 0.5))
-"""Shapes of a hard expression, and the range of their weights in either half of all."""
+
+@dataclass(frozen=True)
+class ExpressionPolicy:
+    """How random expressions are drawn, and how one goes over into the next; spans of durations in [s]."""
+
+    jaw_share: float = 0.6  # of expressions with an open jaw
+    symmetric_share: float = 0.8  # of pairs
+    more_units: float = 2.0  # beside the first, in the mean
+    moved: tuple[float, float] = (0.15, 0.6)
+    holds: tuple[float, float] = (0.1, 0.4)
+    meet: float = 0.3  # share of a fall in which the next begins to rise
+    hard_shapes: tuple[int, int] = (2, 5)
+    hard_ranges: tuple[tuple[float, float], tuple[float, float]] = (
+        (0.2, 1.0),
+        (0.1, 0.5),
+    )  # of weights, in either half
+
+
+EXPRESSIONS = ExpressionPolicy()
 # Mouth targets at full effort; names without a side stand for both sides.
 CONSONANTS: tuple[dict[str, float], ...] = (
     {"jawOpen": 0.25, "mouthClose": 0.25, "mouthPress": 0.3, "mouthRollUpper": 0.2, "mouthRollLower": 0.25},  # m b p
@@ -102,23 +118,38 @@ VOWELS: tuple[dict[str, float], ...] = (
 )
 REST = {"mouthPress": 0.08, "mouthShrugLower": 0.1, "mouthShrugUpper": 0.08, "mouthRollLower": 0.05}
 ROUNDED = ("mouthPucker", "mouthFunnel", "mouthPress", "mouthRollLower", "mouthRollUpper")
-SYLLABLES = (3.0, 6.0)  # [1/s]
-TALK, LISTEN = (2.0, 7.0), (0.8, 4.0)  # [s]
-BLINK_EVERY, BLINK_LASTS = (2.0, 6.0), (0.12, 0.4)  # [s]
-CLOSED_SHARE, PARTLY = 0.8, (0.6, 0.95)  # of the blinks; how far the others go
-FALL, HELD = 0.3, 0.2  # of a blink: lids going down, and staying closed
-SMILE_EVERY, SMILE_LASTS, SMILE_RISES = (6.0, 16.0), (1.0, 3.5), (0.25, 0.5)  # [s]
-BROAD = (0.75, 1.0)
-GLANCES, GLANCE = 0.2, 2.5  # share of fixations far aside, and how much farther they are
-LIDS_FOLLOW = 0.4  # eyeBlink per eyeLookDown; 0.67 over a recorded take, in which lids also close for other reasons
-COARTICULATION = 0.035  # [s]
-UNEVEN = 0.08
-POSTURE = np.radians([7.0, 4.0, 3.0])
-"""Standard deviations of yaw, pitch and roll [rad], and those of the beats."""
-BEATS = np.radians([1.2, 2.0, 0.8])
-SLOW, QUICK = 0.5, 0.07
-"""Time constants [s] of posture and of beats."""
-PASSES = 4
+
+
+@dataclass(frozen=True)
+class TalkPolicy:
+    """The habits of a talker, chosen to have the range and speed of a recorded take; spans of durations in [s]."""
+
+    syllables: tuple[float, float] = (3.0, 6.0)  # [1/s]
+    talk: tuple[float, float] = (2.0, 7.0)
+    listen: tuple[float, float] = (0.8, 4.0)
+    coarticulation: float = 0.035  # [s]
+    uneven: float = 0.08  # by how much the two sides differ
+    blink_every: tuple[float, float] = (2.0, 6.0)
+    blink_lasts: tuple[float, float] = (0.12, 0.4)
+    fall: float = 0.3  # share of a blink: lids going down
+    held: float = 0.2  # and staying closed
+    closed_share: float = 0.8  # of the blinks
+    partly: tuple[float, float] = (0.6, 0.95)  # how far the others go
+    smile_every: tuple[float, float] = (6.0, 16.0)
+    smile_lasts: tuple[float, float] = (1.0, 3.5)
+    smile_rises: tuple[float, float] = (0.25, 0.5)
+    broad: tuple[float, float] = (0.75, 1.0)
+    glances: float = 0.2  # share of fixations far aside
+    glance: float = 2.5  # and how much farther they are
+    lids_follow: float = 0.4  # eyeBlink per eyeLookDown; 0.67 over a recorded take, whose lids also close else
+    posture: tuple[float, float, float] = (7.0, 4.0, 3.0)  # deviation of yaw, pitch and roll [degrees]
+    beats: tuple[float, float, float] = (1.2, 2.0, 0.8)
+    slow: float = 0.5  # time constant [s] of posture
+    quick: float = 0.07  # and of beats
+    passes: int = 4  # low passes, so that the angular acceleration is continuous
+
+
+TALKER = TalkPolicy()
 PACE = 12.0
 """Sounds per second of unhurried talk; 18 is fast."""
 SLOWEST, FASTEST = 2.0, 30.0
@@ -138,14 +169,14 @@ def sample_weights(rng: np.random.Generator) -> Floats:
     10 % in 80 % of cases and one-sided otherwise. mouthClose, which means closing an open jaw, never exceeds jawOpen.
     """
     weights = np.zeros(len(ARKIT))
-    if rng.random() < JAW_SHARE:
+    if rng.random() < EXPRESSIONS.jaw_share:
         weights[index("jawOpen")] = rng.uniform(0.05, 1.0)
     active: list[str] = []
-    for number in rng.permutation(len(UNITS))[: 1 + rng.poisson(MORE_UNITS)]:
+    for number in rng.permutation(len(UNITS))[: 1 + rng.poisson(EXPRESSIONS.more_units)]:
         unit = UNITS[number]
         amplitude, sides = rng.uniform(0.1, 1.0), rng.random()
         spread = rng.uniform(0.9, 1.0, len(unit))
-        if len(unit) == 2 and sides > SYMMETRIC_SHARE and not unit[0].startswith("eyeLook"):
+        if len(unit) == 2 and sides > EXPRESSIONS.symmetric_share and not unit[0].startswith("eyeLook"):
             unit, spread = (unit[int(sides * 1000) % 2],), spread[:1]
         if any(contradict(name, other) for name in unit for other in active):
             continue
@@ -169,11 +200,15 @@ def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     times, weights = np.arange(frames) / rate, np.zeros((frames, len(ARKIT)))
     start, expression = 0.0, sample_weights(rng)
     while start <= times[-1]:
-        rises, held, falls = rng.uniform(*MOVED), rng.uniform(*HOLDS), rng.uniform(*MOVED)
+        rises, held, falls = (
+            rng.uniform(*EXPRESSIONS.moved),
+            rng.uniform(*EXPRESSIONS.holds),
+            rng.uniform(*EXPRESSIONS.moved),
+        )
         there, end = start + rises, start + rises + held + falls
         part = np.clip(np.minimum((times - start) / rises, (end - times) / falls), 0.0, 1.0)
         weights = np.maximum(weights, (part * part * (3.0 - 2.0 * part))[:, None] * expression)
-        start, expression = there + held + (1.0 - MEET) * falls, sample_weights(rng)
+        start, expression = there + held + (1.0 - EXPRESSIONS.meet) * falls, sample_weights(rng)
     weights[:, index("mouthClose")] = np.minimum(weights[:, index("mouthClose")], weights[:, index("jawOpen")])
     return weights
 
@@ -190,7 +225,10 @@ def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
     shut, opened = _COLUMN["mouthClose"], _COLUMN["jawOpen"]
     for row in weights:
         while not row.any():
-            count, span = rng.integers(HARD_SHAPES[0], HARD_SHAPES[1] + 1), HARD_RANGES[rng.integers(2)]
+            count, span = (
+                rng.integers(EXPRESSIONS.hard_shapes[0], EXPRESSIONS.hard_shapes[1] + 1),
+                EXPRESSIONS.hard_ranges[rng.integers(2)],
+            )
             active: list[str] = []
             for name in rng.permutation(ARKIT):
                 if len(active) < count and not any(contradict(name, other) for other in active):
@@ -250,7 +288,7 @@ class _Face:
             self.values[name] = self.values[name] + values
             return
         for side in ("Left", "Right"):
-            self.values[name + side] = self.values[name + side] + values * (1.0 + self.wander(3.0, UNEVEN))
+            self.values[name + side] = self.values[name + side] + values * (1.0 + self.wander(3.0, TALKER.uneven))
 
     def split(self, name: str, opposite: str, signed: Floats) -> None:
         """Add positive values to one expression and negative ones to its opposite."""
@@ -276,26 +314,26 @@ class _Face:
 
 def _turns(rng: np.random.Generator, times: Floats) -> Floats:
     """1 where this face talks and 0 where it listens, shape (frames,)."""
-    starts, talks = [-rng.uniform(*TALK)], rng.random() < 0.5
+    starts, talks = [-rng.uniform(*TALKER.talk)], rng.random() < 0.5
     states = [talks]
     while starts[-1] <= times[-1]:
-        starts.append(starts[-1] + rng.uniform(*(TALK if states[-1] else LISTEN)))
+        starts.append(starts[-1] + rng.uniform(*(TALKER.talk if states[-1] else TALKER.listen)))
         states.append(not states[-1])
     return np.array(states, dtype=np.float64)[np.searchsorted(starts, times, side="right") - 1]
 
 
 def _smiles(face: _Face, rng: np.random.Generator) -> Floats:
-    """How broad the smile is, shape (frames,): zero but for some seconds now and then, first within SMILE_EVERY."""
+    """How broad the smile is, shape (frames,): zero but for some seconds now and then, first within `smile_every`."""
     broad = np.zeros(face.frames)
     until = float(face.times[-1])
-    length = min(rng.uniform(*SMILE_LASTS), max(0.75 * until, 1.0 / face.rate))
-    start = rng.uniform(0.0, max(min(until, SMILE_EVERY[1]) - length, 0.0))
+    length = min(rng.uniform(*TALKER.smile_lasts), max(0.75 * until, 1.0 / face.rate))
+    start = rng.uniform(0.0, max(min(until, TALKER.smile_every[1]) - length, 0.0))
     while start <= until:
-        rise = min(rng.uniform(*SMILE_RISES), 0.4 * length)
+        rise = min(rng.uniform(*TALKER.smile_rises), 0.4 * length)
         part = np.clip(np.minimum(face.times - start, start + length - face.times) / rise, 0.0, 1.0)
-        broad = np.maximum(broad, rng.uniform(*BROAD) * part * part * (3.0 - 2.0 * part))
-        start += length + rng.uniform(*SMILE_EVERY)
-        length = rng.uniform(*SMILE_LASTS)
+        broad = np.maximum(broad, rng.uniform(*TALKER.broad) * part * part * (3.0 - 2.0 * part))
+        start += length + rng.uniform(*TALKER.smile_every)
+        length = rng.uniform(*TALKER.smile_lasts)
     return broad
 
 
@@ -305,7 +343,7 @@ def _mouth(face: _Face, rng: np.random.Generator, talking: Floats, rounded: Floa
     at, targets = [-1.0], [REST]
     effort = [1.0]
     while at[-1] <= face.times[-1]:
-        length = 1.0 / rng.uniform(*SYLLABLES)
+        length = 1.0 / rng.uniform(*TALKER.syllables)
         start = at[-1] + 0.6 * length
         talks = talking[np.clip(round(start * face.rate), 0, face.frames - 1)] > 0.5
         consonant, vowel = CONSONANTS[rng.integers(len(CONSONANTS))], VOWELS[rng.integers(len(VOWELS))]
@@ -315,7 +353,7 @@ def _mouth(face: _Face, rng: np.random.Generator, talking: Floats, rounded: Floa
     full = np.array([[target.get(name, 0.0) for name in names] for target in targets])
     values = full * np.array(effort)[:, None]
     for name, column in zip(names, values.T, strict=True):
-        moved = face.smooth(np.interp(face.times, at, column), COARTICULATION)
+        moved = face.smooth(np.interp(face.times, at, column), TALKER.coarticulation)
         face.add(name, moved * rounded if name in ROUNDED else moved)
 
 
@@ -352,7 +390,7 @@ def _eyes(face: _Face, rng: np.random.Generator) -> None:
         face.split(f"eyeLookOut{side}", f"eyeLookIn{side}", outward)
         face.split(f"eyeLookUp{side}", f"eyeLookDown{side}", up)
     closed = _blinks(face, rng)
-    face.add("eyeBlink", LIDS_FOLLOW * np.maximum(-up, 0.0))
+    face.add("eyeBlink", TALKER.lids_follow * np.maximum(-up, 0.0))
     for lids in ("eyeBlinkLeft", "eyeBlinkRight"):
         face.values[lids] = closed + (1.0 - closed) * face.values[lids]
     brows = face.values["browInnerUp"]
@@ -363,7 +401,7 @@ def _gaze(face: _Face, rng: np.random.Generator, deviation: float) -> Floats:
     """Fixations of 0.3 to 2 s, and saccades of about 50 ms between them."""
     count = int(face.times[-1] / 0.3) + 2
     until = np.cumsum(rng.uniform(0.3, 2.0, count))
-    points = rng.normal(0.0, deviation, count) * np.where(rng.random(count) < GLANCES, GLANCE, 1.0)
+    points = rng.normal(0.0, deviation, count) * np.where(rng.random(count) < TALKER.glances, TALKER.glance, 1.0)
     held = points[np.searchsorted(until, face.times, side="right").clip(max=count - 1)]
     return face.smooth(held, 0.02)
 
@@ -371,16 +409,16 @@ def _gaze(face: _Face, rng: np.random.Generator, deviation: float) -> Floats:
 def _blinks(face: _Face, rng: np.random.Generator) -> Floats:
     """How far the lids are closed by blinks, shape (frames,): down, closed for a frame or more, and slowly up."""
     times, closed = face.times, np.zeros(face.frames)
-    shortest = min(1.01 / (HELD * face.rate), BLINK_LASTS[1])
-    length = max(rng.uniform(*BLINK_LASTS), shortest)
-    start, depth = rng.uniform(0.0, max(min(times[-1], BLINK_EVERY[1]) - length, 0.0)), 1.0
+    shortest = min(1.01 / (TALKER.held * face.rate), TALKER.blink_lasts[1])
+    length = max(rng.uniform(*TALKER.blink_lasts), shortest)
+    start, depth = rng.uniform(0.0, max(min(times[-1], TALKER.blink_every[1]) - length, 0.0)), 1.0
     while start <= times[-1]:
         phase = (times - start) / length
-        part = np.clip(np.minimum(phase / FALL, (1.0 - phase) / (1.0 - FALL - HELD)), 0.0, 1.0)
+        part = np.clip(np.minimum(phase / TALKER.fall, (1.0 - phase) / (1.0 - TALKER.fall - TALKER.held)), 0.0, 1.0)
         closed = np.maximum(closed, depth * part * part * (3.0 - 2.0 * part))
-        start += length + rng.uniform(*BLINK_EVERY)
-        length = max(rng.uniform(*BLINK_LASTS), shortest)
-        depth = 1.0 if rng.random() < CLOSED_SHARE else rng.uniform(*PARTLY)
+        start += length + rng.uniform(*TALKER.blink_every)
+        length = max(rng.uniform(*TALKER.blink_lasts), shortest)
+        depth = 1.0 if rng.random() < TALKER.closed_share else rng.uniform(*TALKER.partly)
     return closed
 
 
@@ -397,13 +435,15 @@ def head_motion(rng: np.random.Generator, frames: int, *, rate: float = 60.0) ->
     if frames < 1:
         raise InputError(f"frames: {frames}, expected 1 or more")
     check_rate(rate)
-    return _swayed(rng, frames, SLOW * rate) * POSTURE + _swayed(rng, frames, QUICK * rate) * BEATS
+    return _swayed(rng, frames, TALKER.slow * rate) * np.radians(TALKER.posture) + _swayed(
+        rng, frames, TALKER.quick * rate
+    ) * np.radians(TALKER.beats)
 
 
 def _swayed(rng: np.random.Generator, frames: int, constant: float) -> Floats:
     """Noise through equal low passes of a time constant in frames: variance 1 from the first on, shape (frames, 3)."""
     pole = float(np.exp(-1.0 / constant))
-    poles = np.poly([pole] * PASSES)
+    poles = np.poly([pole] * TALKER.passes)
     ahead = int(np.ceil(15.0 * constant)) + 1
     answer = lfilter([1.0], poles, np.eye(1, ahead)[0])
     noise = rng.standard_normal((ahead + frames, 3))

@@ -20,7 +20,7 @@ from softdeca.lhm.expressions import (
     sample_weights,
     speech,
 )
-from softdeca.lhm.expressions.made_up import BEATS, POSTURE, contradict, hard_expressions, shipped_sentences
+from softdeca.lhm.expressions.made_up import TALKER, contradict, hard_expressions, shipped_sentences
 
 from ..refusals import refused
 
@@ -153,7 +153,7 @@ def test_edges():
 @pytest.mark.parametrize("rate", [24.0, 60.0])
 def test_angles_spread_as_stated_about_straight_ahead_from_the_first_on(rate):
     found = head_motion(np.random.default_rng(0), round(1800 * rate), rate=rate)
-    spread = np.hypot(POSTURE, BEATS)
+    spread = np.radians(np.hypot(TALKER.posture, TALKER.beats))
     assert found.std(axis=0) == pytest.approx(spread, rel=0.1)
     assert np.all(np.abs(found.mean(axis=0)) < 0.1 * spread)
     first = np.array([head_motion(np.random.default_rng(k), 1, rate=rate)[0] for k in range(400)])

@@ -22,7 +22,7 @@ from ....reference import Face, Parameters
 from ....reference.face.correction import predict
 from ....reference.face.derivatives import spring_norm
 from ....surrogate import CertifiedFace, certify
-from ....surrogate.certified import DOUBT
+from ....surrogate.certified import POLICY
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.corpus.people import People, people_from_text
 from ....surrogate.methods import DERIVATIVES, DIAL, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD_FIRST_ORDER, SETTLED
@@ -125,7 +125,7 @@ class Dial(Study):
         told = [row for one in rows for row in one.values["told"]]
         counted = [row for row in told if row["true"] >= LEAST]
         within = float(np.mean([row["true"] <= row["accuracy"] for row in told]))
-        trusted = float(np.mean([row["true"] <= DOUBT * row["told"] for row in counted])) if counted else 1.0
+        trusted = float(np.mean([row["true"] <= POLICY.doubt * row["told"] for row in counted])) if counted else 1.0
         sure = _share_near([row for row in told if row["certain"]])
         certain = [row for row in told if row["certain"]]
         hope = "share of frames whose told error is within 0.8 to 1.25 of the true one"
@@ -136,7 +136,7 @@ class Dial(Study):
                 0.95,
                 answer=len(told) >= ENOUGH,
             ),
-            at_least(f"share of frames whose true error is at most {DOUBT:g} times the told one", trusted, 0.95),
+            at_least(f"share of frames whose true error is at most {POLICY.doubt:g} times the told one", trusted, 0.95),
             at_least(hope, _share_near(told), 0.95, answer=False),
             at_least(f"{hope}, of those that say they are certain", sure, 0.95, answer=False),
         ]
