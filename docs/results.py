@@ -18,7 +18,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from softdeca.surrogate.methods import READY
+from softdeca.benchmarks.studies.surrogate.gates import ADDED, BOUNDS
+from softdeca.surrogate.methods import (
+    CARRIED,
+    DERIVATIVES,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    READY,
+    SETTLED,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -129,6 +137,11 @@ def verdict(file: str, what: str, /) -> str:
     return "kept" if _find_gate(file, what)["passed"] else "missed"
 
 
+def bound(file: str, what: str, /) -> float:
+    """Return the bound of that gate."""
+    return float(_find_gate(file, what)["bound"].split()[-1])
+
+
 def _score(file: str, method: str, kind: str) -> Line:
     matching = [
         line
@@ -194,8 +207,29 @@ def share(method: str, kind: str = "all", file: str = "surrogate/fresh") -> floa
     return 100.0 * _score(file, method, kind)["share"]
 
 
+def bounds(file: str, /) -> str:
+    """Tabulate the gates of the surrogate: the network's share [%], its bound, and the shares of both trivial rivals."""
+    rows = []
+    for kind, most in BOUNDS.items():
+        network, *rivals = (
+            f"{share(method, kind, file):.1f} %"
+            for method in (NETWORK, SETTLED, CARRIED)
+        )
+        rows.append(_row([f"share, {kind}", network, f"{100 * most:.1f} %", *rivals]))
+    derivatives = share(DERIVATIVES, "all", file)
+    ratios = [
+        share(method, "all", file) / derivatives
+        for method in (NETWORK_AND_DERIVATIVES, SETTLED, CARRIED)
+    ]
+    network, *rivals = (f"{ratio:.2f}" for ratio in ratios)
+    rows.append(
+        _row(["network + derivatives over derivatives", network, ADDED, *rivals])
+    )
+    return "\n".join(rows)
+
+
 KNOWN = {
-    "one": one, "every": every, "of": of, "gate": gate, "verdict": verdict, "share": share, "shares": shares,
+    "one": one, "every": every, "of": of, "gate": gate, "bound": bound, "bounds": bounds, "verdict": verdict, "share": share, "shares": shares,
     "errors": errors, "costs": costs, "dict": dict, "min": min, "max": max, "sum": sum, "len": len, "zip": zip,
     "mean": statistics.fmean, "median": statistics.median, "sqrt": math.sqrt,
 }  # fmt: skip
