@@ -14,21 +14,29 @@ from functools import lru_cache
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
-from ....lhm import expressions
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Parameters, Scene, Solution, settle
-from ....reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives
+from ....reference import Parameters, Scene
 from ....reference.face.facial import apply_law
-from ....reference.face.settle import SettledFace, carry_skin, neutral_scene
+from ....reference.face.settle import SettledFace, neutral_scene
 from ....surrogate import Surrogate
-from ....surrogate.corpus.plan import CorpusPlan
-from ....surrogate.methods import CARRIED, DERIVATIVES, SETTLED
-from ....surrogate.ruler import measure
+from ....surrogate.methods import (
+    CARRIED,
+    DERIVATIVES,
+    FENICSX,
+    FENICSX_NEO_HOOKEAN,
+    METHODS,
+    NETWORK,
+    PD,
+    PD_FIRST_ORDER,
+    SETTLED,
+)
 from ...harness.first_screen import find_lost_effects
 from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..agreement.solved import SolvedCase
+from ..cases import parse_expression
 from ..measures import distances, limit_of_two, solve_to_end
 from ..person import OfPerson, check_known
 
@@ -46,13 +54,12 @@ PARTS = {
 }
 RIVALS = {"carried": CARRIED, "settled": SETTLED}
 """Rivals without learning: blendshapes moved with the bones that p scales, or with the simulated neutral face."""
-LAW = "neo-Hookean"
+SHARE_KEYS = {"share": NETWORK, "share_carried": CARRIED, "share_settled": SETTLED, "share_derivatives": DERIVATIVES}
+"""Keys of shares, and the methods that they are of."""
 COARSE = 1
 """Level of the template at which the part of the mesh is measured for every row."""
 FINE = ", quadratic tets"
 """End of the method of rows that measure the part of the mesh on the study's own level."""
-FEM_TOLERANCE, NEAR = 1e-9, 1e-1
-"""Gradient norm over its start: of another energy's answer, and of one that is at the minimum but for rounding."""
 QUADRATIC = 0.1
 """Gradient norm over its start of quadratic tets, which start at the linear answer: some two Newton steps.
 
@@ -69,7 +76,7 @@ class Split(OfPerson):
     """The error of the shipped network on a person it has not seen, part by part; expressions by effects."""
 
     name = "split"
-    version = 2
+    version = 3
     heading = "Where does the network's error come from?"
     question = (
         "Which part of the surrogate's error to a refined hyperelastic reference comes from the network, the training "
@@ -118,36 +125,25 @@ class Split(OfPerson):
         """Compare the skins of one frame by every method, or by quadratic tets on two levels."""
         if task.method.endswith(FINE):
             return self._measure_refined(task.case, task.method.removesuffix(FINE))
-        of = self.person()
-        head, shape = of.head, of.shape(task.method)
-        parameters, linear = EFFECTS[task.case], _prepare(self, task.case)
-        weights = expressions.parse_weights(task.method)
-        network = (
-            Surrogate.load().bind(head.skin, of.code, parameters, beyond="clamp").frame(weights).astype(np.float64)
-        )
-        trained, tight = linear.solve(shape, accuracy=CorpusPlan.tolerance), _solve_tight(self, task.case, task.method)
-        if not trained.converged:
-            raise SoftdecaError(f"projective dynamics: {trained.reason}")
-        same = _solve_fem(linear.face.scene(shape), tight.positions, NEAR)
-        as_trained, converged = (linear.face.skin_after(shape, x.positions) for x in (trained, tight))
-        law = _solve_by_law(self, task.case, self.level, task.method)[0]
+        solved = _solve(self, task.case, task.method, self.level)
+        pd, skins = solved.answer(PD), solved.skins
+        for label in (PD, FENICSX, FENICSX_NEO_HOOKEAN):
+            if not solved.answer(label).converged:
+                raise SoftdecaError(f"{label}: {solved.answer(label).solution.reason}")
+        trained = METHODS[PD_FIRST_ORDER].bind(solved.face).frame(solved.case.weights).astype(np.float64)
+        law = solved.answer(FENICSX_NEO_HOOKEAN).skin
         linear_coarse, quadratic_coarse = _solve_both(self, task.case, COARSE, task.method)
-        carried = shape + carry_skin(head, parameters)
-        motion = distances(converged, carried)
-        rivals = {"carried": carried, "settled": shape + linear.face.displacement + linear.offset}
-        moved = shape - head.skin.vertices
-        rivals["derivatives"] = rivals["settled"] + linear.skin_by_shapes(moved[None])[0] - moved
-        shares = {f"share_{key}": measure(distances(skin, converged), motion).share for key, skin in rivals.items()}
+        network, carried = skins[NETWORK], solved.shape + solved.face.carried
+        shares = {key: solved.compare(label, PD)[-1]["share"] for key, label in SHARE_KEYS.items()}
         return {
-            "moved": float(motion.mean()),
-            "network": _measure_mean(network, as_trained),
-            "tolerance": _measure_mean(as_trained, converged),
-            "law": _measure_mean(converged, law),
+            "moved": float(distances(pd.skin, carried).mean()),
+            "network": _measure_mean(network, trained),
+            "tolerance": _measure_mean(trained, pd.skin),
+            "law": _measure_mean(pd.skin, law),
             "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
             "total": _measure_mean(network, law),
-            "share": measure(distances(network, converged), motion).share,
             **shares,
-            "fenicsx": float(np.abs(tight.positions - same).max()),
+            "fenicsx": float(np.abs(pd.solution.positions - solved.answer(FENICSX).solution.positions).max()),
         }
 
     def _measure_refined(self, effect: str, text: str) -> Values:
@@ -267,62 +263,35 @@ def _find_ratios(rows: Sequence[Row]) -> list[float]:
     return [row.values["mesh"] / row.values["mesh_coarse"] for row in rows if row.method.endswith(FINE)]
 
 
-@lru_cache(maxsize=1)
-def _prepare(study: Split, effect: str) -> FaceDerivatives:
-    return study.person().face(EFFECTS[effect]).derivatives
-
-
-@lru_cache(maxsize=2)
-def _solve_tight(study: Split, effect: str, text: str) -> Solution:
-    """PD's converged answer to an expression."""
-    tight = _prepare(study, effect).solve(study.person().shape(text), accuracy=TIGHT_ACCURACY)
-    if not tight.converged:
-        raise SoftdecaError(f"projective dynamics: {tight.reason}")
-    return tight
-
-
-@lru_cache(maxsize=2)
-def _settle_by_law(study: Split, effect: str, level: int) -> SettledFace:
-    """The neutral face that the law has settled by itself with linear tets."""
-    face = settle(study.person(level).head, EFFECTS[effect], law=LAW)
-    if not face.converged:
-        raise SoftdecaError(f"the face does not settle by the {LAW} law: {face.reason}")
-    return face
-
-
-@lru_cache(maxsize=2)
-def _settle_by_quadratic_tets(study: Split, effect: str, level: int) -> SettledFace:
-    """The same with quadratic tets."""
-    face = _settle_by_law(study, effect, level)
-    if face.solution is None:
-        return face
-    scene = apply_law(neutral_scene(face.head, face.parameters), LAW)
-    positions = _solve_fem(scene, face.positions, QUADRATIC_NEUTRAL, "P2")
-    moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
-    return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)
-
-
 @lru_cache(maxsize=4)
-def _solve_by_law(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
-    """Skin and positions [mm] of an expression by the law with linear tets."""
-    face, shape, start = _settle_by_law(study, effect, level), study.person(level).shape(text), None
-    if level == study.level:
-        tight = _solve_tight(study, effect, text)
-        # The law's energy may be infinite where a tet is inverted.
-        start = tight.positions if tight.volume_ratio.min() > 0 else None
-    positions = _solve_fem(face.scene(shape), face.positions if start is None else start, FEM_TOLERANCE)
-    return face.skin_after(shape, positions), positions
+def _solve(study: Split, effect: str, text: str, level: int) -> SolvedCase:
+    """Return an expression under an effect on the head of a level of the template."""
+    case = replace(parse_expression(text), parameters=lambda head: EFFECTS[effect])
+    return SolvedCase(study.person(level), case, Surrogate.load())
 
 
 def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
     """Skins [mm] of an expression by the law with linear and with quadratic tets, each on its own settled face."""
-    skin, positions = _solve_by_law(study, effect, level, text)
-    face, shape = _settle_by_quadratic_tets(study, effect, level), study.person(level).shape(text)
-    return skin, face.skin_after(shape, _solve_fem(face.scene(shape), positions, QUADRATIC, "P2"))
+    solved = _solve(study, effect, text, level)
+    linear = solved.answer(FENICSX_NEO_HOOKEAN)
+    assert linear.settled is not None
+    quadratic = _settle_by_quadratic_tets(linear.settled)
+    positions = _solve_fem(quadratic.scene(solved.shape), linear.solution.positions, QUADRATIC)
+    return linear.skin, quadratic.skin_after(solved.shape, positions)
 
 
-def _solve_fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
-    how = {"solver": "fenicsx", "start": start, "tolerance": tolerance, "element": element}
+def _settle_by_quadratic_tets(face: SettledFace) -> SettledFace:
+    """Settle a neutral face by the law with quadratic tets, from where linear ones settled it."""
+    if face.solution is None:
+        return face
+    scene = apply_law(neutral_scene(face.head, face.parameters), face.law)
+    positions = _solve_fem(scene, face.positions, QUADRATIC_NEUTRAL)
+    moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
+    return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)
+
+
+def _solve_fem(scene: Scene, start: Floats, tolerance: float) -> Floats:
+    how = {"solver": "fenicsx", "start": start, "tolerance": tolerance, "element": "P2"}
     return solve_to_end(scene, "FEniCSx", **how).positions
 
 
