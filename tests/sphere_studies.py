@@ -13,9 +13,8 @@ from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.heads.shapes import Shapes
-from softdeca.benchmarks.studies.mesh.convergence import Convergence
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
-from softdeca.benchmarks.studies.mesh.locking import Locking
+from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
@@ -54,11 +53,6 @@ class OfSphere:
 
 @dataclass(frozen=True)
 class SphereUnknowns(OfSphere, Unknowns):
-    pass
-
-
-@dataclass(frozen=True)
-class SphereConvergence(OfSphere, Convergence):
     pass
 
 
@@ -108,7 +102,7 @@ class SphereMixed(OfSphere, Mixed):
 
 
 @dataclass(frozen=True)
-class SphereLocking(OfSphere, Locking):
+class SphereMeshError(OfSphere, MeshError):
     def mean_person(self, level):
         return sphere(1)
 

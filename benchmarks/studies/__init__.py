@@ -22,8 +22,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
     "Where is it wrong?": {
         "hard": "verification:Hard",
         "material": "agreement.material:Material",
-        "convergence": "mesh.convergence:Convergence",
-        "locking": "mesh.locking:Locking",
+        "mesh": "mesh.study:MeshError",
         "face-benchmark": "mesh.face:FaceBenchmark",
         "shapes": "heads.shapes:Shapes",
     },
