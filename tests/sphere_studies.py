@@ -12,6 +12,7 @@ from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.heads.shapes import Shapes
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
@@ -22,8 +23,8 @@ from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.benchmarks.studies.surrogate.dial import Dial
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions
+from softdeca.surrogate.methods import READY
 
 
 class Sphere(Person):
@@ -75,7 +76,7 @@ class SphereThroughput(OfSphere, Throughput):
 class SphereWorkPrecision(OfSphere, WorkPrecision):
     def tasks(self):
         # No network knows spheres.
-        return [task for task in super().tasks() if "learned" not in task.method]
+        return [task for task in super().tasks() if task.method not in READY]
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "table-1": "surrogate.table_1:Table1",
     },
     "What does each method cost?": {
-        "work-precision": "work_precision.study:WorkPrecision",
+        "work-precision": "arena.work_precision:WorkPrecision",
         "arena": "arena.study:Arena",
         "throughput": "scaling.throughput:Throughput",
         "unknowns": "scaling.unknowns:Unknowns",

@@ -14,6 +14,7 @@ from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.heads.fit import Heads
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
@@ -21,7 +22,6 @@ from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.benchmarks.studies.surrogate.split import Split
 from softdeca.benchmarks.studies.verification import compare_felupe
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
 
 from ..refusals import refused
