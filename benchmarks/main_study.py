@@ -23,13 +23,13 @@ from .harness.report import ReportPart, write_report
 from .harness.runner import Only
 from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
+from .studies.arena.work_precision import FACE, WorkPrecision
 from .studies.cases import WEIGHTS_AND_LOADS, parse_expression
 from .studies.scaling.throughput import ITERATION, Throughput
 from .studies.surrogate.dial import Dial
 from .studies.surrogate.split import Split
 from .studies.surrogate.study import SurrogateOnCorpus
 from .studies.verification import Hard, Verification
-from .studies.work_precision.study import FACE, WorkPrecision
 
 TITLE = "is the fast simulator right, and how far is the network from it?"
 PLAN = PRESETS["study"]
@@ -66,11 +66,9 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Ru
     if learned:
         found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
         found.append((Dial(faces=1, frames=2), ""))
-    # Of the face's energy, and of what has learned it; not of ARAP's.
-    timed = "the face's energy" if learned else FACE
     found += [
         (Throughput(identities=whose), ITERATION),
-        (WorkPrecision(identities=whose, expressions=("jawOpen",)), timed),
+        (WorkPrecision(identities=whose, expressions=("jawOpen",)), FACE),
     ]
     return [RunRequest(study, out / study.name, match) for study, match in found]
 

@@ -11,10 +11,10 @@ from conftest import layered_sphere, with_regions
 from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.heads.shapes import Shapes
-from softdeca.benchmarks.studies.mesh.convergence import Convergence
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
-from softdeca.benchmarks.studies.mesh.locking import Locking
+from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
@@ -22,9 +22,9 @@ from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.benchmarks.studies.surrogate.dial import Dial
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions
 from softdeca.reference import Face
+from softdeca.surrogate.methods import READY
 
 
 class Sphere(Person):
@@ -61,11 +61,6 @@ class SphereUnknowns(OfSphere, Unknowns):
 
 
 @dataclass(frozen=True)
-class SphereConvergence(OfSphere, Convergence):
-    pass
-
-
-@dataclass(frozen=True)
 class SphereMinimal(OfSphere, Minimal):
     # A sphere has no flesh that hangs.
     needed = 0.0
@@ -84,7 +79,7 @@ class SphereThroughput(OfSphere, Throughput):
 class SphereWorkPrecision(OfSphere, WorkPrecision):
     def tasks(self):
         # No network knows spheres.
-        return [task for task in super().tasks() if "learned" not in task.method]
+        return [task for task in super().tasks() if task.method not in READY]
 
 
 @dataclass(frozen=True)
@@ -106,7 +101,7 @@ class SphereMixed(OfSphere, Mixed):
 
 
 @dataclass(frozen=True)
-class SphereLocking(OfSphere, Locking):
+class SphereMeshError(OfSphere, MeshError):
     def mean_person(self, level):
         return sphere(1)
 

@@ -35,7 +35,7 @@ SHOWN = (*SOLVERS, NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRI
 ACCURACY = 0.01
 """[mm] to which solvers are timed."""
 FACE_ENERGY = "Eq. 15"
-"""In the name of the energy that every method stands for."""
+"""In the name of the energy whose faces every method makes."""
 OVERALL = "all"
 
 
@@ -61,9 +61,8 @@ def collect_points(rows: Rows) -> dict[str, Point]:
     found: dict[str, Point] = {}
     grouped: dict[str, list[Mapping]] = {}
     for row in rows.get("work-precision", ()):
-        energy, label = row.values["energy"], row.values["label"]
-        if FACE_ENERGY in energy or "seconds_to" not in row.values:
-            grouped.setdefault(label, []).append(row.values)
+        if FACE_ENERGY in row.values["law"]:
+            grouped.setdefault(row.values["solver"], []).append(row.values)
     for name, of in grouped.items():
         if (point := _time_method(of)) is not None:
             found[name] = point
@@ -79,17 +78,13 @@ def collect_points(rows: Rows) -> dict[str, Point]:
 
 def _time_method(of: Sequence[Mapping]) -> Point | None:
     """Medians over expressions; None for a solver that one of them does not bring to 0.01 mm."""
-    ready = float(np.median([np.median(values["prepare_s"]) for values in of]))
-    if "mean_mm" in of[0]:
+    ready = float(np.median([np.median(values["set_up_s"]) for values in of]))
+    if "to_hundredth_s" not in of[0]:
         each = float(np.median([np.median(values["solve_s"]) for values in of]))
         return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in of])))
-    reached = []
-    for values in of:
-        late = np.flatnonzero(np.array(values["error_mm"]) > ACCURACY)
-        after = 0 if len(late) == 0 else int(late[-1]) + 1
-        if after == len(values["error_mm"]):
-            return None
-        reached.append(float(values["seconds"][after]))
+    reached = [values["to_hundredth_s"] for values in of]
+    if None in reached:
+        return None
     each = float(np.median(reached))
     return Point(ready + each, each, ACCURACY)
 
@@ -226,9 +221,9 @@ def draw_figure(rows: Rows) -> str:
         axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
         axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)
     for row in rows.get("work-precision", ()):
-        name = row.values["label"]
-        if name in found and name in SOLVERS and FACE_ENERGY in row.values["energy"]:
-            seconds = np.median(row.values["prepare_s"]) + np.array(row.values["seconds"])
+        name = row.values["solver"]
+        if name in found and name in SOLVERS and FACE_ENERGY in row.values["law"]:
+            seconds = np.median(row.values["set_up_s"]) + np.array(row.values["seconds"])
             axis.plot(seconds, row.values["error_mm"], color=METHODS[name].colour, lw=0.8, ls=":")
     errors = [point.error for point in found.values()]
     if dial := _collect_dial(rows):

@@ -21,8 +21,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
     "Where is it wrong?": {
         "hard": "verification:Hard",
         "material": "agreement.material:Material",
-        "convergence": "mesh.convergence:Convergence",
-        "locking": "mesh.locking:Locking",
+        "mesh": "mesh.study:MeshError",
         "face-benchmark": "mesh.face:FaceBenchmark",
         "shapes": "heads.shapes:Shapes",
     },
@@ -33,7 +32,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "table-1": "surrogate.table_1:Table1",
     },
     "What does each method cost?": {
-        "work-precision": "work_precision.study:WorkPrecision",
+        "work-precision": "arena.work_precision:WorkPrecision",
         "arena": "arena.study:Arena",
         "throughput": "scaling.throughput:Throughput",
         "unknowns": "scaling.unknowns:Unknowns",

@@ -56,6 +56,13 @@ ACCURACY = 0.01
 """[mm], the largest distance of any vertex from the truth that a frame may have."""
 
 
+def find_arrival(errors: Sequence[float], bound: float) -> int | None:
+    """Find the number from which on errors [mm] stay at most `bound` [mm]; None if the last one is above."""
+    above = np.flatnonzero(~(np.asarray(errors) <= bound))
+    first = int(above[-1]) + 1 if above.size else 0
+    return first if first < len(errors) else None
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """Per iteration, the start first: time [s], largest distance of a vertex from the truth [mm], gradient norm [1].
@@ -69,9 +76,7 @@ class Trace:
 
     def iterations_to(self, bound: float) -> int | None:
         """Give the iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
-        above = np.flatnonzero(~(np.asarray(self.error) <= bound))
-        first = int(above[-1]) + 1 if above.size else 0
-        return first if first < len(self.error) else None
+        return find_arrival(self.error, bound)
 
     def seconds_to(self, bound: float) -> float | None:
         """Time [s] from which on the error stays at most `bound` [mm], None if it does not."""

@@ -21,8 +21,8 @@
 # %%
 import numpy as np
 
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.verification import Hard, Verification
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
     Parameters,

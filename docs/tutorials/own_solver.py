@@ -18,16 +18,15 @@
 # %%
 import numpy as np
 
+from softdeca.benchmarks.studies.arena.laws import RIGID
+from softdeca.benchmarks.studies.arena.problems import pull_handles
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.measures import trace_solve
 from softdeca.benchmarks.studies.verification import Hard, Verification
-from softdeca.benchmarks.studies.work_precision.arap import Handles
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
     NotModelledError,
-    Parameters,
     add_file,
-    facial_scene,
     prepare,
     problems,
 )
@@ -80,8 +79,7 @@ space = identities.Anny()
 code, skin = space.sample(np.random.default_rng(0))
 head = fit_head(load_template(level=1), skin)
 shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.3}))[0]
-face = facial_scene(head, Parameters(), shape)
-scene = Handles.of(head, face, shape).scene(face)
+scene = pull_handles(head, shape).scene(RIGID)
 truth = prepare(scene).solve(tolerance=1e-10).positions
 figure, axis = plt.subplots(figsize=(6, 3.2))
 for solver in ("projective", NAME):

@@ -81,7 +81,7 @@ WRONG = [
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("bench agreement --case slimming", "case 'slimming': none of jawOpen"),
-    ("bench convergence --expression grin", "grin"),
+    ("bench mesh --expression grin", "grin"),
     ("bench depth --skull head.npz", "Missing option '--skin'"),
     ("bench depth --skin head.npz", "Missing option '--skull'"),
     ("bench depth --skin none.ply --skull head.npz", "none.ply: no such file"),

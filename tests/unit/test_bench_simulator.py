@@ -2,12 +2,17 @@
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.processes import held_megabytes, peak_megabytes
+from softdeca.benchmarks.studies.arena.contest import ACCURACIES, Lines, run_outside, summarise, summarise_repeats
+from softdeca.benchmarks.studies.arena.laws import RIGID
+from softdeca.benchmarks.studies.arena.problems import pull_handles
+from softdeca.benchmarks.studies.arena.work_precision import FACE, WorkPrecision, measure_lead
 from softdeca.benchmarks.studies.measures import Trace, largest_distance, time_solve, trace_solve, trace_to_itself
 from softdeca.benchmarks.studies.scaling import floor
 from softdeca.benchmarks.studies.scaling.throughput import (
@@ -19,17 +24,8 @@ from softdeca.benchmarks.studies.scaling.throughput import (
     WORKER,
     Throughput,
 )
-from softdeca.benchmarks.studies.work_precision import arap
-from softdeca.benchmarks.studies.work_precision.study import (
-    ACCURACIES,
-    ARAP,
-    FACE,
-    WorkPrecision,
-    find_medians,
-    measure_lead,
-)
 from softdeca.reference import Parameters, facial_scene, prepare, terms
-from softdeca.surrogate.methods import FENICSX, PD
+from softdeca.surrogate.methods import FENICSX, PD, PD_PLAIN
 
 
 @pytest.fixture(scope="module")
@@ -64,52 +60,53 @@ def test_a_solve_seen_from_its_end_is_seen_from_the_truth(sphere_head, targets):
     assert min(cost[f"{part}_s"] for part in ("scene", "prepare", "solve", "cpu")) > 0
 
 
-def curve(label: str, energy: str, prepare_s: float, seconds: float | None) -> Row:
+def curve(label: str, energy: str, set_up_s: float, seconds: float | None) -> Row:
     times = [None if seconds is None else seconds * (1 + k) for k in range(len(ACCURACIES))]
-    values = {"energy": energy, "label": label, "prepare_s": [prepare_s], "seconds_to": times, "steps_to": times}
-    values |= {"to_pd_mm": 1e-7, "solve_s": [1.0]}
-    return Row("a", f"{label}; {energy}", "done", "", values, 1.0, None, 0.0, "")
+    values = {"law": energy, "solver": label, "setting": "default", "start": "from rest", "set_up_s": [set_up_s]}
+    values |= {"seconds_to": times, "max_mm": 1e-7, "solve_s": [1.0]}
+    return Row(f"a, {energy}", label, "done", "", values, 1.0, None, 0.0, "")
 
 
 def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
-    assert ACCURACIES[0] == 1.0 and ACCURACIES[-1] == 1e-6 and 0.1 in ACCURACIES
-    rows = find_medians([curve(PD, FACE, 1.0, 1.0), curve(FENICSX, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)])
-    # Prepared: 1 to 1.5 at each; with preparation (1 + k + 1) / 1.5 (k + 1), worst at 0.1 mm, where k = 2.
-    assert ACCURACIES[2] == 0.1
-    assert measure_lead(rows, FACE, FENICSX, prepared=True) == (pytest.approx(1 / 1.5), [])
-    assert measure_lead(rows, FACE, FENICSX) == (pytest.approx(4 / 4.5), [])
-    assert measure_lead(rows, FACE, "slow") == (0.0, []) and measure_lead(rows, ARAP, FENICSX) == (None, [])
+    assert ACCURACIES[0] == 1.0 and ACCURACIES[1] == 0.1 and ACCURACIES[-1] == 1e-6
+    rows = [curve(PD, FACE, 1.0, 1.0), curve(FENICSX, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)]
+    # Prepared: 1 to 1.5 at each; with preparation (1 + k + 1) / 1.5 (k + 1), worst at 0.1 mm, where k = 1.
+    assert measure_lead(rows, FENICSX, prepared=True) == pytest.approx(1 / 1.5)
+    assert measure_lead(rows, FENICSX, prepared=False) == pytest.approx(3 / 3.0)
+    assert measure_lead(rows, "slow", prepared=False) == 0.0 and measure_lead(rows, PD_PLAIN, prepared=True) is None
+    # The worst of two expressions counts.
+    slower = [replace(curve(PD, FACE, 0.0, 3.0), case="b"), replace(curve(FENICSX, FACE, 0.0, 1.5), case="b")]
+    assert measure_lead([*rows, *slower], FENICSX, prepared=True) == pytest.approx(2.0)
     behind = [curve(PD, FACE, 0.0, None), curve(FENICSX, FACE, 0.0, 1.0)]
-    worst, where = measure_lead(find_medians(behind), FACE, FENICSX)
-    assert worst == np.inf and where == list(ACCURACIES[2:])
     with_preparation, prepared, agreement = WorkPrecision().gates(behind)
     assert (with_preparation["value"], with_preparation["passed"], prepared["answer"]) == (None, False, False)
     assert agreement["passed"] and agreement["answer"]
-    behind[1].values["to_pd_mm"] = 0.02
+    behind[1].values["max_mm"] = 0.02
     assert not WorkPrecision().gates(behind)[-1]["passed"]
 
 
-def test_medians_are_missing_where_an_expression_did_not_come_so_far():
-    two = [curve(PD, FACE, 1.0, 1.0), curve(PD, FACE, 3.0, None)]
-    assert find_medians(two)[FACE, PD][0] == [None] * len(ACCURACIES)
-    three = [curve(PD, FACE, 1.0, 1.0), curve(PD, FACE, 3.0, 3.0), curve(PD, FACE, 2.0, 2.0)]
-    seconds, _, ready = find_medians(three)[FACE, PD]
-    assert seconds[0] == 2.0 and ready == 2.0
+def test_times_are_those_of_the_run_in_the_middle():
+    def lines(seconds):
+        see = [{"cpu_s": seconds * k, "wall_s": 0.0, "work": k, "own": [0.0, 10.0**-k]} for k in range(4)]
+        return Lines([{"phase": "set-up", "cpu_s": 0.1 * seconds}, *see])
+
+    found = summarise_repeats([lines(3.0), lines(1.0), lines(2.0)])
+    assert found["solve_s"] == [9.0, 3.0, 6.0] and found["repeats"] == 3 and found["iterations"] == 3
+    assert found["seconds_to"][:4] == [0.0, 2.0, 4.0, 6.0] and found["work_to"][:4] == [0, 1, 2, 3]
+    assert found["seconds_to"][4:] == [None] * 3 and found["to_hundredth_s"] == 4.0
 
 
 def test_libigl_and_we_minimise_the_same_energy(sphere_head, targets):
     pytest.importorskip("igl")
-    face = facial_scene(sphere_head, Parameters(), targets)
-    handles = arap.Handles.of(sphere_head, face, targets)
-    held, _ = face.dirichlet()
-    assert set(np.flatnonzero(held.all(axis=1))) < set(handles.vertices)
-    scene = handles.scene(face)
+    problem = pull_handles(sphere_head, targets)
+    held, _ = facial_scene(sphere_head, Parameters(), targets).dirichlet()
+    assert set(np.flatnonzero(held.all(axis=1))) < set(problem.held)
+    scene = problem.scene(RIGID)
     assert [type(term) for term in scene.terms] == [terms.Strain, terms.Fixed]
     truth = prepare(scene).solve(tolerance=1e-10).positions
-    answer, _, trace, own = arap.solve_by_igl(scene, handles, truth)
+    found = summarise(run_outside("libigl_arap", problem.arrays(), {"own": truth}, {}, 2.0))
     moved = largest_distance(truth, scene.vertices)
-    assert moved > 1.0 and largest_distance(answer, truth) < 2e-3 * moved
-    assert own[-1] == 0.0 and len(own) == len(trace.error) and trace.error[-1] < 0.01 * trace.error[0]
+    assert moved > 1.0 and found["max_mm"] < 2e-3 * moved and found["max_mm"] < 0.01 * found["first_mm"]
 
 
 def test_bytes_of_a_factor_are_those_of_a_dense_one(sphere_head, targets):

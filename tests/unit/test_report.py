@@ -90,7 +90,7 @@ def test_a_missed_bound_is_a_line_with_its_numbers(verified, tmp_path):
 def test_no_panel_stands_empty():
     part = read_part(RESULTS / "work-precision.json", load_study)
     for energies, panels in ((("Eq. 15",), 2), (("Eq. 15", "ARAP"), 3), ((), 0)):
-        rows = [row for row in part.results.rows if any(energy in row.values["energy"] for energy in energies)]
+        rows = [row for row in part.results.rows if any(energy in row.values["law"] for energy in energies)]
         drawn = "".join(part.study.pictures(rows).values())
         assert len(re.findall(r'id="axes_\d+"', drawn)) == panels
 

@@ -13,26 +13,31 @@ from softdeca.benchmarks.studies.agreement.contact import Contact
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.heads.fit import Heads
-from softdeca.benchmarks.studies.mesh.convergence import Convergence
-from softdeca.benchmarks.studies.mesh.locking import Locking
+from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.benchmarks.studies.surrogate.split import Split
 from softdeca.benchmarks.studies.verification import compare_felupe
-from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
 
 from ..refusals import refused
 
 CHEAP = {
     "SphereUnknowns": {"up_to": 50_000},
-    "SphereConvergence": {"level": 1, "expressions": ("jawOpen",)},
+    "SphereMeshError": {
+        "level": 1,
+        "expressions": ("jawOpen",),
+        "poisson": ("0.45", "0.499"),
+        "finer": (),
+        "free": ("0.45",),
+        "size": 20.0,
+    },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
     "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
-    "SphereLocking": {"level": 1, "poisson": ("0.45", "0.499"), "finer": (), "free": ("0.45",), "size": 20.0},
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
     "SphereDial": {"faces": 1, "frames": 1},
@@ -81,7 +86,6 @@ WRONG = [
     (Agreement, {"seed": -1}, "seed"),
     (Agreement, {"identities": "nobody"}, "'nobody'"),
     (Contact, {"poses": ("kiss",)}, "unknown pose 'kiss'"),
-    (Convergence, {"expressions": ()}, "none"),
     (Dynamics, {"level": 4}, "level: there are 1, 2"),
     (Dynamics, {"frames": 3}, "at least 8"),
     (Dynamics, {"seed": -1}, "seed"),
@@ -90,11 +94,11 @@ WRONG = [
     (Heads, {"seed": -1}, "seed"),
     (Heads, {"sigma": float("nan")}, "sigma"),
     (Heads, {"sigma": 11.0}, "sigma"),
-    (Locking, {"poisson": ("0.5",)}, "Poisson's ratio '0.5': expected a number between 0 and 0.4999"),
-    (Locking, {"finer": ("soft",)}, "Poisson's ratio 'soft'"),
-    (Locking, {"free": ("-1",)}, "Poisson's ratio '-1'"),
-    (Locking, {"size": 0.0}, "size: expected a length above 0 mm"),
-    (Locking, {"expression": "grin"}, "grin"),
+    (MeshError, {"poisson": ("0.5",)}, "Poisson's ratio '0.5': expected a number between 0 and 0.4999"),
+    (MeshError, {"finer": ("soft",)}, "Poisson's ratio 'soft'"),
+    (MeshError, {"free": ("-1",)}, "Poisson's ratio '-1'"),
+    (MeshError, {"size": 0.0}, "size: expected a length above 0 mm"),
+    (MeshError, {"expressions": ("grin",)}, "grin"),
     (Material, {"poisson": ("0.5",)}, "0.5"),
     (Material, {"poisson": ("much",)}, "much"),
     (Material, {"modes": ("torsion",)}, "torsion"),

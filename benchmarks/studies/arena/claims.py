@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ....surrogate.methods import FENICSX, LIBIGL_ARAP, PD, PD_ANDERSON, PD_ARAP, PD_PLAIN
 from ...harness.study import Row, Values
-from .contest import ACCURACIES
+from .contest import ACCURACIES, ANSWER, HUNDREDTH, ONE, REST, TENTH, THOUSANDTH
 
 Judged = tuple["Claim", str, str]
 """A claim, its verdict and its figures."""
@@ -41,33 +43,43 @@ def judge_all(rows: Sequence[Row]) -> list[Judged]:
     return [(claim, *claim.judge(rows)) for claim in CLAIMS]
 
 
-def find_time(row: Row, index: int) -> float | None:
-    """Give set-up and solve [s] to the accuracy of that number; None where it was not reached."""
+def find_time(row: Row, index: int, *, prepared: bool = False) -> float | None:
+    """Give set-up (its median) and solve [s] to the accuracy of that number; None where it was not reached.
+
+    Without set-up where the solver is `prepared`.
+    """
     reached = row.values.get("seconds_to")
-    seconds = reached[index] if reached else None
-    return None if seconds is None else row.values["set_up_s"] + seconds
+    seconds: float | None = reached[index] if reached else None
+    return None if seconds is None else seconds + (0.0 if prepared else float(np.median(row.values["set_up_s"])))
 
 
-def find_best(rows: Sequence[Row], solver: str, index: int, setting: str = "") -> dict[str, float | None]:
+def find_best(
+    rows: Sequence[Row], solver: str, index: int, setting: str = "", *, prepared: bool = False
+) -> dict[str, float | None]:
     """Give the least time [s] of a solver's settings from rest to an accuracy, by problem; None where not reached."""
     best: dict[str, float | None] = {}
     for row in rows:
         values = row.values
-        if values["solver"] != solver or values["start"] != "from rest" or setting not in ("", values["setting"]):
+        if values["solver"] != solver or values["start"] != REST or setting not in ("", values["setting"]):
             continue
-        seconds, known = find_time(row, index), best.get(row.case)
+        seconds, known = find_time(row, index, prepared=prepared), best.get(row.case)
         best[row.case] = seconds if known is None else known if seconds is None else min(known, seconds)
     return best
 
 
-def faster(one: str, other: str, index: int, settings: tuple[str, str] = ("", "")) -> Callable[[Sequence[Row]], Sides]:
+def faster(
+    one: str, other: str, index: int, settings: tuple[str, str] = ("", ""), *, prepared: bool = False
+) -> Callable[[Sequence[Row]], Sides]:
     """Give the time of `one` over that of `other` to an accuracy, by problem; 0 where `other` never arrives.
 
     Problems that begin within the accuracy are left out.
     """
 
     def figures(rows: Sequence[Row]) -> Sides:
-        mine, its = find_best(rows, one, index, settings[0]), find_best(rows, other, index, settings[1])
+        mine, its = (
+            find_best(rows, solver, index, setting, prepared=prepared)
+            for solver, setting in zip((one, other), settings, strict=True)
+        )
         starts: dict[str, float] = {}
         for row in (row for row in rows if row.values["solver"] in (one, other)):
             starts[row.case] = max(starts.get(row.case, 0.0), row.values.get("first_mm", 1e9))
@@ -86,7 +98,7 @@ def faster(one: str, other: str, index: int, settings: tuple[str, str] = ("", ""
 
 
 def ends_within(
-    solver: str, bound: float, key: str = "floor_mm", start: str = "from rest", setting: str = ""
+    solver: str, bound: float, key: str = "floor_mm", start: str = REST, setting: str = ""
 ) -> Callable[[Sequence[Row]], Sides]:
     """Give a row's error [mm] over a bound, of the best setting, by problem."""
 
@@ -118,7 +130,6 @@ def grows(solver: str, index: int, easy: str, hard: str, factor: float) -> Calla
     return figures
 
 
-ONE, TENTH, HUNDREDTH, THOUSANDTH = range(4)
 SOFT, TIGHT = "cube twisted, nu 0.3", "cube twisted, nu 0.4999"
 EVEN, UNEVEN = "cube twisted, nu 0.45", "cube twisted, half 100 times as stiff"
 CLAIMS = (
@@ -167,7 +178,7 @@ CLAIMS = (
     Claim(
         "Vertex block descent keeps still at its answer, within 0.01 mm, by the package's defaults.",
         "follows from the one before",
-        ends_within("Newton VBD", 0.01, "max_mm", "from the answer", "(default)"),
+        ends_within("Newton VBD", 0.01, "max_mm", ANSWER, "(default)"),
         "distance over 0.01 mm",
     ),
     Claim(

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,34 @@ import numpy as np
 import platformdirs
 
 from ....lhm.base.errors import MissingDependencyError, SoftdecaError
-from ....lhm.base.mesh import Floats
-from ....reference import prepare
+from ....lhm.base.mesh import Floats, Ints
+from ....reference import Scene, prepare
 from ....reference.added import NotModelledError
-from .problems import Problem
+from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_ARAP, PD_PLAIN, SKFEM
+from ..measures import find_arrival
+from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
 from .solvers.protocol import ArenaProblem, Clock
 
-ACCURACIES = (1.0, 0.1, 0.01, 0.001)
-"""[mm] of the largest error on the skin."""
-POINTS = 40
-"""Of a curve that are kept at most, evenly in the logarithm of the time."""
+ACCURACIES = tuple(float(f"1e-{power}") for power in range(7))
+"""[mm] of the largest error."""
+ONE, TENTH, HUNDREDTH, THOUSANDTH = range(4)
+POINTS = 60
+"""Of a curve that are kept at most, evenly in the logarithm of their number."""
+BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
+"""[s] of processor time of a solve, up to so many tets."""
+REST, ANSWER = "from rest", "from the answer"
+OWN_SETTING = "default"
+OWN: Mapping[str, tuple[str, dict[str, str]]] = {
+    FENICSX: (NEO_HOOKEAN, {"solver": "fenicsx"}),
+    FENICSX_P2: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
+    FENICSX_P2P1: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
+    SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
+    PD: (PROJECTIVE, {"method": "lbfgs"}),
+    PD_ANDERSON: (PROJECTIVE, {"method": "anderson"}),
+    PD_PLAIN: (PROJECTIVE, {"method": "plain"}),
+    PD_ARAP: (RIGID, {"method": "lbfgs"}),
+}
+"""Our solvers: law, and the options of `prepare`."""
 SET_UP_LIMIT = 240
 """[s] of processor time that imports, set-up and compilation may take together, beside twice the budget."""
 GRACE = 6.0
@@ -63,8 +81,8 @@ def run_outside(
 ) -> Lines:
     """Run a solver's file (a name in `solvers`, or a path) in a process of its own, on one thread.
 
-    answers: "own" and "neo" [mm], (n, 3); budget: processor time [s] of the solve. The process is ended where it takes
-    twice that beside its set-up's limit.
+    answers: "own", and "neo" where it is compared, [mm], (n, 3); budget: processor time [s] of the solve. The process
+    is ended where it takes twice that beside its set-up's limit.
     """
     limit = int(2 * budget + SET_UP_LIMIT)
     with tempfile.TemporaryDirectory() as folder:
@@ -112,17 +130,22 @@ def _processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def run_own(
-    problem: Problem, law: str, start: Floats | None, answers: Mapping[str, Floats], budget: float, **how: Any
-) -> Lines:
-    """Run a solver of `softdeca.reference.prepare` by its options `how`, in this process.
-
-    It is prepared twice: what the first time takes more is compilation.
-    """
-    scene, out = problem.scene(law), io.StringIO()
-    clock = Clock(problem.arrays(start), answers, budget, out)
+def compile_own(scene: Scene, **how: Any) -> float:
+    """Prepare one of our solvers and iterate once: processor time [s] of it with what a process compiles once."""
+    begin = time.process_time()
     prepare(scene, **how).solve(max_iterations=1)
-    clock.end("compilation")
+    return time.process_time() - begin
+
+
+def run_own(
+    scene: Scene, skin: Ints, answers: Mapping[str, Floats], budget: float, *, start: Floats | None = None, **how: Any
+) -> Lines:
+    """Run a solver of `softdeca.reference.prepare` by its options `how`, in this process; see `run_outside`.
+
+    Errors are of the vertices `skin`; start: positions [mm], (n, 3), by default rest.
+    """
+    out = io.StringIO()
+    clock = Clock(scene.vertices if start is None else start, skin, answers, budget, out)
     prepared = prepare(scene, **how)
     clock.end("set-up")
 
@@ -131,8 +154,14 @@ def run_own(
 
     solution = prepared.solve(start=start, tolerance=1e-10, on_iteration=see)
     clock.see(solution.positions, solution.iterations)
-    return Lines([json.loads(line) for line in out.getvalue().splitlines()], "" if solution.converged else
-                 f"{solution.reason.name.lower()}")  # fmt: skip
+    lines = [json.loads(line) for line in out.getvalue().splitlines()]
+    ended = "" if solution.converged else solution.reason.name.lower()
+    return Lines([*lines, {"linear_iterations": solution.detail.get("linear_iterations")}], ended)
+
+
+def find_budget(tets: int) -> float:
+    """Find the budget [s] of a solve of so many linear tets."""
+    return next(seconds for most, seconds in BUDGETS if tets <= most)
 
 
 def check(lines: Lines, title: str, pins: Sequence[str]) -> None:
@@ -147,7 +176,7 @@ def check(lines: Lines, title: str, pins: Sequence[str]) -> None:
 
 
 def summarise(lines: Lines) -> dict[str, Any]:
-    """Give a row's values: phases, times to accuracies, the error at the end and the curve."""
+    """Give a row's values: phases, time and work to accuracies, the error at the end and the curve."""
     phases = {line["phase"]: line["cpu_s"] for line in lines.lines if "phase" in line}
     trace = [line for line in lines.lines if "own" in line]
     values: dict[str, Any] = {
@@ -159,32 +188,42 @@ def summarise(lines: Lines) -> dict[str, Any]:
         "versions": ", ".join(f"{name} {number}" for name, number in lines.find("versions", {}).items()),
     }
     if not trace:
-        return values | {"error_mm": [], "seconds": [], "max_mm": None, "mean_mm": None}
+        empty: dict[str, Any] = dict.fromkeys(("max_mm", "mean_mm", "to_tenth_s", "to_hundredth_s"))
+        return values | empty | {"error_mm": [], "seconds": [], "work": []}
     seconds, largest = [line["cpu_s"] for line in trace], [line["own"][1] for line in trace]
-    kept = _thin(seconds)
+    work = [line["work"] for line in trace]
+    arrivals = [find_arrival(largest, accuracy) for accuracy in ACCURACIES]
+    reached = [None if k is None else seconds[k] for k in arrivals]
+    kept = _thin(len(trace))
     return values | {
         "solve_s": seconds[-1],
         "wall_s": trace[-1]["wall_s"],
-        "work": trace[-1]["work"],
+        "iterations": work[-1],
+        "linear_iterations": lines.find("linear_iterations"),
         "first_mm": largest[0],
         "mean_mm": trace[-1]["own"][0],
         "max_mm": largest[-1],
         "floor_mm": min(largest),
-        "neo_max_mm": trace[-1]["neo"][1],
-        "seconds_to": [seconds_to(seconds, largest, accuracy) for accuracy in ACCURACIES],
+        **({"neo_max_mm": trace[-1]["neo"][1]} if "neo" in trace[-1] else {}),
+        "to_tenth_s": reached[TENTH],
+        "to_hundredth_s": reached[HUNDREDTH],
+        "seconds_to": reached,
+        "work_to": [None if k is None else work[k] for k in arrivals],
         "seconds": [seconds[k] for k in kept],
+        "work": [work[k] for k in kept],
         "error_mm": [largest[k] for k in kept],
     }
 
 
-def seconds_to(seconds: Sequence[float], errors: Sequence[float], accuracy: float) -> float | None:
-    """Give the time [s] from which on the error stays at most an accuracy [mm]; None if it does not."""
-    above = [k for k, error in enumerate(errors) if not error <= accuracy]
-    first = above[-1] + 1 if above else 0
-    return seconds[first] if first < len(seconds) else None
+def summarise_repeats(runs: Sequence[Lines]) -> dict[str, Any]:
+    """Give the values of the run that solves in the median time, with all times of set-up and solve [s]."""
+    each = [summarise(run) for run in runs]
+    middle = sorted(each, key=lambda values: values["solve_s"])[len(each) // 2]
+    times = {key: [values[key] for values in each] for key in ("set_up_s", "solve_s")}
+    return {**middle, **times, "repeats": len(each)}
 
 
-def _thin(seconds: Sequence[float]) -> Iterable[int]:
-    """Choose points of a curve: the first, the last, and some evenly in the logarithm of time."""
-    grid = np.geomspace(max(seconds[-1] * 1e-3, 1e-4), max(seconds[-1], 1e-3), POINTS)
-    return sorted({0, len(seconds) - 1, *np.minimum(np.searchsorted(seconds, grid), len(seconds) - 1).tolist()})
+def _thin(count: int) -> Sequence[int]:
+    """Choose points of a curve of so many: the first, the last, and some evenly in the logarithm of their number."""
+    chosen: list[int] = (np.unique(np.geomspace(1, count, POINTS).round().astype(int)) - 1).tolist()
+    return chosen

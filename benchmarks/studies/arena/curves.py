@@ -1,12 +1,16 @@
-"""Error over processor time, a panel per problem and a line per solver and setting."""
+"""Error over processor time or work, a panel per problem and a line per solver and setting."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
 
 from ....animation.plots import subplots
 from ....surrogate.methods import get_method
+from .contest import REST
 
 FLOOR, TOP = 1e-9, 100.0
 """[mm] below and above which nothing is drawn."""
@@ -26,35 +30,65 @@ COLOURS = {
 """By solver of another package; others are black."""
 
 
-def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
-    """Draw largest errors [mm] over set-up and solve [s], of cases and values; a solver's first setting is full."""
-    cases = list(dict.fromkeys(case for case, _ in rows))
-    deep = -(-len(cases) // WIDE)
-    figure, axes = subplots(deep, WIDE, figsize=(13, 3.8 * deep + 0.8), squeeze=False)
+Over = Literal["seconds", "work"]
+TITLES: Mapping[Over, str] = {"seconds": "set-up and solve [s] of a processor", "work": "iterations"}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The values of rows under a title, over set-up and solve [s] or over work."""
+
+    title: str
+    rows: Sequence[Mapping[str, Any]]
+    over: Over = "seconds"
+
+    @classmethod
+    def by_case(cls, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Panel]:
+        """Make a panel of each case, of cases and values."""
+        return [cls(case, [values for of, values in rows if of == case]) for case in dict.fromkeys(c for c, _ in rows)]
+
+
+def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR, wide: int = WIDE):
+    """Draw largest errors [mm] of solves from rest, none below `floor`; settings after a solver's first are dotted.
+
+    A rig, which has one error, is a filled mark at a frame's seconds, and a hollow one with the bind.
+    """
+    wide = min(wide, len(panels))
+    deep = -(-len(panels) // wide)
+    figure, axes = subplots(deep, wide, figsize=(13 / 3 * wide, 3.8 * deep + 0.8), squeeze=False)
     labels: dict[str, Any] = {}
-    for axis, case in zip(axes.ravel(), cases, strict=False):
-        firsts: set[str] = set()
-        for of, values in rows:
-            if of != case or values["start"] != "from rest" or not values["seconds"]:
+    for axis, panel in zip(axes.ravel(), panels, strict=False):
+        firsts: dict[str, str] = {}
+        for values in panel.rows:
+            if values["start"] != REST or not values[panel.over]:
                 continue
             title = values["solver"]
-            points = [
-                (values["set_up_s"] + seconds, max(error, FLOOR))
-                for seconds, error in zip(values["seconds"], values["error_mm"], strict=True)
-                if error <= TOP
-            ]
-            if not points:
-                continue
-            style = {"lw": 0.8, "ls": ":"} if title in firsts else {"lw": 1.4}
-            marker = "o" if len(points) == 1 else None
-            colour = COLOURS.get(title) or get_method(title).colour
-            (line,) = axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)
-            labels.setdefault(title, line)
-            firsts.add(title)
-        axis.set(xscale="log", yscale="log", title=case, ylim=(FLOOR, TOP), xlabel="processor time [s]")
-    for axis in axes.ravel()[len(cases) :]:
+            dotted = firsts.setdefault(title, values["setting"]) != values["setting"]
+            line = _plot_row(axis, values, panel.over, floor, dotted)
+            if line is not None:
+                labels.setdefault(title, line)
+        axis.set(xscale="log", yscale="log", title=panel.title, ylim=(floor, TOP), xlabel=TITLES[panel.over])
+    for axis in axes.ravel()[len(panels) :]:
         axis.set_axis_off()
     for axis in axes[:, 0]:
-        axis.set_ylabel("largest error on the skin [mm]")
+        axis.set_ylabel("largest error [mm]")
     figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncol=5, frameon=False)
     return figure
+
+
+def _plot_row(axis, values: Mapping[str, Any], over: Over, floor: float, dotted: bool):
+    """One solver's line or a rig's marks, for the legend; None where all errors are above TOP."""
+    title, ready = values["solver"], float(np.median(values["set_up_s"])) if over == "seconds" else 0.0
+    colour = COLOURS.get(title) or get_method(title).colour
+    if "seconds_to" not in values:
+        (frame,), (error,) = values["seconds"], values["error_mm"]
+        axis.plot([frame, ready + frame], [error, error], color=colour, lw=0.5, ls=":")
+        axis.plot(ready + frame, error, "o", color=colour, mfc="none")
+        return axis.plot(frame, error, "o", color=colour)[0]
+    curve = zip(values[over], values["error_mm"], strict=True)
+    points = [(ready + x, max(error, floor)) for x, error in curve if error <= TOP]
+    if not points:
+        return None
+    style = {"lw": 0.8, "ls": ":"} if dotted else {"lw": 1.4}
+    marker = "o" if len(points) == 1 else None
+    return axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)[0]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats, Ints
-from ....lhm.head.head import FREE, MANDIBLE
+from ....lhm.head.head import FREE, MANDIBLE, LayeredHead
 from ....reference import Parameters, Scene, facial_scene, materials, push_cheek_scene, terms
 from ....reference.face.facial import TISSUE_DENSITY
 from ....reference.problems.meshes import block, box, triangles_at, vertices_at
@@ -29,6 +29,8 @@ FLESH_YOUNG, FLESH_POISSON = 15.0, 0.45
 """[kPa] and 1."""
 EXPRESSION = "jawOpen*0.5+mouthSmileLeft*0.7+mouthSmileRight*0.7"
 SEEDS = 5
+EVERY = 16
+"""Of the skin wrap's vertices, one in so many is a handle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +178,21 @@ def face(level: int, membrane: bool = True) -> Problem:
     mu, lmbda = strain.stiffness / 2.0 * full, volume.stiffness / 3.0 * full
     skin = np.arange(len(of.head.bone))
     return Problem(scene.vertices, scene.tets, bones.vertices, bones.values, pulls, mu, lmbda, skin)
+
+
+def pull_handles(head: LayeredHead, targets: Floats) -> Problem:
+    """Make a head's tets held by handles: what a facial scene holds, and every 16th vertex of the skin wrap.
+
+    The latter go where an expression's skin [mm], (n, 3), draws them, as markers of motion capture do.
+    """
+    scene = facial_scene(head, Parameters(), targets)
+    held, places = scene.dirichlet()
+    marks = np.arange(0, len(head.bone), EVERY)
+    places[marks] = head.wrap_targets(targets)[marks]
+    handles = np.union1d(np.flatnonzero(held.all(axis=1)), marks)
+    mu, lmbda = np.ones(len(scene.tets)), np.zeros(len(scene.tets))
+    vertices = np.arange(len(scene.vertices))
+    return Problem(scene.vertices, scene.tets, handles, places[handles], [], mu, lmbda, vertices)
 
 
 @dataclass(frozen=True)

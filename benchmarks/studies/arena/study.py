@@ -13,38 +13,36 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference.added import NotModelledError, added_solvers
-from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_ARAP, PD_PLAIN, SKFEM
+from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, SKFEM
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from . import problems
 from .claims import judge_all
-from .contest import ACCURACIES, check, run_outside, run_own, summarise
-from .curves import plot_curves
-from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
+from .contest import (
+    ACCURACIES,
+    ANSWER,
+    HUNDREDTH,
+    OWN,
+    OWN_SETTING,
+    REST,
+    check,
+    compile_own,
+    find_budget,
+    run_outside,
+    run_own,
+    summarise,
+)
+from .curves import Panel, plot_curves
+from .laws import NEO_HOOKEAN
 from .problems import LINEAR, SEEDS
 from .solvers import NAMES
 from .solvers.__main__ import load
 from .solvers.protocol import SolverFile
-from .summaries import tabulate_series, tabulate_spread
+from .summaries import tabulate_series, tabulate_spread, tabulate_times
 
-REST, ANSWER = "from rest", "from the answer"
-OWN_SETTING = "default"
-OWN: Mapping[str, tuple[str, dict[str, str]]] = {
-    FENICSX: (NEO_HOOKEAN, {"solver": "fenicsx"}),
-    FENICSX_P2: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
-    FENICSX_P2P1: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
-    SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
-    PD: (PROJECTIVE, {"method": "lbfgs"}),
-    PD_ANDERSON: (PROJECTIVE, {"method": "anderson"}),
-    PD_PLAIN: (PROJECTIVE, {"method": "plain"}),
-    PD_ARAP: (RIGID, {"method": "lbfgs"}),
-}
-"""Our solvers: law, and the options of `prepare`."""
 ARRIVING = (FENICSX, SKFEM, PD, PD_ANDERSON, "FElupe")
 """Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
 QUICK_BUDGET = 1.0
 """[s] of a solve."""
-BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
-"""[s] of a solve of the whole study, up to so many tets."""
 QUADRATIC_AS = 8
 """Linear tets that a quadratic one counts for: those with its nodes."""
 
@@ -69,6 +67,7 @@ class Arena(Study):
         Column("to_hundredth_s", "to 0.01 mm [s]", cost=True),
         Column("mean_mm", "end, mean [mm]"),
         Column("max_mm", "end, max [mm]"),
+        Column("peak_mb", "peak [MB]", cost=True),
         Column("ended", "ended early"),
     )
     note = (
@@ -128,23 +127,24 @@ class Arena(Study):
             raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = answers["own"] if start == ANSWER else None
         size = len(problem.tets) * (1 if element == LINEAR else QUADRATIC_AS)
-        whole = next(seconds for most, seconds in BUDGETS if size <= most)
-        budget = self.budget or (whole if self.whole else QUICK_BUDGET)
+        budget = self.budget or (find_budget(size) if self.whole else QUICK_BUDGET)
         if title in files:
             file = files[title]
             name = next(name for name, other in self._named().items() if other is file)
             lines = run_outside(name, problem.arrays(begin), answers, file.SETTINGS[setting], budget)
             check(lines, title, file.PACKAGES)
             about = {"law": file.LAW or "its own, not given to FEniCSx", "dtype": file.DTYPE}
+            values = summarise(lines)
         else:
-            lines = run_own(problem, law, begin, answers, budget, **how)
+            scene = problem.scene(law)
+            compiled = compile_own(scene, **how)
+            lines = run_own(scene, problem.skin, answers, budget, start=begin, **how)
             about = {"law": law, "dtype": "float64"}
-        values = {"solver": title, "setting": setting, "start": start, **about, **summarise(lines)}
+            values = summarise(lines) | {"compile_s": compiled}
+        values = {"solver": title, "setting": setting, "start": start, **about, **values}
         values["law_mm"] = _largest(linear, answers["neo"], problem)
         if element != LINEAR:
             values["element_mm"] = _largest(answers["own"], linear, problem)
-        reached = values.get("seconds_to") or [None] * len(ACCURACIES)
-        values["to_tenth_s"], values["to_hundredth_s"] = reached[1], reached[2]
         closed = problem.closed(law)
         if closed is not None:
             values["closed_mm"] = _largest(answers["own"], closed, problem)
@@ -182,25 +182,13 @@ class Arena(Study):
         moved = [
             f"{row.values['solver']} ({row.values['setting']}) {row.values['max_mm']:.2g} mm on {row.case}"
             for row in rows
-            if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[2]
+            if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[HUNDREDTH]
         ]
         words = "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
         return words + (f" Started at the answer, these left it: {', '.join(moved)}." if moved else "")
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate times to accuracies, what starts from the answer do, series of moduli, the spread, and claims."""
-        head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm [s]" for accuracy in ACCURACIES), "peak [MB]"]
-        times = [
-            (
-                row.case,
-                row.values["solver"],
-                row.values["setting"],
-                *(row.values.get("seconds_to") or [None] * len(ACCURACIES)),
-                row.values["peak_mb"],
-            )
-            for row in rows
-            if row.values["start"] == REST
-        ]
         biases = [
             (row.case, row.values["solver"], row.values["setting"], row.values["max_mm"], row.values["solve_s"])
             for row in rows
@@ -210,7 +198,7 @@ class Arena(Study):
             (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(_without_seeds(rows))
         ]  # fmt: skip
         return [
-            Table("Processor time of the solve to an accuracy of the solver's own law", head, times),
+            tabulate_times(rows),
             Table("Where a start from the answer goes",
                   ["problem", "solver", "setting", "from the answer [mm]", "after [s]"], biases),
             tabulate_series(rows),
@@ -220,7 +208,7 @@ class Arena(Study):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
-        figure = plot_curves([(row.case, row.values) for row in _without_seeds(rows)])
+        figure = plot_curves(Panel.by_case([(row.case, row.values) for row in _without_seeds(rows)]))
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
     def _named(self) -> Mapping[str, SolverFile]:

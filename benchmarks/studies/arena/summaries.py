@@ -8,8 +8,8 @@ import numpy as np
 
 from ...harness.study import Row, Table
 from . import problems
-from .claims import HUNDREDTH, TENTH, find_best, find_time
-from .contest import ACCURACIES
+from .claims import find_best, find_time
+from .contest import ACCURACIES, HUNDREDTH, REST, TENTH
 
 SERIES = {
     "nu 0.3": "cube twisted, nu 0.3",
@@ -21,6 +21,27 @@ SERIES = {
     "100 times": "cube twisted, half 100 times as stiff",
 }
 """Problems of one shape by what differs."""
+
+
+def tabulate_times(rows: Sequence[Row]) -> Table:
+    """Tabulate each solver's processor time from rest to the accuracies."""
+    return _tabulate_arrivals(rows, "seconds_to", "Processor time of the solve to an accuracy", " [s]")
+
+
+def tabulate_work(rows: Sequence[Row]) -> Table:
+    """Tabulate each solver's iterations from rest to the accuracies."""
+    return _tabulate_arrivals(rows, "work_to", "Iterations to an accuracy", "")
+
+
+def _tabulate_arrivals(rows: Sequence[Row], key: str, caption: str, unit: str) -> Table:
+    solved = [(row, row.values.get(key) or ()) for row in rows if row.values["start"] == REST]
+    shown = max((len(reached) for _, reached in solved), default=0)
+    lines = [
+        (row.case, row.values["solver"], row.values["setting"], *reached, *[None] * (shown - len(reached)))
+        for row, reached in solved
+    ]
+    head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm{unit}" for accuracy in ACCURACIES[:shown])]
+    return Table(caption, head, lines)
 
 
 def tabulate_series(rows: Sequence[Row]) -> Table:

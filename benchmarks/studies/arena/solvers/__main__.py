@@ -15,6 +15,9 @@ import numpy as np
 
 from .protocol import ArenaProblem, Clock, RefusalError, SpentError
 
+ANSWER = "answer_"
+"""How arrays of a problem's file begin that are answers."""
+
 
 def load(file: str) -> ModuleType:
     """Load a solver's file: one of this folder by its name, or another by its path."""
@@ -43,7 +46,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
     """Run it; lines of JSON in the file at `out_path` say how it went, also where it fails."""
     solver, problem = load(file), ArenaProblem.read(Path(problem_path))
     with np.load(problem_path) as arrays:
-        answers = {name: arrays[f"answer_{name}"] for name in ("own", "neo")}
+        answers = {name.removeprefix(ANSWER): arrays[name] for name in arrays if name.startswith(ANSWER)}
     order = json.loads(Path(settings_path).read_text())
     limit = int(order["limit_s"])
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
@@ -56,7 +59,8 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
             return
         try:
             problem.check_taken(getattr(solver, "TAKES", ()))
-            solver.run(problem, order["settings"], Clock(problem, answers, order["budget_s"], out))
+            clock = Clock(problem.start, problem.skin, answers, order["budget_s"], out)
+            solver.run(problem, order["settings"], clock)
         except RefusalError as refusal:
             out.write(json.dumps({"refused": str(refusal)}) + "\n")
         except SpentError:

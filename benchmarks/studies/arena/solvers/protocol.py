@@ -112,11 +112,13 @@ class Clock:
     line each, as they come: a run that is killed leaves what it had. Measuring and writing do not count.
     """
 
-    def __init__(self, problem: ArenaProblem, answers: Mapping[str, Floats], budget: float, out: TextIO):
-        self._problem, self._answers, self._budget, self._out = problem, answers, budget, out
+    def __init__(
+        self, start: Floats, skin: NDArray[np.int64], answers: Mapping[str, Floats], budget: float, out: TextIO
+    ):
+        self._skin, self._answers, self._budget, self._out = skin, answers, budget, out
         self._begin, self._paused = time.process_time(), 0.0
         self._wall = time.perf_counter()
-        self._mark, self._marked_at, self._looks = problem.start, 0.2, 0
+        self._mark, self._marked_at, self._looks = start, 0.2, 0
 
     def seconds(self) -> float:
         """Give the processor time [s] of the phase so far."""
@@ -140,7 +142,7 @@ class Clock:
             self._write(line | {"error": "positions are not finite"})
             return False
         for name, answer in self._answers.items():
-            away = np.linalg.norm(x - answer, axis=1)[self._problem.skin]
+            away = np.linalg.norm(x - answer, axis=1)[self._skin]
             line[name] = [float(away.mean()), float(away.max())]
         self._write(line)
         moves = True

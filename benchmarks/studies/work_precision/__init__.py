@@ -1,1 +1,0 @@
-"""Error against time, method by method."""
