@@ -3,6 +3,7 @@
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
 from softdeca.benchmarks.studies.arena.work_precision import FACE, WorkPrecision, measure_lead
 from softdeca.benchmarks.studies.measures import Trace, largest_distance, time_solve, trace_solve, trace_to_itself
+from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling import floor
 from softdeca.benchmarks.studies.scaling.throughput import (
     COLD,
@@ -24,8 +26,9 @@ from softdeca.benchmarks.studies.scaling.throughput import (
     WORKER,
     Throughput,
 )
-from softdeca.reference import Parameters, facial_scene, prepare, terms
-from softdeca.surrogate.methods import FENICSX, PD, PD_PLAIN
+from softdeca.lhm.base.errors import InputError
+from softdeca.reference import NotModelledError, Parameters, facial_scene, prepare, terms
+from softdeca.surrogate.methods import FENICSX, METHODS, NETWORK, PD, PD_PLAIN
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +86,20 @@ def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
     assert agreement["passed"] and agreement["answer"]
     behind[1].values["max_mm"] = 0.02
     assert not WorkPrecision().gates(behind)[-1]["passed"]
+
+
+def test_a_rig_that_refuses_a_face_is_left_out(sphere_head, monkeypatch):
+    def refuse(face):
+        raise InputError("none of its people")
+
+    monkeypatch.setitem(METHODS, NETWORK, replace(METHODS[NETWORK], bind=refuse))
+    still = np.zeros((52, *sphere_head.skin.vertices.shape))
+    of = Person(SimpleNamespace(expression_deltas=lambda code: still), np.zeros(3), sphere_head)
+    monkeypatch.setattr(Person, "shape", lambda self, text: self.head.skin.vertices)
+    monkeypatch.setattr(WorkPrecision, "person", lambda self: of)
+    task = next(task for task in WorkPrecision(level=1).tasks() if task.method == NETWORK)
+    with pytest.raises(NotModelledError, match="network: none of its people"):
+        WorkPrecision(level=1).measure(task)
 
 
 def test_times_are_those_of_the_run_in_the_middle():
