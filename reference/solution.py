@@ -248,8 +248,6 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
-    if scene.in_parts:
-        raise InputError(f"{path}: ranks have this scene in parts; its own method write writes them together")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
     if solution.positions.shape != scene.vertices.shape or len(solution.volume_ratio) != len(scene.tets):

@@ -52,8 +52,6 @@ def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}")
-    if scene.in_parts and solver != "fenicsx":
-        raise SceneError(f"solver {solver!r} cannot take a scene that ranks have in parts; solver 'fenicsx' does")
     shipped = solver in SOLVERS
     prepare_it = import_module(f".{solver}", __package__).prepare if shipped else added_solvers()[solver]
     known = tuple(inspect.signature(prepare_it).parameters)[1:]

@@ -16,7 +16,7 @@ from typing import Any
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from .. import materials, ranks
+from .. import materials
 from ..clock import Clock
 from ..march import Motion, Trajectory, march
 from ..materials import Incompressible, NeoHookean
@@ -76,8 +76,6 @@ def prepare(
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {', '.join(names)}")
     if linear_solver == "block" and scene.of(Pressure):
         raise SceneError("solver 'fenicsx': linear_solver 'block' has no use for Pressure, which takes factors")
-    if ranks_for(scene).size > 1:
-        scene = ranks.first(scene)
     return PreparedFenicsx(scene, element, linear_solver, policy)
 
 
@@ -85,9 +83,6 @@ def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
-    for term in scene.terms if scene.in_parts else ():
-        if not term.is_divisible:
-            raise SceneError(f"solver 'fenicsx' cannot model {term.name} of a scene that ranks have in parts")
     check_solids(scene, element)
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
@@ -154,9 +149,6 @@ class PreparedFenicsx:
         first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
-        if self.comm.size > 1:
-            given = None if scene is self.scene else scene
-            scene, start, tolerance, absolute = ranks.first((given, start, tolerance, absolute))
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
         self.scene.check_prepared_for(scene)
@@ -267,8 +259,6 @@ def check_motion(motion: Motion, element: str):
     if element not in ("P1", "P2"):
         raise SceneError(f"march: unknown element {element!r}; there are P1, P2")
     refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
-    if motion.scene.in_parts:
-        raise SceneError("march: ranks have this scene in parts; solver 'fenicsx' marches whole ones")
 
 
 def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = POLICY) -> Trajectory:

@@ -115,7 +115,7 @@ class Problem:
         order, owned = self.numbering, self.numbering.own_corners
         supported = np.zeros(len(scene.vertices), dtype=bool)
         supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
-        if order.divided:
+        if order.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, supported, op=MPI.LOR)
         bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:
