@@ -11,7 +11,7 @@ from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, StrainRule, Target, Term
+from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, Target, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,13 +194,11 @@ def refuse_unknown(
     solver: str,
     known: tuple[type[Term], ...],
     laws: tuple[type[Material], ...] = (),
-    *,
-    rules: tuple[StrainRule, ...] = ("clamp",),
 ):
-    """Raise SceneError for the first term, law of tissue or rule of its strain that a solver cannot model."""
+    """Raise SceneError for the first term or law of tissue that a solver cannot model."""
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
-        if (unmodelled := term.unmodelled(laws, rules)) is not None:
+        if (unmodelled := term.unmodelled(laws)) is not None:
             raise SceneError(f"solver {solver!r} cannot model {unmodelled}")

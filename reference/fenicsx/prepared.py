@@ -136,8 +136,6 @@ class PreparedFenicsx:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
         tolerance: float = 1e-6,
         absolute: float | None = None,
         max_iterations: int | None = None,
@@ -145,19 +143,15 @@ class PreparedFenicsx:
     ) -> Solution:
         """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        A solution that was to be remembered has the displacement of nodes on edges and the pressure to start from. The
-        first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
+        The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
         self.scene.check_prepared_for(scene)
         limits, record = Limits(tolerance, absolute, max_iterations), Record(max_iterations, on_iteration)
-        begin, is_warm = first_positions(scene, start, warm), start is not None or warm is not None
-        before = None if start is not None or warm is None else warm.memory
-        if not (isinstance(before, Attempt) and before.numbering is self._numbering):
-            before = None
-        run = Run(scene, self._numbering, begin, limits, record, before=before, warm=is_warm)
+        begin = first_positions(scene, start)
+        run = Run(scene, self._numbering, begin, limits, record, is_given=start is not None)
         self._problem.set(scene)
         if self._force is not None:
             self._problem.loads = self._problem.loads + self._force
@@ -166,7 +160,7 @@ class PreparedFenicsx:
         self._end = end = self._try_strategies(run)
         answer = NodalAnswer.collect(self._problem, end, self._force)
         recovery = partial(recover, scene, self._numbering.degree, answer)
-        return run.solution(end, self._spent, remember=remember, recovery=recovery)
+        return run.solution(end, self._spent, recovery)
 
     def _try_strategies(self, run: Run) -> Attempt:
         """Try strategies until one ends the search; give the last that found something worth keeping, or the first.
@@ -194,7 +188,8 @@ class PreparedFenicsx:
         elif self._condensed is None:
             strategies = [descent().attempt, follow]
         else:
-            strategies = [follow, descent(self._start_from_linear if self._large and not run.warm else None).attempt]
+            find_start = self._start_from_linear if self._large and not run.is_given else None
+            strategies = [follow, descent(find_start).attempt]
             if self._linear_solver == "block" or (self._large and not scene.of(Traction)):
                 strategies.reverse()
             if not anywhere(self.comm, problem.loads):  # a limit point without dead loads is no reason to stop

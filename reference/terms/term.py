@@ -86,8 +86,8 @@ class Term:
         """Return what stands in its place on the way out of inverted tets; of a volume's stiffness a share is kept."""
         return self
 
-    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
-        """Say what a solver that knows these laws of tissue and rules of strain cannot model of it, if anything."""
+    def unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
+        """Say what a solver that knows these laws of tissue cannot model of it, if anything."""
         return None
 
     def _set(self, **values):

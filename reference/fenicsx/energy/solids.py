@@ -42,10 +42,10 @@ def check_solids(scene: Scene, element: str):
         raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
 
 
-def strain_law(stiffness: Floats, limit: Floats, growth: Floats) -> Law:
-    """stiffness/2 times the squared distance of s to [1/limit, limit] growth^(1/3).
+def strain_law(stiffness: Floats, limit: Floats) -> Law:
+    """stiffness/2 times the squared distance of s to [1/limit, limit].
 
-    All are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
+    Both are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
     """
 
     def by_stretches(s, p):
@@ -56,8 +56,7 @@ def strain_law(stiffness: Floats, limit: Floats, growth: Floats) -> Law:
             psi += p.stiffness / 2 * ufl.conditional(above, value - p.high, below) ** 2
         return psi
 
-    size = np.cbrt(growth)
-    values = {"stiffness": stiffness, "limit": limit, "low": size / limit, "high": size * limit}
+    values = {"stiffness": stiffness, "limit": limit, "low": 1.0 / limit, "high": limit}
     return Law(values, by_stretches=by_stretches)
 
 
@@ -147,7 +146,7 @@ class Solid:
             return np.broadcast_to(values, len(self.cells)).astype(np.float64)
 
         if isinstance(term, Strain):
-            return strain_law(per_cell(term.stiffness), per_cell(term.limit), per_cell(term.growth))
+            return strain_law(per_cell(term.stiffness), per_cell(term.limit))
         if isinstance(term, Volume):
             return VolumeLaw(per_cell(term.stiffness), per_cell(term.target))
         assert isinstance(term, Hyperelastic)
