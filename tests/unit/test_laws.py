@@ -176,32 +176,27 @@ MATERIALS = {
     "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4),
     "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRE, KAPPA),
 }
-SHARE = GROWTH ** (2 / 3)
 NEO_HOOKEAN, COROTATED = MATERIALS["neo-Hookean"], MATERIALS["corotated"]
 FORMS = {
     **{name: forms(law) for name, law in MATERIALS.items()},
     "strain": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.0, 1.0),
+        "by kernel": ByKernel(strain_law, 2.0, 1.0),
         "by hand": ByHand(skfem.Strain, 2.0, 1.0),
     },
     "strain limit": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.1, 1.0),
+        "by kernel": ByKernel(strain_law, 2.0, 1.1),
         "by hand": ByHand(skfem.Strain, 2.0, 1.1),
     },
     "volume": {"by kernel": ByKernel(VolumeLaw, 3.0, 1.0), "by hand": ByHand(skfem.Volume, 3.0, 1.0)},
     "volume grown": {"by kernel": ByKernel(VolumeLaw, 3.0, GROWTH), "by hand": ByHand(skfem.Volume, 3.0, GROWTH)},
-    "strain grown": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.0, GROWTH),
-        "by hand": ByHand(lambda k, g, w: skfem.Grown(skfem.Strain(k, k / k), g, w), 2.0, GROWTH, SHARE),
-    },
     "corotated grown": {
         "by kernel": ByKernel(lambda g: hyperelastic_law(COROTATED, g), GROWTH),
-        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByRotation(COROTATED), g, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByRotation(COROTATED), g), GROWTH),
     },
     "neo-Hookean grown": {
         "by UFL": ByUfl(NEO_HOOKEAN, GROWTH),
         "by kernel": ByKernel(lambda g: hyperelastic_law(NEO_HOOKEAN, g), GROWTH),
-        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByInvariants(NEO_HOOKEAN), g, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByInvariants(NEO_HOOKEAN), g), GROWTH),
     },
 }
 LAWS = {(name, form): law for name, of_name in FORMS.items() for form, law in of_name.items()}
