@@ -1,9 +1,9 @@
 """The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
 
-What differs: names of spaces and of quadrature elements, options of `form`, the type of dofmaps, and how an expression
-is evaluated. A mesh lives on all ranks of its communicator, and all of them make the same calls. `ALL` are those
-that PETSc was begun with: all that mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first
-because its ranks solve each on their own.
+What differs: names of spaces and of quadrature elements, options of `form`, and the type of dofmaps. A mesh lives on
+all ranks of its communicator, and all of them make the same calls. `ALL` are those that PETSc was begun with: all that
+mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first because its ranks solve each on
+their own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -212,15 +212,6 @@ def compile_form(form: ufl.Form):
         return _fem.form(form, **_COMPILER)
 
 
-def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
-    """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with _compiling(communicator(domain)):
-        compiled = _fem.Expression(expression, points, **_COMPILER)
-    first = () if VERSION < (0, 7) else (domain,)
-    shape = (len(points), int(np.prod(expression.ufl_shape)))
-    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), *shape)
-
-
 def cell_measure(domain, cells: Ints) -> ufl.Measure:
     """The volume measure of some cells."""
     entities = np.sort(cells).astype(np.int32)
@@ -236,11 +227,6 @@ def constant(domain, value: float):
 def function(space):
     """A function of a space; its values are `.x.array`."""
     return fem.Function(space)
-
-
-def assemble_scalar(form) -> float:
-    """A rank's part of the value of a functional; not finite where its integrand is not."""
-    return float(fem.assemble_scalar(form))
 
 
 def add_vector(form, into: Floats):

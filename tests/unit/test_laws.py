@@ -17,7 +17,7 @@ pytest.importorskip("dolfinx")
 from softdeca.reference import Scene, materials, prepare, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx.energy.assembly import Stiffness
-from softdeca.reference.fenicsx.energy.hyperelastic import HyperelasticForms, density
+from softdeca.reference.fenicsx.energy.hyperelastic import density
 from softdeca.reference.fenicsx.energy.kernels import Kernel
 from softdeca.reference.fenicsx.energy.solids import VolumeLaw, hyperelastic_law, strain_law
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
@@ -26,6 +26,8 @@ from softdeca.reference.problems import meshes
 from softdeca.reference.projective.terms import lanes
 from softdeca.reference.projective.terms import volumes as projective
 from softdeca.reference.skfem import solids as skfem
+
+from .ufl_forms import HyperelasticForms, evaluator
 
 STEP = 1e-5
 ROOM = 64
@@ -127,8 +129,8 @@ class ByUfl:
         cells = numbering.cell
         self.forms = HyperelasticForms(u, cells, self.material, growth=self.growth)
         psi, F = density(u, cells, self.material, self.growth)
-        self._psi = seam.evaluator(psi, points, numbering.space.mesh)
-        self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
+        self._psi = evaluator(psi, points, numbering.space.mesh)
+        self._stress = evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
         self._numbering, self._u = numbering, u
 
     def set(self, F):

@@ -27,7 +27,7 @@ from .. import dolfinx_version as seam
 from ..dolfinx_version import MPI, PETSc
 from ..energy.assembly import Stiffness, rigid_motions
 from ..energy.bending import Rings
-from ..energy.hyperelastic import HyperelasticForms
+from ..energy.hyperelastic import MixedForms
 from ..energy.loads import FollowerPressure, Springs, dead_loads
 from ..energy.nodal import NodalEnergy
 from ..energy.quadrature import Quadrature
@@ -131,7 +131,7 @@ class Problem:
         return np.flatnonzero((held | self.unsupported[:, None])[: self.numbering.nodes.owned])
 
     @property
-    def mixed_forms(self) -> list[HyperelasticForms]:
+    def mixed_forms(self) -> list[MixedForms]:
         """The forms of laws with a pressure."""
         return self.solids.mixed_forms
 
