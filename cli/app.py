@@ -20,22 +20,13 @@ from .head import head
 from .streams import silence_streams
 from .terminal import INTERRUPTED, end_at_ctrl_c
 
-ROOT = (
-    "mpirun -n 2 softdeca ... shares each FEniCSx solve among two processes. As root, set "
-    "OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1, or Open MPI refuses to start."
-)
 
-SHARED = ("study", "bench", "evaluate")
-"""The commands that solve by FEniCSx, whose solves ranks of mpirun share."""
-
-
-@click.group(context_settings={"show_default": True}, epilog=ROOT)
+@click.group(context_settings={"show_default": True})
 @click.version_option(package_name="softdeca", prog_name="softdeca", message="%(prog)s %(version)s")
-@click.pass_context
-def app(context: click.Context) -> None:
+def app() -> None:
     """A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces."""
-    if ranks.size() > 1 and context.invoked_subcommand not in SHARED:
-        raise InputError(f"softdeca {context.invoked_subcommand}: solves nothing by FEniCSx; run it without mpirun")
+    if ranks.count_started() > 1:
+        raise InputError("mpirun shares the solves of a script, not of a command; run softdeca without it")
 
 
 app.add_command(study.study)
@@ -49,10 +40,7 @@ app.add_command(bench.bench)
 
 
 def main() -> None:
-    """Run the command; an error that a user can act on is one line, not a traceback.
-
-    Under mpirun every rank runs it; rank 0 prints and writes.
-    """
+    """Run the command; an error that a user can act on is one line, not a traceback."""
     with end_at_ctrl_c():
         sys.exit(_run())
 
@@ -60,7 +48,6 @@ def main() -> None:
 def _run() -> int:
     try:
         try:
-            ranks.begin()
             status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
             sys.stdout.flush()
         except BaseException as error:
@@ -97,7 +84,6 @@ def _say(line: str, status: int) -> int:
         print(line, file=sys.stderr, flush=True)
     except OSError:
         silence_streams(2)
-    ranks.leave(status, line)
     return status
 
 

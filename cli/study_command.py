@@ -13,7 +13,6 @@ import click
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import WORKERS
-from ..reference import ranks
 from .options import check_needs, list_given, make_option, option
 from .terminal import show_progress
 from .written_file import FOLDER
@@ -42,8 +41,6 @@ class RunOptions:
         """Run a study, print its rows and gates, and return the exit status."""
         from ..benchmarks.harness import run
 
-        if self.workers is not None and ranks.size() > 1:
-            raise click.UsageError("--workers: every rank of mpirun does all tasks; leave it out")
         with show_progress() as progress:
             results = run(study, folder, only=self.only, workers=self.workers, match=self.match, progress=progress)
         if self.json:

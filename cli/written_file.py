@@ -5,7 +5,6 @@ from pathlib import Path
 import click
 
 from ..lhm.base.files.atomic import check_place
-from ..reference import ranks
 
 
 class WrittenFile(click.Path):
@@ -32,11 +31,11 @@ class WrittenFolder(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value, param, ctx):
-        """Give the path, of ranks above 0 a copy's; InputError where no folder can be."""
+        """Give the path; InputError where no folder can be."""
         super().convert(value, param, ctx)
         path = Path(value)
         check_place(path, folder=True)
-        return ranks.writable(path)
+        return path
 
 
 NPZ, ZIP, PNG, HTML, ANY, FOLDER = (

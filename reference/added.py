@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from ..lhm.base.errors import InputError, SceneError, quote
 from ..lhm.base.mesh import Floats
@@ -73,8 +73,8 @@ def add_file(path: Path | str):
     """Run a Python file, which adds laws (`add_law`), solvers (`add_solver`) or studies; once, if asked twice.
 
     Its classes are those of a module "softdeca_added_" and the file's name, also in processes that a study starts.
-    Raises InputError for a file that is missing, has the name of another one, raises anything itself, ends the process,
-    which would look as if all had been done, or closes its streams.
+    Raises InputError for a file that is missing, has the name of another one, raises anything itself, or closes its
+    streams.
     """
     path = Path(path).resolve()
     name = f"softdeca_added_{path.stem}"
@@ -89,7 +89,7 @@ def add_file(path: Path | str):
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with _keep_process(), _keep_streams():
+        with _keep_streams():
             spec.loader.exec_module(module)
     except BaseException as error:
         sys.modules.pop(name, None)
@@ -97,25 +97,6 @@ def add_file(path: Path | str):
             raise
         raise InputError(f"{path}: {type(error).__name__}: {error}") from error
     _files[name] = path
-
-
-@contextmanager
-def _keep_process() -> Iterator[None]:
-    """Let os._exit raise while a file is run: it would end the process without a word. A fork of it ends here."""
-    ends, own = os._exit, os.getpid()
-
-    def refuse(status: int) -> NoReturn:
-        if os.getpid() != own:
-            ends(status)
-        raise InputError(f"it ends the process (os._exit({status}))")
-
-    os._exit = refuse
-    try:
-        yield
-    finally:
-        os._exit = ends
-        if os.getpid() != own:
-            ends(0)
 
 
 @contextmanager

@@ -24,15 +24,14 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
     """
     for part, motions, free in _free_motions(scene):
         if loads is not None and free.shape[1]:
-            work = scene.together(np.einsum("vck,vc->k", motions @ free, loads[part])[None]).sum(axis=0)
-            size = np.linalg.norm(scene.together(np.array([[np.linalg.norm(loads[part])]])))
-            if np.abs(work).max() <= WORK * max(float(size), 1e-300):
+            work = np.einsum("vck,vc->k", motions @ free, loads[part])
+            if np.abs(work).max() <= WORK * max(float(np.linalg.norm(loads[part])), 1e-300):
                 continue
         if free.shape[1]:
             names = ", ".join(_names(free))
-            which = "" if scene.in_parts else f" of the part with vertex {part[0]}"
             raise SceneError(
-                f"the scene is under-constrained: nothing holds {names}{which}; hold it by Fixed or Target"
+                f"the scene is under-constrained: nothing holds {names} of the part with vertex {part[0]}; hold it by "
+                "Fixed or Target"
             )
 
 
@@ -47,18 +46,15 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
     for term in scene.terms:
         term.hold(scene, held)
     for part in _parts(scene):
-        motions = _motions(scene, scene.vertices[part])
+        motions = _motions(scene.vertices[part])
         rows = np.concatenate([motions[held[part]], np.zeros((6, 6))])
-        triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-        _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
+        _, s, Vt = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=False)
         yield part, motions, Vt[s <= FREE * max(s[0], 1e-300)].T
 
 
 def _parts(scene: Scene) -> list[Ints]:
-    """Gather the vertices that energies and bodies join to parts; a scene that ranks share counts as one."""
+    """Gather the vertices that energies and bodies join to parts."""
     groups = [joined for term in scene.terms if (joined := term.joined(scene)).size]
-    if scene.in_parts:
-        return [np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(group.ravel() for group in groups)]))]
     if not groups:
         return []
     first = np.concatenate([np.repeat(group[:, 0], group.shape[1]) for group in groups])
@@ -69,16 +65,15 @@ def _parts(scene: Scene) -> list[Ints]:
     return [used[label[used] == part] for part in np.unique(label[used])]
 
 
-def _motions(scene: Scene, X: Floats) -> Floats:
+def _motions(X: Floats) -> Floats:
     """Return displacements of three translations and three rotations, of length about 1 each, shape (v, 3, 6)."""
-    *total, count = scene.together(np.array([[*X.sum(axis=0), len(X)]])).sum(axis=0)
-    centred = X - np.array(total) / count
-    centred = centred / max(np.sqrt(scene.together(np.array([[np.sum(centred**2)]])).sum() / count), 1e-300)
+    centred = X - X.mean(axis=0)
+    centred = centred / max(np.sqrt(np.sum(centred**2) / len(X)), 1e-300)
     result = np.zeros((len(X), 3, 6))
     for c in range(3):
         result[:, c, c] = 1.0
         result[:, :, 3 + c] = np.cross(np.eye(3)[c], centred)
-    return result / np.sqrt(count)
+    return result / np.sqrt(len(X))
 
 
 def _names(free: Floats) -> list[str]:

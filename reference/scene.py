@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, StrainRule, Target, Term
+from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, Target, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +30,6 @@ class Scene:
     terms: tuple[Term, ...]
     columns: tuple[Ints, ...] = field(default=(), repr=False, kw_only=True)
     volumes: Floats = field(init=False, repr=False)
-    in_parts: ClassVar[bool] = False
-    """Whether each of several processes has another part of it, as solver "fenicsx" takes it."""
 
     def __post_init__(self):
         try:
@@ -145,21 +142,15 @@ class Scene:
 
     def force_scale(self) -> float:
         """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""
-        total, count = self._unit_force()
-        return total / max(count, 1)
+        return self._unit_force() / max(len(self.vertices), 1)
 
     def rounding(self) -> float:
         """The norm [mN] of a gradient that is rounding, which is independent from vertex to vertex: by their root."""
-        total, count = self._unit_force()
-        return 1e-14 * total / max(count, 1) ** 0.5
+        return 1e-14 * self._unit_force() / max(len(self.vertices), 1) ** 0.5
 
-    def _unit_force(self) -> tuple[float, int]:
-        """What unit strain would cause at all vertices together [mN], and their number."""
-        return sum(term.unit_force(self) for term in self.terms), len(self.vertices)
-
-    def together(self, rows: np.ndarray) -> np.ndarray:
-        """Rows (k, ...) that processes which have the scene in parts give, one after the other; else these alone."""
-        return rows
+    def _unit_force(self) -> float:
+        """What unit strain would cause at all vertices together [mN]."""
+        return sum(term.unit_force(self) for term in self.terms)
 
     def with_targets(self, positions) -> Scene:
         """The same scene with other positions [mm], shape (k, 3), in its one Target term."""
@@ -203,13 +194,11 @@ def refuse_unknown(
     solver: str,
     known: tuple[type[Term], ...],
     laws: tuple[type[Material], ...] = (),
-    *,
-    rules: tuple[StrainRule, ...] = ("clamp",),
 ):
-    """Raise SceneError for the first term, law of tissue or rule of its strain that a solver cannot model."""
+    """Raise SceneError for the first term or law of tissue that a solver cannot model."""
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
-        if (unmodelled := term.unmodelled(laws, rules)) is not None:
+        if (unmodelled := term.unmodelled(laws)) is not None:
             raise SceneError(f"solver {solver!r} cannot model {unmodelled}")

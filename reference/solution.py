@@ -104,8 +104,7 @@ class Solution:
 
     positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
     attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail`
-    holds counts that only one solver has, such as linear iterations; `memory` is what the same prepared scene may start
-    from, if it was to be remembered; `times` is None unless a solver made it. Stresses
+    holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
     [kPa], one per tet, and reactions [mN] are worked out by the same solver when they are first asked for, from its own
     nodes and integration points.
     """
@@ -117,7 +116,6 @@ class Solution:
     history: History
     volume_ratio: Floats
     detail: dict[str, float] = field(default_factory=dict)
-    memory: object = field(default=None, repr=False)
     recovery: Callable[[], Stresses] | None = field(default=None, repr=False)
     times: Times | None = None
 
@@ -224,12 +222,8 @@ class Limits:
         return max(self.tolerance * first if self.absolute is None else self.absolute, scene.rounding())
 
 
-def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
-    """Return where a solve begins [mm], shape (n, 3): a start, a solution's end, or rest; SceneError for another."""
-    if start is not None and warm is not None:
-        raise SceneError("start and warm both say where to begin: give one of them")
-    if start is None and warm is not None:
-        start = warm.positions
+def first_positions(scene: Scene, start: Floats | None) -> Floats:
+    """Return where a solve begins [mm], shape (n, 3): a start, or rest; SceneError for another shape."""
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
     if positions.shape != scene.vertices.shape:
         raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")
@@ -248,8 +242,6 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
-    if scene.in_parts:
-        raise InputError(f"{path}: ranks have this scene in parts; its own method write writes them together")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
     if solution.positions.shape != scene.vertices.shape or len(solution.volume_ratio) != len(scene.tets):

@@ -23,8 +23,6 @@ class Prepared(Protocol):
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
         tolerance: float = 1e-6,
         absolute: float | None = None,
         max_iterations: int | None = None,
@@ -32,10 +30,9 @@ class Prepared(Protocol):
     ) -> Solution:
         """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        start [mm], shape (n, 3), default rest. `warm`, a solution before, takes its place: the solve begins where that
-        ended. With `remember`, the solver's own state (edge nodes, L-BFGS' pairs) carries over, too.
-        tolerance is the gradient norm relative to its start, `absolute` [mN] one that is not: what asks the same
-        wherever a solve starts. Raises SceneError if `scene` needs a new preparation, or any of these is out of range.
+        start [mm], shape (n, 3), default rest. tolerance is the gradient norm relative to its start, `absolute` [mN]
+        one that is not: what asks the same wherever a solve starts. Raises SceneError if `scene` needs a new
+        preparation, or any of these is out of range.
         """
         ...
 
@@ -43,7 +40,7 @@ class Prepared(Protocol):
 def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
     """Do what depends only on mesh and stiffnesses: factorisation, forms, compilation.
 
-    Options of the solvers: projective `method`, `linear_solver`, `like`, `threads`; fenicsx `element`,
+    Options of the solvers: projective `method`; fenicsx `element`,
     `linear_solver`; skfem `element`; each also `policy`, its constants. Raises SceneError for an unknown solver or
     option, or a term that the solver cannot model, and MissingDependencyError if the solver's packages are not
     installed.
@@ -52,8 +49,6 @@ def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}")
-    if scene.in_parts and solver != "fenicsx":
-        raise SceneError(f"solver {solver!r} cannot take a scene that ranks have in parts; solver 'fenicsx' does")
     shipped = solver in SOLVERS
     prepare_it = import_module(f".{solver}", __package__).prepare if shipped else added_solvers()[solver]
     known = tuple(inspect.signature(prepare_it).parameters)[1:]

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...lhm.base.errors import MissingDependencyError, SoftdecaError
-from ...reference import ranks
 
 START = f"from {__name__} import answer; answer()"
+INHERITED = ("OMPI_", "PMIX_", "PMI_", "ORTE_", "PRTE_", "HYDRA_", "HYDI_")
+"""Of an outer MPI, which would make the ranks believe that they belong to it."""
 SETTINGS = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -29,10 +30,8 @@ def run_by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict
 
     The system may move them between processors. What is given and returned travels by pickle.
 
-    Raises MissingDependencyError where there is no mpirun, SoftdecaError where its ranks fail and under mpirun itself.
+    Raises MissingDependencyError where there is no mpirun, SoftdecaError where its ranks fail.
     """
-    if ranks.size() > 1:
-        raise SoftdecaError("this study starts mpirun itself; run it without")
     if shutil.which("mpirun") is None:
         raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
     with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +39,7 @@ def run_by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict
         question.write_bytes(pickle.dumps((work, given)))
         python = [sys.executable, "-c", START, str(question), str(reply)]
         command = ["mpirun", "--bind-to", "none", "--oversubscribe", "-n", str(count), *python]
-        outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
+        outer = {key: value for key, value in os.environ.items() if not key.startswith(INHERITED)}
         done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
         if done.returncode != 0:
             why = strip_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]

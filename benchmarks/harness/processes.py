@@ -18,7 +18,6 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import MissingDependencyError, SoftdecaError, is_interrupt
-from ...reference import ranks
 from ...reference.added import NotModelledError, add_file, added_files
 from ...surrogate.corpus.schedule import without_interrupts
 from .study import Study, Task, Values
@@ -94,15 +93,8 @@ class Outcome:
 def measure_jobs(jobs: Sequence[Job], lanes: int) -> Iterator[Outcome]:
     """Measure each job, by as many processes side by side; they end with the iterator.
 
-    A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose ranks
-    share each solve of FEniCSx, every rank does all.
+    A process goes on with the case that it is at, of which it may have kept something.
     """
-    if ranks.size() > 1:
-        for job in jobs:
-            ended = _measure(job)
-            ranks.check_in_step(f"{job.study.name}: {job.task}, {ended.status}", failed=ended.status == "failed")
-            yield ended
-        return
     waiting = list(jobs)
     running: dict[Future, _Lane] = {}
     idle = [_Lane() for _ in range(max(1, min(lanes, len(jobs))))]

@@ -20,7 +20,6 @@ from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
-from ...reference import ranks
 from ...reference.added import added_files
 from ...surrogate.corpus.schedule import count_processors
 from .page import render_study
@@ -113,12 +112,11 @@ class _Run:
         self._machine = provenance.describe_machine()
         self._store, self._digest = RowStore(self._out, file="rows.jsonl"), _digest(self.study, self._machine)
         names = {field.name for field in fields(Row)}
-        rows = {
+        self._rows: dict[Task, Row] = {
             Task(record["case"], record["method"]): Row(**record)
             for record in self._store.rows()
             if record.get("of") == self._digest and record.keys() == names
         }
-        self._rows: dict[Task, Row] = ranks.first(rows)  # folders of ranks differ, and with them digests
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
         self.left = [task for task in self.tasks if task not in self._rows or self._rows[task].status in again]
 

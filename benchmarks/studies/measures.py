@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Scene, Solution, prepare, ranks, solve, terms
+from ...reference import Scene, Solution, prepare, solve, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
 from ..harness.processes import held_megabytes, peak_megabytes, reset_peak
@@ -197,7 +197,7 @@ def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
     work()
     found: list[Result] = []
     begin = time.perf_counter()
-    while not found or ranks.first(len(found) < repeats and time.perf_counter() - begin < BUDGET):
+    while not found or (len(found) < repeats and time.perf_counter() - begin < BUDGET):
         found.append(work())
     return found
 

@@ -105,5 +105,5 @@ for command, study in (
 # `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it. A law
 # of one's own may have them too.
 #
-# FEniCSx turns `density` into compiled code, derivatives included. A density with functions that this code does not know,
-# such as `ufl.erf`, is assembled by DOLFINx' own forms instead: the same answers, ten times as slowly.
+# FEniCSx turns `density` into compiled code, derivatives included. A density with a function that this code does not know,
+# such as `ufl.erf`, is refused by that name; `FUNCTIONS` of `reference/fenicsx/energy/law_code.py` takes one more in a line.

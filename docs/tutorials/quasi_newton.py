@@ -111,7 +111,7 @@ class Prepared:
     factors: tuple
     spent: Seconds
 
-    def solve(self, scene=None, *, start=None, warm=None, remember=False, tolerance=1e-6, absolute=None,
+    def solve(self, scene=None, *, start=None, tolerance=1e-6, absolute=None,
               max_iterations=None, on_iteration=None):  # fmt: skip
         """See softdeca.reference.Prepared."""
         scene = self.scene if scene is None else scene
@@ -122,7 +122,7 @@ class Prepared:
             Energy(scene),
         )
         held, places = scene.dirichlet()
-        x = np.where(held, places, first_positions(scene, start, warm))
+        x = np.where(held, places, first_positions(scene, start))
         (value, gradient), pairs, count = energy.at(x), [], 0
         gradient[held] = 0
         reason = Reason.CONVERGED if np.isfinite(value) else Reason.NOT_FINITE
@@ -182,11 +182,8 @@ def line_search(energy, x, step, value, gradient, held):
 def prepare(scene: Scene):
     """Factor the Laplacian. Raises SceneError for what this solver cannot model."""
     refuse_unknown(scene, NAME, KNOWN, (NeoHookean,))
-    if any(
-        np.any(term.limit != 1) or np.any(term.growth != 1)
-        for term in scene.of(terms.Strain)
-    ):
-        raise SceneError(f"solver {NAME!r} cannot model Strain with a limit or growth")
+    if any(np.any(term.limit != 1) for term in scene.of(terms.Strain)):
+        raise SceneError(f"solver {NAME!r} cannot model Strain with a limit")
     if any(np.any(term.growth != 1) for term in scene.of(terms.Hyperelastic)):
         raise SceneError(f"solver {NAME!r} cannot model Hyperelastic with growth")
     clock, held = Clock(), scene.dirichlet()[0]

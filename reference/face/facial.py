@@ -21,7 +21,6 @@ from .. import terms
 from ..added import added_laws
 from ..materials import Material, NeoHookean
 from ..scene import Scene
-from ..terms import StrainRule
 from .bones import Bones, carry_wraps, jaw_motion, prescribed_bones, rigid_bones, scale_bone, soft_bones
 from .palsy import Springs
 from .parameters import TETS_PER_PRISM, TISSUE_DENSITY, Parameters, spread_to_tets, spread_to_triangles
@@ -62,7 +61,6 @@ def facial_scene(
     region: str | np.ndarray | None = None,
     contact: Sequence[str | np.ndarray] = (),
     attached: Sequence[Attachment] = (),
-    rule: StrainRule = "clamp",
 ) -> Scene:
     """Build the energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
@@ -74,8 +72,7 @@ def facial_scene(
     skull, no muscle wrap) and "skin" (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices,
     or at a named one, and holds the others where the expression carries them; a head's own volume mesh is taken
     whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart.
-    `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is
-    the soft tissue's beyond its strain limit: see `terms.Strain`.
+    `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are.
     Raises SceneError for targets of another shape or that no expression makes of the skin, by unit, place or order of
     vertices, and for unknown or contradicting choices.
     """
@@ -86,7 +83,7 @@ def facial_scene(
     stack = Stack.from_head(head, layers, without)
     start = carry_wraps(head, parameters, rest, wrap_targets)
     inside = _region_mask(head, region)
-    tissue = _make_tissue(head, parameters, stack, inside, rule)
+    tissue = _make_tissue(head, parameters, stack, inside)
     vertices, bodies = _attach(head, parameters, attached, (rest, wrap_targets), stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
@@ -122,7 +119,7 @@ class _Tissue:
     tets: list[Ints] = field(default_factory=list)
     terms: list[terms.Term] = field(default_factory=list)
 
-    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target, rule: StrainRule = "clamp"):
+    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target):
         """Put Strain and Volume on those tets (k, 4) that are `kept` (k,).
 
         Values are one for all, or one per tet of the first of several equal layers.
@@ -135,10 +132,10 @@ class _Tissue:
 
         strain, limit, volume, target = map(spread, (strain, limit, volume, target))
         self.tets.append(tets[kept])
-        self.terms += [terms.Strain(strain, limit, tets=ids, rule=rule), terms.Volume(volume, target, tets=ids)]
+        self.terms += [terms.Strain(strain, limit, tets=ids), terms.Volume(volume, target, tets=ids)]
 
 
-def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: StrainRule) -> _Tissue:
+def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray) -> _Tissue:
     """Make soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`, and guard soft tissue's thin tets."""
     wrap = head.skin_wrap
     layer = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
@@ -155,7 +152,7 @@ def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndar
     tissue = _Tissue()
     strain = value("soft_stiffness")
     volume = value("volume_ratio") * strain
-    tissue.add(stack.soft, kept(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"), rule)
+    tissue.add(stack.soft, kept(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"))
     soft: terms.Strain = tissue.terms[0]  # type: ignore[assignment]
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
@@ -274,7 +271,7 @@ def apply_law(scene: Scene, law: FaceLaw) -> Scene:
     mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
     growth, by which tissue is at rest when it has reached it, while Strain holds it back; guards against inversion are
     left out, since a law may be one itself. Raises SceneError for an unknown name, and where a layer has no such
-    counterpart: strain limit or growth other than 1, or stiffnesses that vary within a term.
+    counterpart: strain limit other than 1, or stiffnesses that vary within a term.
     """
     if law == PD_ENERGY:
         return scene
@@ -293,8 +290,8 @@ def apply_law(scene: Scene, law: FaceLaw) -> Scene:
         raise SceneError("apply_law: each Strain term needs a Volume term on the same tets")
     solids: list[terms.Term] = []
     for strain, volume in zip(strains, volumes, strict=True):
-        if np.any(strain.limit != 1.0) or np.any(strain.growth != 1.0) or strain.rule != "clamp":
-            raise SceneError("apply_law: a strain limit or growth other than 1, or the indicator, has no counterpart")
+        if np.any(strain.limit != 1.0):
+            raise SceneError("apply_law: a strain limit other than 1 has no counterpart")
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
             raise SceneError("apply_law: stiffnesses that vary within a term are not supported")
         material = law(float(np.max(strain.stiffness)) / 2, float(np.max(volume.stiffness)) / 3)

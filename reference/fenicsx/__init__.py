@@ -8,11 +8,11 @@ How to read it, from what is asked to what is solved:
   elements with a pressure), `load_path` (continuation of the equations of `equilibrium`). `dynamics` marches through
   time by minimisations.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, and the table of terms: `solids` (`kernels`
-  integrate laws that `law_code` writes as C from UFL; `hyperelastic` has laws as UFL's forms), and what is `nodal`:
-  `surface_strain`, `bending`, springs and following pressure of `loads`. `bodies` makes parts rigid.
-- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no rank has whole,
-  `parallel` how ranks divide them, `assembly` the matrix. `linear_solvers` and, with a pressure, `saddle` solve
-  systems, by name. `dolfinx_version` is the only module that knows which dolfinx there is.
+  integrate laws that `law_code` writes as C from UFL; `hyperelastic` has those with a pressure as UFL's forms), and
+  what is `nodal`: `surface_strain`, `bending`, springs and following pressure of `loads`. `bodies` makes parts rigid.
+- Where it lives: `numbering` is the scene's mesh and its nodes, `parallel` how ranks divide them, `assembly` the
+  matrix. `linear_solvers` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
+  that knows which dolfinx there is.
 
 Every rank makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package without dolfinx
 raises MissingDependencyError.
@@ -20,7 +20,6 @@ raises MissingDependencyError.
 
 # First of all, since it says in one line what to install, and keeps ufl's warning of its own imports to itself.
 from . import dolfinx_version
-from .mesh.parts import Part, PartScene, read_scene
 from .prepared import PreparedFenicsx, prepare
 
-__all__ = ["Part", "PartScene", "PreparedFenicsx", "dolfinx_version", "prepare", "read_scene"]
+__all__ = ["PreparedFenicsx", "dolfinx_version", "prepare"]

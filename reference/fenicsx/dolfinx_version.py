@@ -1,9 +1,9 @@
 """The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
 
-What differs: names of spaces and of quadrature elements, options of `form`, the type of dofmaps, and how an expression
-is evaluated. A mesh lives on all ranks of its communicator, and all of them make the same calls. `ALL` are those
-that PETSc was begun with: all that mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first
-because its ranks solve each on their own.
+What differs: names of spaces and of quadrature elements, options of `form`, and the type of dofmaps. A mesh lives on
+all ranks of its communicator, and all of them make the same calls. `ALL` are those that PETSc was begun with: all that
+mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first because its ranks solve each on
+their own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ try:
         import basix
         import dolfinx
         import ufl
-        from dolfinx import fem, io, mesh
+        from dolfinx import fem, mesh
         from dolfinx.fem import petsc
         from mpi4py import MPI
         from petsc4py import PETSc
@@ -91,18 +91,13 @@ def tet_mesh(vertices: Floats, tets: Ints, comm) -> mesh.Mesh:
     Every rank gives the whole and keeps the part that the graph partitioner makes its own. No form integrates over
     inner faces, so there are no cells of others at its border.
     """
-    return _mesh(_slice(tets, comm), _slice(vertices, comm), comm)
-
-
-def _mesh(cells: Ints, points: Floats, comm) -> mesh.Mesh:
-    """A mesh of what each rank gives, in the order of ranks."""
     if VERSION < (0, 6):
         coordinates = ufl.VectorElement("Lagrange", ufl.tetrahedron, 1)
     else:
         import basix.ufl
 
         coordinates = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    cells, points = np.ascontiguousarray(cells), np.ascontiguousarray(points)
+    cells, points = (np.ascontiguousarray(_slice(rows, comm)) for rows in (tets, vertices))
     shared: dict[str, Any] = {}
     if VERSION < (0, 6):
         shared["ghost_mode"] = mesh.GhostMode.none
@@ -117,29 +112,6 @@ def _slice(rows: np.ndarray, comm) -> np.ndarray:
     return rows[cut[0] : cut[1]]
 
 
-def read_tets(path: Path, name: str, tagged: str | None, comm) -> tuple[mesh.Mesh, Ints]:
-    """A mesh from an XDMF file's grid of a name, of which each rank reads a run of rows, and its cells' tags (m,).
-
-    Tags are another grid's or the same one's, 0 where there are none.
-    """
-    with io.XDMFFile(comm, str(path), "r") as file:
-        cells, points = (read(name, "/Xdmf/Domain") for read in (file.read_topology_data, file.read_geometry_data))
-        domain = _mesh(cells, points, comm)
-        found = None if tagged is None else file.read_meshtags(domain, tagged)
-    tags = np.zeros(len(domain.topology.original_cell_index), dtype=np.int64)
-    if found is not None:
-        tags[found.indices] = found.values
-    return domain, tags
-
-
-def read_facet_tags(path: Path, name: str, domain) -> tuple[Ints, Ints]:
-    """Facets (k,) of a mesh that triangles of an XDMF file's grid are, and their tags."""
-    domain.topology.create_connectivity(2, 0)
-    with io.XDMFFile(domain.comm, str(path), "r") as file:
-        found = file.read_meshtags(domain, name)
-    return found.indices.astype(np.int64), found.values.astype(np.int64)
-
-
 def boundary(domain) -> tuple[Ints, Ints, Ints]:
     """The facets (k,) of the boundary that this rank has, each one's cell, and which of its facets it is."""
     topology = domain.topology
@@ -150,40 +122,6 @@ def boundary(domain) -> tuple[Ints, Ints, Ints]:
     cells = np.asarray(beside.array)[np.asarray(beside.offsets)[facets]].astype(np.int64)
     local = np.argmax(_table(topology.connectivity(3, 2), 4)[cells] == facets[:, None], axis=1)
     return facets, cells, local
-
-
-def geometry(domain) -> tuple[Floats, Ints, Ints, int, Ints]:
-    """A rank's vertices [mm] (n, 3), cells (m, 4) of them, and their numbers in the input.
-
-    Then how many of them it owns, the first ones, and the numbers over all ranks of the others.
-    """
-    shape = domain.geometry
-    numbering = shape.index_map()
-    numbers = np.asarray(shape.input_global_indices).astype(np.int64)
-    ghosts = np.asarray(numbering.ghosts).astype(np.int64)
-    return np.array(shape.x), _table(shape.dofmap, 4), numbers, numbering.size_local, ghosts
-
-
-def write_block(path: Path, cells: int):
-    """Write a unit block of tets, so many cells along each edge, to an XDMF file with HDF5, by this rank alone."""
-    with io.XDMFFile(ALONE, str(path), "w") as file:
-        file.write_mesh(mesh.create_unit_cube(ALONE, cells, cells, cells))
-
-
-def write_xdmf(path: Path, domain, vectors: dict[str, Floats], numbers: dict[str, Floats]):
-    """Write vectors (n, 3) by vertex and numbers (m,) by cell to an XDMF file, all ranks together."""
-    cells = _table(domain.geometry.dofmap, 4)
-    with io.XDMFFile(domain.comm, str(path), "w") as file:
-        file.write_mesh(domain)
-        for name, values in vectors.items():
-            found = function(vector_space(domain, 1))
-            found.x.array.reshape(-1, 3)[cell_dofs(found.function_space, 4)] = values[cells]
-            found.name = name
-            file.write_function(found)
-        for name, values in numbers.items():
-            found = cell_numbers(domain, np.arange(len(cells)), values)
-            found.name = name
-            file.write_function(found)
 
 
 def communicator(domain) -> MPI.Intracomm:
@@ -274,15 +212,6 @@ def compile_form(form: ufl.Form):
         return _fem.form(form, **_COMPILER)
 
 
-def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
-    """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with _compiling(communicator(domain)):
-        compiled = _fem.Expression(expression, points, **_COMPILER)
-    first = () if VERSION < (0, 7) else (domain,)
-    shape = (len(points), int(np.prod(expression.ufl_shape)))
-    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), *shape)
-
-
 def cell_measure(domain, cells: Ints) -> ufl.Measure:
     """The volume measure of some cells."""
     entities = np.sort(cells).astype(np.int32)
@@ -298,11 +227,6 @@ def constant(domain, value: float):
 def function(space):
     """A function of a space; its values are `.x.array`."""
     return fem.Function(space)
-
-
-def assemble_scalar(form) -> float:
-    """A rank's part of the value of a functional; not finite where its integrand is not."""
-    return float(fem.assemble_scalar(form))
 
 
 def add_vector(form, into: Floats):

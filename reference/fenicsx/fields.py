@@ -10,11 +10,10 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..solution import Stresses
 from . import dolfinx_version as seam
-from .dolfinx_version import ALONE
 from .energy.assembly import add_forces
 from .energy.quadrature import Quadrature
 from .linear.problem import Problem
-from .mesh.numbering import Numbering, ranks_for
+from .mesh.numbering import Numbering
 from .mesh.parallel import gather
 from .run import Attempt
 
@@ -83,19 +82,19 @@ class NodalAnswer:
         order = problem.numbering
         pressure = None
         if end.pressure is not None:
-            mine = problem.pressures.owned if order.divided else len(end.pressure)
+            mine = problem.pressures.owned
             pressure = np.zeros(len(order.dof))
-            vertices = gather(order.asked, problem.pressure_vertex[:mine])
-            pressure[vertices] = gather(order.asked, end.pressure[:mine])
+            vertices = gather(order.comm, problem.pressure_vertex[:mine])
+            pressure[vertices] = gather(order.comm, end.pressure[:mine])
         return cls(*order.all_nodes(end.u), None if force is None else order.all_nodes(force), pressure)
 
 
 def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     """Compute the stresses and reactions of an answer to a scene, by elements of a degree.
 
-    Any rank may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
+    Any rank may ask for them, alone: it integrates over the whole mesh once.
     """
-    numbering = Numbering(scene, degree, comm=ranks_for(scene) if scene.in_parts else ALONE)
+    numbering = Numbering(scene, degree)
     node, pressure = numbering.nodes_between(answer.ends), answer.pressure
     problem = Problem(scene, numbering, mixed=pressure is not None)
     if answer.force is not None:

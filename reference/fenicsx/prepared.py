@@ -16,7 +16,7 @@ from typing import Any
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from .. import materials, ranks
+from .. import materials
 from ..clock import Clock
 from ..march import Motion, Trajectory, march
 from ..materials import Incompressible, NeoHookean
@@ -76,8 +76,6 @@ def prepare(
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {', '.join(names)}")
     if linear_solver == "block" and scene.of(Pressure):
         raise SceneError("solver 'fenicsx': linear_solver 'block' has no use for Pressure, which takes factors")
-    if ranks_for(scene).size > 1:
-        scene = ranks.first(scene)
     return PreparedFenicsx(scene, element, linear_solver, policy)
 
 
@@ -85,9 +83,6 @@ def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
-    for term in scene.terms if scene.in_parts else ():
-        if not term.is_divisible:
-            raise SceneError(f"solver 'fenicsx' cannot model {term.name} of a scene that ranks have in parts")
     check_solids(scene, element)
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
@@ -141,8 +136,6 @@ class PreparedFenicsx:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
         tolerance: float = 1e-6,
         absolute: float | None = None,
         max_iterations: int | None = None,
@@ -150,22 +143,15 @@ class PreparedFenicsx:
     ) -> Solution:
         """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        A solution that was to be remembered has the displacement of nodes on edges and the pressure to start from. The
-        first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
+        The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
-        if self.comm.size > 1:
-            given = None if scene is self.scene else scene
-            scene, start, tolerance, absolute = ranks.first((given, start, tolerance, absolute))
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
         self.scene.check_prepared_for(scene)
         limits, record = Limits(tolerance, absolute, max_iterations), Record(max_iterations, on_iteration)
-        begin, is_warm = first_positions(scene, start, warm), start is not None or warm is not None
-        before = None if start is not None or warm is None else warm.memory
-        if not (isinstance(before, Attempt) and before.numbering is self._numbering):
-            before = None
-        run = Run(scene, self._numbering, begin, limits, record, before=before, warm=is_warm)
+        begin = first_positions(scene, start)
+        run = Run(scene, self._numbering, begin, limits, record, is_given=start is not None)
         self._problem.set(scene)
         if self._force is not None:
             self._problem.loads = self._problem.loads + self._force
@@ -174,7 +160,7 @@ class PreparedFenicsx:
         self._end = end = self._try_strategies(run)
         answer = NodalAnswer.collect(self._problem, end, self._force)
         recovery = partial(recover, scene, self._numbering.degree, answer)
-        return run.solution(end, self._spent, remember=remember, recovery=recovery)
+        return run.solution(end, self._spent, recovery)
 
     def _try_strategies(self, run: Run) -> Attempt:
         """Try strategies until one ends the search; give the last that found something worth keeping, or the first.
@@ -202,7 +188,8 @@ class PreparedFenicsx:
         elif self._condensed is None:
             strategies = [descent().attempt, follow]
         else:
-            strategies = [follow, descent(self._start_from_linear if self._large and not run.warm else None).attempt]
+            find_start = self._start_from_linear if self._large and not run.is_given else None
+            strategies = [follow, descent(find_start).attempt]
             if self._linear_solver == "block" or (self._large and not scene.of(Traction)):
                 strategies.reverse()
             if not anywhere(self.comm, problem.loads):  # a limit point without dead loads is no reason to stop
@@ -267,8 +254,6 @@ def check_motion(motion: Motion, element: str):
     if element not in ("P1", "P2"):
         raise SceneError(f"march: unknown element {element!r}; there are P1, P2")
     refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
-    if motion.scene.in_parts:
-        raise SceneError("march: ranks have this scene in parts; solver 'fenicsx' marches whole ones")
 
 
 def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = POLICY) -> Trajectory:

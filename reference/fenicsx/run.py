@@ -58,9 +58,8 @@ class Record:
 class Run:
     """A scene to be solved on a numbering, from start [mm], shape (scene vertices, 3), and its record.
 
-    `held` says which components of nodes (n, 3) keep their place. `u` is the displacement [mm] by node at the start,
-    or that of `before`, where another solve ended; `goal` is the one that held components have to reach. `warm` says
-    whether the start is near the answer rather than rest.
+    `held` says which components of nodes (n, 3) keep their place. `u` is the displacement [mm] by node at the start;
+    `goal` is the one that held components have to reach. `is_given` says whether the caller gave the start.
     """
 
     def __init__(
@@ -71,16 +70,14 @@ class Run:
         limits: Limits,
         record: Record,
         *,
-        before: Attempt | None = None,
-        warm: bool = False,
+        is_given: bool = False,
     ):
         self.scene, self.numbering, self.limits, self.record = scene, numbering, limits, record
-        self.start, self.warm = start, warm
-        self.pressure = None if before is None else before.pressure
+        self.start, self.is_given = start, is_given
         self._held, self._places = held, positions = scene.dirichlet()
         self._elsewhere = np.where(held, positions, start)
         self.held = numbering.held(held)
-        self.u = numbering.to_dofs(start) - numbering.X if before is None else before.u
+        self.u = numbering.to_dofs(start) - numbering.X
         self.goal = np.where(self.held, numbering.to_dofs(positions) - numbering.X, self.u)
         self._has_listener = anywhere(numbering.comm, record.has_listener)
 
@@ -100,15 +97,8 @@ class Run:
     def _positions(self, u: Floats) -> Floats:
         return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
-    def solution(
-        self,
-        end: Attempt,
-        preparation: Seconds,
-        *,
-        remember: bool = False,
-        recovery: Callable[[], Stresses] | None = None,
-    ) -> Solution:
-        """Give an attempt's answer, which another solve may start from if it is to be remembered."""
+    def solution(self, end: Attempt, preparation: Seconds, recovery: Callable[[], Stresses]) -> Solution:
+        """Give an attempt's answer, after so many seconds of preparation."""
         positions = self._positions(end.u)
         if end.reason is Reason.CONVERGED:
             positions[self._held] = self._places[self._held]
@@ -121,7 +111,6 @@ class Run:
             record.recorder.history(),
             volume_ratio(self.scene, positions),
             dict(record.detail),
-            memory=end if remember else None,
             recovery=recovery,
             times=record.recorder.times(preparation),
         )

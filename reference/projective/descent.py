@@ -45,8 +45,7 @@ class Problem:
     """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
     `untangling`, where given, is the problem of an energy that leads out of inverted tets. `bounded` says that A bounds
-    the energies of free vertices, so that a plain step never raises them; see `Part.is_bounded`. `memory` is what
-    L-BFGS starts with and adds to.
+    the energies of free vertices, so that a plain step never raises them; see `Part.is_bounded`.
     """
 
     at: Callable[[Place], Point]
@@ -54,7 +53,6 @@ class Problem:
     precondition: Callable[[Floats, Point], Floats]
     untangling: Problem | None = None
     bounded: bool = True
-    memory: Memory | None = None
     policy: DescentPolicy = DescentPolicy()
 
     def after(self, point: Point, step: Floats) -> Point:
@@ -219,7 +217,7 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
 
     Where no fraction of its step lowers the energy, one along -A⁻¹ ∇E is taken, and the memory emptied.
     """
-    memory = Memory(len(point.gradient)) if problem.memory is None else problem.memory
+    memory = Memory(len(point.gradient))
     while (reason := watch.see(point)) is None:
         point = lbfgs_step(problem, point, memory)
     return point, reason

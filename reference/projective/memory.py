@@ -23,21 +23,9 @@ class Memory:
     def __len__(self) -> int:
         return len(self._order)
 
-    @property
-    def size(self) -> int:
-        """The number of unknowns."""
-        return self._steps.shape[1]
-
     def clear(self):
         """Forget all pairs."""
         self._order = []
-
-    def copy(self) -> Memory:
-        """Copy the pairs into a memory of its own."""
-        other = Memory(0)
-        other._steps, other._changes = self._steps.copy(), self._changes.copy()
-        other._products, other._order = self._products.copy(), list(self._order)
-        return other
 
     def add(self, step: Floats, change: Floats):
         """Remember a pair in the place of the oldest, unless its curvature is not positive."""

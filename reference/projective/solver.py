@@ -6,22 +6,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments, one_of
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError, quote
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats, Ints
 from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
-from ..terms import Contact, Fixed, RigidBody, StrainRule, Term
+from ..terms import Contact, Fixed, RigidBody, Term
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .hessian.newton_step import newton_step
 from .hessian.tangent import Pattern, Tangent
-from .memory import Memory
 from .policy import POLICY, ProjectivePolicy
 from .terms.energy import PARTS, Energy, recover
 from .terms.tets import TetBlocks
@@ -41,7 +40,6 @@ TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
 """Those with an energy, those that restrict `Coordinates`, and contact, which is solved for afterwards."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
-MOST_THREADS = 256
 
 
 @dataclass
@@ -97,8 +95,6 @@ class ProjectivePrepared:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
         tolerance: float = 1e-6,
         absolute: float | None = None,
         max_iterations: int | None = None,
@@ -108,11 +104,9 @@ class ProjectivePrepared:
     ) -> Solution:
         """Minimise the energy of the prepared scene, or of one that differs only in what terms say is `varying`.
 
-        start [mm], shape (n, 3), default rest; `warm` is the solution of the frame before, which gives the default
-        start and, if it was to `remember` them (16 numbers per unknown), the pairs of steps and changes that L-BFGS
-        begins with. What is Fixed is put where it is held, and a RigidBody where it fits best, before the first
-        iteration. A start with inverted tets is untangled first, unless it is known to need none: not to `untangle` one
-        near the answer saves half the iterations, and method "plain" never does.
+        start [mm], shape (n, 3), default rest. What is Fixed is put where it is held, and a RigidBody where it fits
+        best, before the first iteration. A start with inverted tets is untangled first, unless it is known to need
+        none: not to `untangle` one near the answer saves half the iterations, and method "plain" never does.
         `absolute` [mN] is the gradient norm to stop at, in place of one relative to the start's: what asks the same of
         every frame, wherever it starts. `metric`, from `tangent`, is the Hessian at an answer near by, in place of the
         PD matrix: from there to here far fewer iterations are left, each of about twice the price.
@@ -125,26 +119,17 @@ class ProjectivePrepared:
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         limits = Limits(tolerance, absolute, max_iterations)
-        if remember and self.method != "lbfgs":
-            raise SceneError(f"remember: method {self.method!r} keeps nothing but positions; method 'lbfgs' does")
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
-        place = coordinates.start(np.where(held, values, first_positions(scene, start, warm)) - scene.vertices)
+        place = coordinates.start(np.where(held, values, first_positions(scene, start)) - scene.vertices)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         if metric is not None and metric.coordinates.size != coordinates.size:
             raise SceneError(f"metric: it has {metric.coordinates.size} unknowns, the scene {coordinates.size}")
         work = _Work(self.system)
         precondition = work.precondition if metric is None else work.by(metric)
-        memory = None
-        if self.method == "lbfgs":
-            left = None if warm is None else warm.memory
-            fits = isinstance(left, Memory) and left.size == coordinates.size
-            memory = cast(Memory, left).copy() if fits else Memory(coordinates.size)
         bounded = energy.is_bounded and metric is None
-        problem = Problem(
-            work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory, policy=policy.descent
-        )
+        problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, policy=policy.descent)
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
             relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
             untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
@@ -167,7 +152,6 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
-            memory=problem.memory if remember else None,
             recovery=partial(recover, scene, positions),
             times=recorder.times(self.spent),
         )
@@ -213,49 +197,21 @@ class ProjectivePrepared:
         return coordinates.move(point.place, ahead.step).u - point.u, ahead.is_near
 
 
-def prepare(
-    scene: Scene,
-    *,
-    method: Method = "lbfgs",
-    linear_solver: LinearSolver | None = None,
-    like: ProjectivePrepared | None = None,
-    threads: int = 1,
-    policy: ProjectivePolicy = POLICY,
-) -> ProjectivePrepared:
+def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy = POLICY) -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
-    method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
-    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see
-    `lhm.base.geometry.cholesky`. With "cholmod", a scene prepared `like` another of the same topology, such as another
-    identity, takes over its symbolic factorisation. `threads` share the local step; `policy` has the constants. Raises
-    SceneError for a term that is none of TERMS, another method or count, InputError for another linear solver and
-    MissingDependencyError for one that is not installed.
+    method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global); `policy` has the constants. Raises
+    SceneError for a term that is none of TERMS, and for another method.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
-    refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
-    if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
-        raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
+    refuse_unknown(scene, "projective", TERMS)
     if not isinstance(policy, ProjectivePolicy):
         raise SceneError(f"projective: policy: expected a ProjectivePolicy, got {quote(policy)}")
-    if linear_solver is not None:
-        one_of("linear solver", linear_solver, get_args(LinearSolver))  # also where nothing is left to factor
-    if like is not None and not (isinstance(like, ProjectivePrepared) and linear_solver == "cholmod"):
-        raise SceneError(
-            "projective: like: expected a scene that this solver has prepared, and linear_solver 'cholmod', which "
-            f"alone takes over a factorisation; got {quote(like)} and {linear_solver!r}"
-        )
     clock = Clock()
-    energy = Energy.from_scene(scene, threads)
+    energy = Energy.from_scene(scene)
     matrix, anchored = energy.matrix(scene, volume_share=policy.volume_share_of(method))
-    known = None if like is None else like.system
-    system = System.from_matrix(
-        matrix,
-        anchored,
-        Coordinates.from_scene(scene),
-        linear_solver=linear_solver,
-        like=known,
-    )
+    system = System.from_matrix(matrix, anchored, Coordinates.from_scene(scene))
     contact = None
     if scene.of(Contact):
         from .contact import ContactSolver  # costs an import of its own, which few scenes need

@@ -40,8 +40,6 @@ class Prepared:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
         tolerance: float = 1e-6,
         absolute: float | None = None,
         max_iterations: int | None = None,
@@ -49,7 +47,6 @@ class Prepared:
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        `warm`, a solution before, gives the default start, with nodes on edges if it was to `remember` them.
         Held components are carried to their places first, before the first iteration of the history, and rigid bodies
         to their first ones: that of their shape, or the nearest to a given start. Inverted tets of stiff volume are led
         out by shape alone first; its iterations count, and may raise the energy.
@@ -66,11 +63,9 @@ class Prepared:
         scales = Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
-        begin, at_rest = first_positions(scene, start, warm), start is None and warm is None
+        begin, at_rest = first_positions(scene, start), start is None
         free = ~at.held_dofs(held)
-        x, before = at.by_dof(begin), None if warm is None else warm.memory
-        if isinstance(before, tuple) and before[0] is at:
-            x = before[1]
+        x = at.by_dof(begin)
         goal = np.where(free, x, at.by_dof(positions))
         bodies = Body.from_scene(scene, at)
         for body in bodies:
@@ -92,7 +87,6 @@ class Prepared:
             float(history.energy[-1]),
             history,
             volume_ratio(scene, answer),
-            memory=(at, x) if remember else None,
             recovery=partial(recover, scene, at.element, x),
             times=recorder.times(self.spent),
         )

@@ -86,12 +86,11 @@ def _law(term, tets: int, points: int) -> Law:
 
     if isinstance(term, terms.Volume):
         return Volume(at_points(term.stiffness), at_points(term.target))
-    growth = at_points(term.growth)
     if isinstance(term, terms.Strain):
-        law: Law = Strain(at_points(term.stiffness), at_points(term.limit))
-        return law if np.all(growth == 1.0) else Grown(law, growth, growth ** (2 / 3))
-    law = ByRotation(term.material) if isinstance(term.material, HasRotation) else ByInvariants(term.material)
-    return law if np.all(growth == 1.0) else Grown(law, growth, growth)
+        return Strain(at_points(term.stiffness), at_points(term.limit))
+    growth = at_points(term.growth)
+    law: Law = ByRotation(term.material) if isinstance(term.material, HasRotation) else ByInvariants(term.material)
+    return law if np.all(growth == 1.0) else Grown(law, growth)
 
 
 class Law(Protocol):
@@ -249,11 +248,10 @@ class Volume(Distance):
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """weight psi(F growth^(-1/3)) of another law (Rodriguez, Hoger, McCulloch 1994); weight and growth, shape (m,)."""
+    """growth psi(F growth^(-1/3)) of another law (Rodriguez, Hoger, McCulloch 1994); growth, shape (m,)."""
 
     law: Law
     growth: Floats
-    weight: Floats
 
     def _elastic(self, F: Floats) -> Floats:
         return F * self._slope[:, None, None]
@@ -264,15 +262,15 @@ class Grown:
 
     def psi(self, F: Floats) -> Floats:
         """See Law."""
-        return self.weight * self.law.psi(self._elastic(F))
+        return self.growth * self.law.psi(self._elastic(F))
 
     def stress(self, F: Floats) -> Floats:
         """See Law."""
-        return (self.weight * self._slope)[:, None, None] * self.law.stress(self._elastic(F))
+        return (self.growth * self._slope)[:, None, None] * self.law.stress(self._elastic(F))
 
     def tangent(self, F: Floats) -> Floats:
         """See Law."""
-        return (self.weight * self._slope**2)[:, None, None, None, None] * self.law.tangent(self._elastic(F))
+        return (self.growth * self._slope**2)[:, None, None, None, None] * self.law.tangent(self._elastic(F))
 
 
 def project_spd(tangent: Floats) -> Floats:

@@ -5,7 +5,7 @@ A term without `tets` acts on all tets. Stiffnesses and the like are one number,
 """
 
 from .loads import Gravity, Pressure, Traction
-from .solids import Hyperelastic, Solid, Strain, StrainRule, Volume
+from .solids import Hyperelastic, Solid, Strain, Volume
 from .surfaces import Bending, Contact, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
 from .vertices import Fixed, Inertia, RigidBody, Target
@@ -25,7 +25,6 @@ __all__ = [
     "RigidBody",
     "Solid",
     "Strain",
-    "StrainRule",
     "SurfaceStrain",
     "Target",
     "Term",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Ints
 from ..materials import Guccione, Incompressible, Material
 from .term import Amount, Mesh, OnTets
-
-StrainRule = Literal["clamp", "indicator"]
 
 
 class Solid(OnTets):
@@ -66,7 +64,7 @@ class Hyperelastic(Solid):
         law = self.material.law if isinstance(self.material, Incompressible) else self.material
         return law.fibres if isinstance(law, Guccione) else None
 
-    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
+    def unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
         """See Term."""
         if isinstance(self.material, laws):
             return None
@@ -77,35 +75,18 @@ class Hyperelastic(Solid):
 class Strain(Solid):
     """stiffness/2 ‖F - R‖² per rest volume; with limit L > 1, F's distance to stretches within [1/L, L].
 
-    SoftDECA Eq. 10 in its clamped form, rule "clamp". Rule "indicator" is Eq. 10 to the letter: ‖F - R‖² where F's
-    largest stretch is above the limit, else 0. That jumps at the limit, so it may have no minimiser, and local/global
-    steps do not majorise it: on a sphere's shells (limit 1.05) the energy rose in 108 and 118 of 300 plain iterations,
-    by up to 0.7 % of 20 mJ, and L-BFGS stagnated after 240; clamped it never rose. Only projective dynamics models it.
-    stiffness [kPa] (= 2 mu), limit >= 1. growth > 0 is the volume ratio at rest: the stretches that F is compared with
-    are multiplied by growth^(1/3), as if F growth^(-1/3) were. With a Volume of the same target, tissue grows freely
-    without stress; the stiffness stays one per volume before growth. The indicator knows no growth.
+    SoftDECA Eq. 10 in its clamped form: to the letter, it is ‖F - R‖² where F's largest stretch is above the limit, and
+    jumps there. Local/global steps do not majorise that: its energy rose in 108 of 300 plain iterations on a sphere's
+    shells, clamped it never rose. stiffness [kPa] (= 2 mu), limit >= 1.
     """
 
-    varying: ClassVar[tuple[str, ...]] = ("limit", "growth")
+    varying: ClassVar[tuple[str, ...]] = ("limit",)
     may_soften: ClassVar[bool] = True
-    amounts: ClassVar[dict[str, Amount]] = {
-        "stiffness": Amount(0.0),
-        "limit": Amount(1.0),
-        "growth": Amount(0.0, strict=True),
-    }
+    amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0), "limit": Amount(1.0)}
 
     stiffness: float | np.ndarray
     limit: float | np.ndarray = 1.0
     tets: np.ndarray | None = field(default=None, repr=False)
-    rule: StrainRule = "clamp"
-    growth: float | np.ndarray = 1.0
-
-    def __post_init__(self):
-        if self.rule not in get_args(StrainRule):
-            raise SceneError(f"Strain.rule: expected clamp or indicator, got {self.rule!r}")
-        super().__post_init__()
-        if self.rule == "indicator" and np.any(self.growth != 1.0):
-            raise SceneError("Strain.growth: the indicator knows no growth; take rule clamp")
 
     def unit_force(self, mesh: Mesh) -> float:
         """See Term."""
@@ -114,10 +95,6 @@ class Strain(Solid):
     def eased(self, share: float) -> Strain:
         """See Term; no stretch is free."""
         return replace(self, limit=1.0)
-
-    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
-        """See Term."""
-        return None if self.rule in rules else f"Strain with rule {self.rule!r}: its energy jumps"
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,6 @@ class Bending(OnTriangles):
     """
 
     may_soften: ClassVar[bool] = True
-    is_divisible: ClassVar[bool] = False
     amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0)}
 
     triangles: np.ndarray = field(repr=False)

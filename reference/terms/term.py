@@ -33,14 +33,12 @@ class Term:
 
     `varying` are the fields in which scenes may differ that a solver is prepared for at once. `may_soften` says whether
     the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles, and
-    `may_tangle` whether it has minima among inverted tets. `is_divisible` says whether ranks may share the scene in
-    parts: each element lies in one tet or on its faces.
+    `may_tangle` whether it has minima among inverted tets.
     """
 
     varying: ClassVar[tuple[str, ...]] = ()
     may_soften: ClassVar[bool] = False
     may_tangle: ClassVar[bool] = False
-    is_divisible: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
@@ -88,8 +86,8 @@ class Term:
         """Return what stands in its place on the way out of inverted tets; of a volume's stiffness a share is kept."""
         return self
 
-    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
-        """Say what a solver that knows these laws of tissue and rules of strain cannot model of it, if anything."""
+    def unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
+        """Say what a solver that knows these laws of tissue cannot model of it, if anything."""
         return None
 
     def _set(self, **values):

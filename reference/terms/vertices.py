@@ -79,7 +79,6 @@ class RigidBody(Term):
 
     varying: ClassVar[tuple[str, ...]] = ("rest",)
     may_soften: ClassVar[bool] = True
-    is_divisible: ClassVar[bool] = False
 
     vertices: np.ndarray = field(repr=False)
     rest: np.ndarray | None = field(default=None, repr=False)
@@ -104,7 +103,6 @@ class Inertia(OnTets):
     """
 
     varying: ClassVar[tuple[str, ...]] = ("positions", "velocities")
-    is_divisible: ClassVar[bool] = False
     amounts: ClassVar[dict[str, Amount]] = {"density": Amount(0.0)}
 
     density: float | np.ndarray

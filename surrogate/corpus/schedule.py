@@ -24,7 +24,6 @@ from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.limits import WORKERS
-from ...reference import ranks
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -67,13 +66,10 @@ class Schedule:
 
 
 def make_schedule(workers: int = 1, address: str | None = None) -> Schedule:
-    """Return the cluster of a scheduler's address where one is given; else processes.
-
-    This process alone for one worker, and under mpirun, whose ranks share each solve of FEniCSx.
-    """
+    """Return the cluster of a scheduler's address where one is given; else processes, for one worker this one."""
     if address is not None:
         return Schedule("dask", workers, address)
-    return Schedule("serial" if workers == 1 or ranks.size() > 1 else "processes", workers)
+    return Schedule("serial" if workers == 1 else "processes", workers)
 
 
 def check_scheduler(on: Schedule) -> None:

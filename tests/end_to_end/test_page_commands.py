@@ -92,7 +92,7 @@ ELSEWHERE = [
     "softdeca corpus status corpus",
     "softdeca corpus verify corpus",
     "softdeca corpus sample corpus --count 12",
-    "mpirun --bind-to none -n 2 softdeca study",
+    "mpirun --bind-to none -n 2 python script.py",
 ]
 NOT_HERE = {
     "make study": "minutes, and set-up as root",

@@ -12,7 +12,6 @@ import trimesh
 from softdeca.benchmarks.studies.arena.conformance import conform
 from softdeca.lhm import expressions, load_template
 from softdeca.reference import Parameters, facial_scene, solve
-from softdeca.reference.problems.meshes import box, triangles_at
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
@@ -50,7 +49,6 @@ def test_every_block_is_run_here():
         'METHODS["PD"]',
         "meshio.read",
         "fit_scan",
-        "read_scene",
         "TITLE =",
         "DataLoader(",
     )
@@ -127,24 +125,6 @@ def test_a_mesh_of_ones_own(tmp_path, monkeypatch):
     read = meshio.read("part_solved.vtu")
     # The file that the comment speaks of is read as it says.
     assert read.points.shape == names["points"].shape and read.cells_dict["tetra"].shape == names["tets"].shape
-
-
-def test_a_mesh_read_in_parts(tmp_path, monkeypatch):
-    pytest.importorskip("dolfinx")
-    pytest.importorskip("h5py")
-    monkeypatch.chdir(tmp_path)
-    points, tets = box((3, 3, 4), (10.0, 10.0, 20.0))
-    side = triangles_at(points, tets, 0, 10.0)
-    firm = np.where(points[tets, 2].mean(axis=1) < 10.0, 1, 2)
-    meshio.Mesh(points, [("tetra", tets)], cell_data={"tag": [firm]}).write("part.xdmf")
-    meshio.Mesh(points, [("triangle", side)], cell_data={"tag": [np.full(len(side), 7)]}).write("surface.xdmf")
-    names = ran("read_scene")
-    scene, solution = names["scene"], names["solution"]
-    assert solution.converged and Path("answer.xdmf").exists()
-    assert len(scene.part.boundary[scene.part.boundary_tags == 7]) == len(side)
-    # What presses on one side pushes the free end the other way.
-    pushed = (scene.whole(solution.positions) - points)[:, 0]
-    assert pushed[points[:, 2] > 19.9].mean() < -0.01
 
 
 def test_a_head_of_ones_own(tmp_path, monkeypatch):

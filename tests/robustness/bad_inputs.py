@@ -199,7 +199,7 @@ def functions() -> Iterator[Function]:
     yield Function("Scene.with_targets", SCENE.with_targets, {"positions": X[4:]})
     yield Function("Scene.with_fixed", SCENE.with_fixed, {"values": X[:4]})
     yield Function("terms.Hyperelastic", terms.Hyperelastic, {"material": NEO_HOOKEAN, "growth": 1.0})
-    yield Function("terms.Strain", terms.Strain, {"stiffness": 1.0, "limit": 1.1, "growth": 1.0, "rule": "clamp"})
+    yield Function("terms.Strain", terms.Strain, {"stiffness": 1.0, "limit": 1.1})
     yield Function("terms.Strain on tets", terms.Strain, {"stiffness": 1.0, "tets": [0, 1]})
     yield Function("terms.Volume", terms.Volume, {"stiffness": 1.0, "target": 1.1})
     sheet = {"triangles": TRIANGLES, "stiffness": 1.0}

@@ -48,18 +48,16 @@ def test_held_far_away_comes_along():
     np.testing.assert_allclose(solution.positions, X + [6.0, -3.0, 0.0], atol=1e-6)
 
 
-@pytest.mark.parametrize("rule", ["clamp", "indicator"])
-def test_plain_steps_majorise_the_clamp_but_not_the_indicator(sphere_head, rule):
-    """Eq. 10 to the letter jumps as tets cross the limit, so some steps raise it; clamped, no step does."""
+def test_plain_steps_majorise_a_strain_limit(sphere_head):
+    """Eq. 10 to the letter jumps as tets cross the limit; clamped, no step raises the energy."""
     rest, n = sphere_head.vertices, len(sphere_head.bone)
     cheek = np.exp(-np.sum((rest[:n] / 100.0 - [0, -0.3, 0.95]) ** 2, axis=1) / 0.1)[:, None]
     bone = 2 * n + np.flatnonzero(sphere_head.bone == 1)
-    tissue = [terms.Strain(5.0, 1.05, rule=rule), terms.Volume(67.5)]
+    tissue = [terms.Strain(5.0, 1.05), terms.Volume(67.5)]
     pulled = terms.Target(np.arange(n), rest[:n] + 15.0 * cheek * [0.3, -1, 0.2], 1000.0)
     scene = Scene(rest, sphere_head.tets, [*tissue, pulled, terms.Fixed(bone)])
     energy = prepare(scene, method="plain").solve(tolerance=1e-12, max_iterations=150).history.energy
-    rises = np.count_nonzero(np.diff(energy) > 1e-12 * energy[:-1])
-    assert (rises > 10) if rule == "indicator" else (rises == 0)
+    assert (np.diff(energy) <= 1e-12 * energy[:-1]).all()
 
 
 BLOCK, ITS_TETS = meshes.block(4)

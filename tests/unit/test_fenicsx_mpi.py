@@ -3,7 +3,6 @@
 import os
 import pickle
 import shutil
-import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,8 +16,8 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.mpirun import SETTINGS, strip_notices
 from softdeca.benchmarks.studies.scaling.phases import PHASES, compare_phases
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
-from softdeca.lhm.base.errors import InputError, MissingDependencyError
-from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
+from softdeca.lhm.base.errors import InputError
+from softdeca.reference import Parameters, Scene, facial_scene, march, prepare
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean
 from softdeca.reference.problems import bars
 from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
@@ -227,93 +226,6 @@ def test_a_march_by_three_processes_is_the_serial_one(tmp_path):
     assert np.abs(together - alone).max() <= 1e-10 * np.abs(alone - X).max()
 
 
-COMMAND = """
-import pickle, sys
-import numpy as np
-from softdeca.lhm.base.errors import SceneError
-from softdeca.reference import march, prepare, ranks
-ranks.begin()
-scene = ranks.first(pickle.load(open(sys.argv[1], "rb")))
-prepared = prepare(scene, solver="fenicsx")
-refused = []
-for wrong in ({"tolerance": 2.0}, {"start": scene.vertices[1:]}):
-    try:
-        prepared.solve(**wrong)
-    except SceneError as error:
-        refused.append(str(error))
-seen = []
-solution = prepared.solve(tolerance=1e-12, on_iteration=lambda i, x, e, g: seen.append(i))
-rank = ranks._command.rank if ranks.size() > 1 else 0
-stopped = prepared.solve(on_iteration=lambda i, x, e, g: rank == 0 and i == 1)
-prepared.set_body_force(lambda places: 3.0 * places)
-pressed = prepared.solve(tolerance=1e-12, start=scene.vertices + 1e-9 * rank)  # rank 0's counts
-values = scene.dirichlet()[1][scene.terms[1].vertices]
-part = scene.__class__(scene.vertices, scene.tets, scene.terms[:2])
-course = {"density": 1e-6, "time_step": 1e-2, "steps": 2, "fixed": lambda t: values + [t, 0.0, 0.0]}
-moved, again = march(part, **course), prepare(part, solver="fenicsx").march(**course)
-assert np.abs(moved.positions - again.positions).max() < 1e-12
-answer = (refused, seen, str(stopped.reason), solution.positions, pressed.positions, moved.positions,
-          prepared.fields(1).u.shape)
-if rank == 0:
-    pickle.dump(answer, open(sys.argv[2], "wb"))
-print(ranks.size())
-"""
-
-
-@needs_mpirun
-def test_a_command_s_ranks_have_the_serial_answers_and_rank_0_prints(cases, tmp_path):
-    (tmp_path / "in").write_bytes(pickle.dumps(cases["neo-Hookean"][0]))
-    answers = []
-    for count in (1, 2):
-        done = run_together(tmp_path, COMMAND, tmp_path / "in", tmp_path / "out", count=count)
-        assert (done.returncode, done.stdout) == (0, f"{count}\n"), done.stderr
-        answers.append(pickle.loads((tmp_path / "out").read_bytes()))
-    alone, together = answers
-    assert len(alone[0]) == 2 and alone[0] == together[0] and alone[2] == together[2] == "interrupted by the caller"
-    assert together[1] == list(range(len(together[1]))) and alone[6] == together[6]
-    for one, two in zip(alone[3:6], together[3:6], strict=True):
-        assert np.abs(one - two).max() <= 1e-10
-
-
-OUT_OF_STEP = """
-import sys
-from pathlib import Path
-from softdeca.reference import ranks
-ranks.DRIFT = 3.0
-ranks.begin()
-rank, how = ranks._command.rank, sys.argv[1]
-folder = ranks.writable(Path(sys.argv[2]))
-assert (folder / "kept").read_text() == "row" and (folder == Path(sys.argv[2])) == (rank == 0)
-(folder / f"of {rank}").touch()
-assert ranks.first(rank) == 0
-ranks.check_in_step("begun", failed=False)
-if how == "other words":
-    ranks.check_in_step(f"task {rank}", failed=False)
-if how == "one alone":
-    if rank == 1:
-        ranks.check_in_step("task, failed", failed=True)
-    ranks._command.Barrier()  # as in a solve
-"""
-
-
-@needs_mpirun
-@pytest.mark.parametrize(
-    ("how", "status", "error"),
-    [
-        ("in step", 0, ""),
-        ("other words", 1, "the ranks of mpirun fell out of step: task 0, task 1"),
-        ("one alone", 1, "rank 1 alone came to: task, failed"),
-    ],
-)
-def test_ranks_above_0_write_into_copies_and_a_command_ends_where_they_part(how, status, error, tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "kept").write_text("row")
-    done = run_together(tmp_path, OUT_OF_STEP, how, out, timeout=60)
-    assert done.returncode == status and error in done.stderr, done.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["kept", "of 0"]
-
-
 FAILING = """
 import os, pickle, sys
 from mpi4py import MPI
@@ -378,41 +290,6 @@ def test_processes_of_a_program_may_solve_each_on_their_own(tmp_path):
     assert done.returncode == 0 and done.stdout == "True\n"
 
 
-SLEEPING = """
-import sys, time
-from softdeca.reference import ranks
-ranks.begin()
-try:
-    print("ready", flush=True)
-    time.sleep(60)
-except KeyboardInterrupt:
-    open(f"interrupted {ranks._command.rank}", "w").close()
-    sys.exit(130)
-"""
-
-
-@needs_mpirun
-def test_an_interruption_reaches_rank_0_and_ends_all(tmp_path):
-    (tmp_path / "script.py").write_text(SLEEPING)
-    command = ["mpirun", "-n", "2", sys.executable, "script.py"]
-    with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as run:
-        assert run.stdout.readline() == "ready\n"
-        run.send_signal(signal.SIGINT)
-        run.communicate(timeout=55)  # before the script's own sleep ends
-    assert (tmp_path / "interrupted 0").exists()  # printed, it would not come through Open MPI 5
-    assert run.returncode != 0
-
-
-@needs_mpirun
-def test_the_command_says_an_error_once(tmp_path):
-    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "verification", "--solver", "no"]
-    done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
-    alone = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == alone.returncode != 0
-    assert strip_notices(done.stderr).strip() == alone.stderr.strip()
-    assert len(alone.stderr.strip().splitlines()) == 1
-
-
 @needs_mpirun
 def test_the_study_of_ranks_compares_answers_and_phases(cases):
     rows = compare_phases(cases["neo-Hookean"][0], (1, 2), 1, 1)
@@ -433,24 +310,9 @@ def test_a_study_of_ranks_begins_with_one_process(counts):
 
 
 @needs_mpirun
-def test_a_command_that_solves_nothing_by_fenicsx_is_refused_under_mpirun(tmp_path):
-    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "head", "check", "none.npz"]
+def test_a_command_is_refused_under_mpirun():
+    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "list"]
     done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1
-    error = "softdeca: error: softdeca head: solves nothing by FEniCSx; run it without mpirun"
-    assert strip_notices(done.stderr).strip() == error
-
-
-def test_a_process_alone_is_the_only_rank(monkeypatch, tmp_path):
-    for name in ranks.SIZES:
-        monkeypatch.delenv(name, raising=False)
-    ranks.begin()
-    assert ranks.size() == 1 and ranks.first("mine") == "mine" and ranks.writable(tmp_path) == tmp_path
-
-
-def test_mpirun_of_another_mpi_is_refused(monkeypatch):
-    monkeypatch.setenv("PMI_SIZE", "4")
-    monkeypatch.setenv("PMI_RANK", "0")
-    monkeypatch.setenv("OMPI_MCA_mpi_yield_when_idle", "1")
-    with pytest.raises(MissingDependencyError, match="mpirun has started 4 processes, but mpi4py knows 1"):
-        ranks.begin()
+    lines = set(strip_notices(done.stderr).strip().splitlines())
+    assert lines == {"softdeca: error: mpirun shares the solves of a script, not of a command; run softdeca without it"}

@@ -8,7 +8,7 @@ pytest.importorskip("dolfinx")
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix, random
 
-from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
+from softdeca.reference import Reason, Scene, materials, solve, terms
 from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx.linear.problem import Problem
 from softdeca.reference.fenicsx.linear.solvers import Factorisation
@@ -68,23 +68,6 @@ def test_descent_ends_where_the_load_path_does(law):
     assert path.converged and solution.converged, (path.reason, solution.reason)
     assert np.abs(solution.positions - path.positions).max() < 1e-7
     assert solution.energy == pytest.approx(path.energy, rel=1e-8)
-
-
-def test_a_warm_start_needs_fewer_factorisations():
-    """What is remembered has the nodes on edges and the pressure; of positions alone the start has neither."""
-    scene, further = sheared(LAWS["incompressible"], 0.4), sheared(LAWS["incompressible"], 0.42)
-    options = {"tolerance": 1e-9}
-    cold = descend(further)
-    prepared = prepare(scene, solver="fenicsx", element="P2P1", linear_solver="block")
-    first = prepared.solve(remember=True, **options)
-    warm = prepared.solve(further, warm=first, **options)
-    bare = prepared.solve(further, start=first.positions, **options)
-    again = prepared.solve(warm=first, **options)
-    assert cold.converged and warm.converged and bare.converged and again.converged
-    assert first.memory is not None and warm.memory is None
-    assert np.abs(warm.positions - cold.positions).max() < 1e-6
-    assert warm.detail["linear_solves"] < cold.detail["linear_solves"]
-    assert again.history.gradient_norm[0] < 1e-3 * bare.history.gradient_norm[0]
 
 
 def test_targets_that_crush_elements_are_reached_by_descent():

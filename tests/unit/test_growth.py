@@ -7,7 +7,7 @@ from softdeca.reference import Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.problems.homogeneous import rollers
 
-from .by_solver import prepare_by, solve_by
+from .by_solver import solve_by
 
 GROWTH = 1.3
 X, TETS = meshes.unstructured(2)
@@ -21,16 +21,13 @@ LAWS = {
 
 
 def energies(name, growth):
-    """A law's term, or Strain and Volume of as much growth."""
-    if name in LAWS:
-        return [terms.Hyperelastic(LAWS[name], growth=growth)]
-    return [terms.Strain(5.0, growth=growth), terms.Volume(60.0, target=growth)]
+    """A law's term of so much growth."""
+    return [terms.Hyperelastic(LAWS[name], growth=growth)]
 
 
 WAYS = [(name, solver, {}) for name in LAWS for solver in ("fenicsx", "skfem") if name != "Incompressible"]
 WAYS += [(name, "fenicsx", {"element": "P2P1"}) for name in ("NeoHookean", "MooneyRivlin", "Incompressible")]
-WAYS += [("Strain + Volume", solver, {}) for solver in ("projective", "fenicsx", "skfem")]
-WAYS += [(name, "fenicsx", {"element": "P2"}) for name in ("Strain + Volume", "NeoHookean")]
+WAYS += [("NeoHookean", "fenicsx", {"element": "P2"})]
 
 
 @pytest.mark.parametrize(("name", "solver", "options"), WAYS)
@@ -59,27 +56,12 @@ def test_grown_tissue_is_as_stiff_as_it_was():
 GRADED = np.linspace(1.0, 1.5, len(TETS))
 
 
-def graded(name):
-    return Scene(X, TETS, [*energies(name, GRADED), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
-
-
-@pytest.mark.parametrize("solver", ["projective", "fenicsx", "skfem"])
-def test_growth_may_change_without_a_new_preparation(solver):
-    prepared = prepare_by(solver, graded("Strain + Volume"))
-    later = Scene(X, TETS, [*energies("Strain + Volume", GROWTH), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
-    answer = prepared.solve(later, tolerance=1e-11)
-    assert answer.positions == pytest.approx(solve_by(solver, later).positions, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: terms.Strain(1.0, growth=0.0), "Strain.growth: must be finite and above 0.0, got 0.0"),
         (lambda: terms.Hyperelastic(LAWS["NeoHookean"], growth=np.nan), "Hyperelastic.growth: must be finite"),
         (lambda: terms.Hyperelastic(LAWS["NeoHookean"], tets=[0], growth=[1.0, 2.0]), "Hyperelastic.growth: expected"),
-        (lambda: terms.Strain(1.0, 1.05, rule="indicator", growth=1.1), "the indicator knows no growth"),
         (lambda: Scene(X, TETS, energies("NeoHookean", GRADED[1:])), "growth has .* values for .* tets"),
-        (lambda: Scene(X, TETS, [terms.Strain(1.0, growth=GRADED[1:])]), "growth has .* values for .* tets"),
     ],
 )
 def test_growth_out_of_range_is_named(make, message):

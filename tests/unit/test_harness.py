@@ -23,7 +23,6 @@ from softdeca.benchmarks.studies import STUDIES, load_study
 from softdeca.cli import animate, bench, corpus, head, head_files, study, train_regressor
 from softdeca.cli.study_command import RunOptions, command_of_study
 from softdeca.lhm import InputError
-from softdeca.reference import ranks
 
 # Another process has to import what it measures.
 TOYS = """
@@ -355,14 +354,6 @@ def test_no_study_has_an_option_twice():
     ]
 
 
-def test_under_mpirun_every_rank_measures_itself(toys, tmp_path, monkeypatch):
-    """Ranks share each solve of FEniCSx, and a process that one of them started would not."""
-    monkeypatch.setattr(ranks, "size", lambda: 2)
-    monkeypatch.setattr(processes, "_Lane", None)
-    results = run(toys.Toy(folder=str(tmp_path), cases=("1", "bad", "2")), tmp_path / "out")
-    assert [row.status for row in results.rows] == ["done", "failed", "done"]
-
-
 def test_a_process_goes_on_with_its_case(toys, tmp_path):
     """What it has kept of a case serves the rest of it; another begins with a case of its own."""
     lane = processes._Lane()
@@ -402,7 +393,7 @@ def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_pat
     picture = io.BytesIO()
     Image.new("RGB", (40, 30), "white").save(picture, "PNG")
     drawn = {"a picture": picture.getvalue(), "turn it": b"<!doctype html><p>round</p>"}
-    monkeypatch.setattr(ranks, "size", lambda: 2)
+    monkeypatch.setattr(runner, "measure_jobs", lambda jobs, lanes: map(processes._measure, jobs))
     monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
     (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
     kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}

@@ -17,7 +17,7 @@ pytest.importorskip("dolfinx")
 from softdeca.reference import Scene, materials, prepare, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx.energy.assembly import Stiffness
-from softdeca.reference.fenicsx.energy.hyperelastic import HyperelasticForms, density
+from softdeca.reference.fenicsx.energy.hyperelastic import density
 from softdeca.reference.fenicsx.energy.kernels import Kernel
 from softdeca.reference.fenicsx.energy.solids import VolumeLaw, hyperelastic_law, strain_law
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
@@ -26,6 +26,8 @@ from softdeca.reference.problems import meshes
 from softdeca.reference.projective.terms import lanes
 from softdeca.reference.projective.terms import volumes as projective
 from softdeca.reference.skfem import solids as skfem
+
+from .ufl_forms import HyperelasticForms, evaluator
 
 STEP = 1e-5
 ROOM = 64
@@ -127,8 +129,8 @@ class ByUfl:
         cells = numbering.cell
         self.forms = HyperelasticForms(u, cells, self.material, growth=self.growth)
         psi, F = density(u, cells, self.material, self.growth)
-        self._psi = seam.evaluator(psi, points, numbering.space.mesh)
-        self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
+        self._psi = evaluator(psi, points, numbering.space.mesh)
+        self._stress = evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
         self._numbering, self._u = numbering, u
 
     def set(self, F):
@@ -176,32 +178,27 @@ MATERIALS = {
     "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4),
     "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRE, KAPPA),
 }
-SHARE = GROWTH ** (2 / 3)
 NEO_HOOKEAN, COROTATED = MATERIALS["neo-Hookean"], MATERIALS["corotated"]
 FORMS = {
     **{name: forms(law) for name, law in MATERIALS.items()},
     "strain": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.0, 1.0),
+        "by kernel": ByKernel(strain_law, 2.0, 1.0),
         "by hand": ByHand(skfem.Strain, 2.0, 1.0),
     },
     "strain limit": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.1, 1.0),
+        "by kernel": ByKernel(strain_law, 2.0, 1.1),
         "by hand": ByHand(skfem.Strain, 2.0, 1.1),
     },
     "volume": {"by kernel": ByKernel(VolumeLaw, 3.0, 1.0), "by hand": ByHand(skfem.Volume, 3.0, 1.0)},
     "volume grown": {"by kernel": ByKernel(VolumeLaw, 3.0, GROWTH), "by hand": ByHand(skfem.Volume, 3.0, GROWTH)},
-    "strain grown": {
-        "by kernel": ByKernel(strain_law, 2.0, 1.0, GROWTH),
-        "by hand": ByHand(lambda k, g, w: skfem.Grown(skfem.Strain(k, k / k), g, w), 2.0, GROWTH, SHARE),
-    },
     "corotated grown": {
         "by kernel": ByKernel(lambda g: hyperelastic_law(COROTATED, g), GROWTH),
-        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByRotation(COROTATED), g, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByRotation(COROTATED), g), GROWTH),
     },
     "neo-Hookean grown": {
         "by UFL": ByUfl(NEO_HOOKEAN, GROWTH),
         "by kernel": ByKernel(lambda g: hyperelastic_law(NEO_HOOKEAN, g), GROWTH),
-        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByInvariants(NEO_HOOKEAN), g, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByInvariants(NEO_HOOKEAN), g), GROWTH),
     },
 }
 LAWS = {(name, form): law for name, of_name in FORMS.items() for form, law in of_name.items()}

@@ -38,30 +38,6 @@ def test_an_absolute_tolerance_asks_the_same_wherever_a_solve_starts(solver):
     assert relative.iterations > 0
 
 
-def test_a_solution_before_is_where_the_next_begins(solver):
-    prepared = prepare(drawn(), solver=solver)
-    with pytest.raises(SceneError, match="start and warm both say where to begin"):
-        prepared.solve(start=drawn().vertices, warm=prepared.solve(max_iterations=0))
-    first = prepared.solve(tolerance=1e-8, remember=True)
-    warm = prepared.solve(warm=first, tolerance=1e-2)
-    further = prepared.solve(drawn(0.32), warm=first, tolerance=1e-2)
-    assert warm.history.gradient_norm[0] < 1e-6 * first.history.gradient_norm[0]
-    assert further.history.gradient_norm[0] < 0.2 * first.history.gradient_norm[0]
-
-
-@pytest.mark.parametrize("name", SOLVERS[1:])
-def test_nodes_on_edges_are_remembered_if_asked(name):
-    if name == "fenicsx":
-        pytest.importorskip("dolfinx")
-    prepared = prepare(drawn(), solver=name, element="P2")
-    taken = []
-    for remember in (True, False):
-        first = prepared.solve(tolerance=1e-8, remember=remember)
-        assert (first.memory is None) is not remember
-        taken.append(prepared.solve(drawn(0.32), warm=first, absolute=1e-7).iterations)
-    assert taken[0] < taken[1]
-
-
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
 def test_an_absolute_tolerance_is_a_positive_number(solver, bad):
     with pytest.raises(SceneError, match="absolute: expected a gradient norm above 0 mN, got"):

@@ -1,13 +1,9 @@
-"""The energies of tets, all together: laws by compiled kernels, and by UFL's forms what kernels do not model.
-
-Forms model a law of one's own whose density is no kernel's, and the derivatives by the pressure of mixed elements.
-"""
+"""The energies of tets, all together, by compiled kernels; by UFL's forms the derivatives of laws with a pressure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import compress
 
 import numpy as np
 import ufl
@@ -23,7 +19,7 @@ from ...terms import Solid as SolidTerm
 from .. import dolfinx_version as seam
 from ..mesh.numbering import Numbering
 from .assembly import Stiffness
-from .hyperelastic import HyperelasticForms, check_mixed
+from .hyperelastic import MixedForms, check_mixed
 from .kernels import Kernel
 from .law_code import Law, UnknownOperationError
 from .quadrature import DEGREES, Quadrature
@@ -42,10 +38,10 @@ def check_solids(scene: Scene, element: str):
         raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
 
 
-def strain_law(stiffness: Floats, limit: Floats, growth: Floats) -> Law:
-    """stiffness/2 times the squared distance of s to [1/limit, limit] growth^(1/3).
+def strain_law(stiffness: Floats, limit: Floats) -> Law:
+    """stiffness/2 times the squared distance of s to [1/limit, limit].
 
-    All are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
+    Both are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
     """
 
     def by_stretches(s, p):
@@ -56,8 +52,7 @@ def strain_law(stiffness: Floats, limit: Floats, growth: Floats) -> Law:
             psi += p.stiffness / 2 * ufl.conditional(above, value - p.high, below) ** 2
         return psi
 
-    size = np.cbrt(growth)
-    values = {"stiffness": stiffness, "limit": limit, "low": size / limit, "high": size * limit}
+    values = {"stiffness": stiffness, "limit": limit, "low": 1.0 / limit, "high": limit}
     return Law(values, by_stretches=by_stretches)
 
 
@@ -147,11 +142,21 @@ class Solid:
             return np.broadcast_to(values, len(self.cells)).astype(np.float64)
 
         if isinstance(term, Strain):
-            return strain_law(per_cell(term.stiffness), per_cell(term.limit), per_cell(term.growth))
+            return strain_law(per_cell(term.stiffness), per_cell(term.limit))
         if isinstance(term, Volume):
             return VolumeLaw(per_cell(term.stiffness), per_cell(term.target))
         assert isinstance(term, Hyperelastic)
         return hyperelastic_law(term.material, per_cell(term.growth), mixed=self.mixed)
+
+    def check_code(self):
+        """Write the law's code; SceneError for an operation of its density that kernels do not know."""
+        try:
+            with count_compilation():
+                _ = self.law.functions
+        except UnknownOperationError as error:
+            assert isinstance(self.term, Hyperelastic)
+            name = self.term.material.name
+            raise SceneError(f"solver 'fenicsx' cannot model {name}: its density has UFL's {error}") from None
 
 
 def _per_tet(value, dimensions: int) -> bool:
@@ -159,11 +164,10 @@ def _per_tet(value, dimensions: int) -> bool:
 
 
 class Solids:
-    """What a scene's solids have in common: kernels, forms, and the quadrature of all their cells.
+    """What a scene's solids have in common: kernels, and the quadrature of all their cells.
 
-    A law that cannot be written as a kernel goes by UFL's `forms`, all others go by kernels. `mixed_forms` are of the
-    laws with a pressure, for what they have by it. `softness` (cells,) [1/kPa] is the sum of 1/mu of these laws.
-    `pressure` is a function of linear elements and `pressure_dofs` its nodes by cell, (cells, 4).
+    `mixed_forms` are of the laws with a pressure, for their derivatives. `softness` (cells,) [1/kPa] is the sum of 1/mu
+    of these laws. `pressure` is a function of linear elements and `pressure_dofs` its nodes by cell, (cells, 4).
     """
 
     def __init__(self, scene: Scene, order: Numbering, pressure, pressure_dofs: Ints | None = None):
@@ -172,20 +176,14 @@ class Solids:
         self.softness = np.zeros(len(order.cell_dofs))
         degree = DEGREES[order.degree]
         solids = self._solids(scene)
-        self._by_forms = [self._needs_forms(solid) for solid in solids]
-        self.forms: list[HyperelasticForms] = []
-        self.mixed_forms: list[HyperelasticForms] = []
-        for solid, by_forms in zip(solids, self._by_forms, strict=True):
-            term = solid.term
-            if not (by_forms or solid.mixed):
-                continue
-            assert isinstance(term, Hyperelastic)
-            forms = HyperelasticForms(self._displacement, solid.cells, term.material, degree, term.growth, pressure)
-            if by_forms:
-                self.forms.append(forms)
+        self.mixed_forms: list[MixedForms] = []
+        for solid in solids:
+            solid.check_code()
             if solid.mixed:
-                self.mixed_forms.append(forms)
-                self.softness[solid.cells] += 1.0 / term.material.shear_modulus
+                assert isinstance(solid.term, Hyperelastic)
+                law, growth = solid.term.material, solid.term.growth
+                self.mixed_forms.append(MixedForms(self._displacement, solid.cells, law, degree, growth, pressure))
+                self.softness[solid.cells] += 1.0 / law.shear_modulus
         self.kernels = [Kernel(order, cells, degree, laws, pressure_dofs) for cells, laws in self._laws(solids)]
         cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
         self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
@@ -199,17 +197,10 @@ class Solids:
         mixed = self._pressure is not None
         return [Solid.from_term(scene, term, self._order, mixed=mixed) for term in scene.of(SolidTerm)]
 
-    def _needs_forms(self, solid: Solid) -> bool:
-        try:
-            with count_compilation():
-                return not solid.law.functions
-        except UnknownOperationError:
-            return True
-
     def _laws(self, solids: list[Solid]) -> list[tuple[Ints, list[Law]]]:
         """The laws of kernels by their cells: one of F has its own, those by stretches on the same cells share one."""
         groups: list[tuple[Ints, list[Law]]] = []
-        for solid in compress(solids, [not by_forms for by_forms in self._by_forms]):
+        for solid in solids:
             for cells, laws in groups:
                 if solid.law.is_by_stretches and laws[0].is_by_stretches and np.array_equal(cells, solid.cells):
                     laws.append(solid.law)
@@ -235,7 +226,7 @@ class SolidState:
         self._solids, self._u, self._pressure = solids, np.ascontiguousarray(u), p
 
     def place(self):
-        """Have forms and kernels take this displacement and pressure."""
+        """Have mixed forms and kernels take this displacement and pressure."""
         solids = self._solids
         solids._displacement.x.array[:] = self._u[: solids._order.function_nodes].ravel()
         if solids._pressure is not None:
@@ -253,7 +244,7 @@ class SolidState:
     def energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where a law does not hold."""
         self.place()
-        energy = self._by_kernels[0] + sum(forms.assemble_energy() for forms in self._solids.forms)
+        energy = self._by_kernels[0]
         return energy if np.isfinite(energy) else np.inf
 
     def add_gradient(self, into: Floats):
@@ -261,20 +252,13 @@ class SolidState:
         self.place()
         into += self._by_kernels[1]
         # Kernels' rounding would tip Rivlin's cube off its branch at the limit point, where forms' does not.
-        for forms in self._solids.mixed_forms or self._solids.forms:
-            forms.add_gradient(into.reshape(-1))
+        for forms in self._solids.mixed_forms:
+            seam.add_vector(forms.gradient, into.reshape(-1))
 
     def add_hessian(self, into: Stiffness, kept: float):
         """Add the Hessian [mN/mm], every negative eigenvalue of every point's tangent multiplied by `kept`."""
-        solids = self._solids
         self.place()
-        for forms in solids.forms:
-            if kept == 1.0:
-                seam.add_matrix(forms.tangent, into.local)
-            else:
-                solids.quadrature.add_tangent(solids.points(forms.cells), forms.softened_tangent(kept), into)
-        into.local.assemble()
-        for kernel in solids.kernels:
+        for kernel in self._solids.kernels:
             kernel.add_hessian(self._u, kept, into)
 
     def add_strain(self, into: Floats):
@@ -291,6 +275,4 @@ class SolidState:
         P = np.zeros_like(F)
         for kernel in solids.kernels:
             P[solids.points(kernel.cells)] += kernel.stress(self._u)
-        for forms in solids.forms:
-            P[solids.points(forms.cells)] += forms.point_stress()
         return F, P

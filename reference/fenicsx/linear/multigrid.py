@@ -83,7 +83,7 @@ def find_levels(numbering: Numbering, scene: Scene) -> list[CoarseLevel]:
     levels = []
     if numbering.degree == 2:
         levels.append(_keep_vertices(numbering))
-    if scene.columns and not scene.in_parts:
+    if scene.columns:
         check_columns(scene)
         levels.append(_keep_ends(numbering, scene))
     return levels
@@ -92,7 +92,7 @@ def find_levels(numbering: Numbering, scene: Scene) -> list[CoarseLevel]:
 def _keep_vertices(numbering: Numbering) -> CoarseLevel:
     """Linear tets below quadratic ones."""
     nodes = numbering.nodes
-    kept = numbering.own_corners[numbering.own_corners < nodes.owned]  # of a scene in parts they have ghosts, too
+    kept = numbering.own_corners
     number = np.zeros((nodes.owned, 3))
     before = sum(nodes.comm.allgather(len(kept))[: nodes.comm.rank])
     number[kept] = before + np.arange(len(kept))[:, None]

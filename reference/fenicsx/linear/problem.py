@@ -27,7 +27,7 @@ from .. import dolfinx_version as seam
 from ..dolfinx_version import MPI, PETSc
 from ..energy.assembly import Stiffness, rigid_motions
 from ..energy.bending import Rings
-from ..energy.hyperelastic import HyperelasticForms
+from ..energy.hyperelastic import MixedForms
 from ..energy.loads import FollowerPressure, Springs, dead_loads
 from ..energy.nodal import NodalEnergy
 from ..energy.quadrature import Quadrature
@@ -115,7 +115,7 @@ class Problem:
         order, owned = self.numbering, self.numbering.own_corners
         supported = np.zeros(len(scene.vertices), dtype=bool)
         supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
-        if order.divided:
+        if order.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, supported, op=MPI.LOR)
         bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:
@@ -131,7 +131,7 @@ class Problem:
         return np.flatnonzero((held | self.unsupported[:, None])[: self.numbering.nodes.owned])
 
     @property
-    def mixed_forms(self) -> list[HyperelasticForms]:
+    def mixed_forms(self) -> list[MixedForms]:
         """The forms of laws with a pressure."""
         return self.solids.mixed_forms
 

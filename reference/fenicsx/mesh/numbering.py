@@ -18,7 +18,6 @@ from ...terms import OnTriangles
 from .. import dolfinx_version as seam
 from ..dolfinx_version import ALL, ALONE, MPI
 from .parallel import IndexMap, gather
-from .parts import PartScene
 
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
@@ -34,12 +33,7 @@ FACE_SHARES = {1: np.full(3, 1 / 3), 2: np.repeat([0.0, 1 / 3], 3)}
 
 
 def ranks_for(scene: Scene) -> MPI.Intracomm:
-    """Give the ranks that divide a scene: all that mpirun has started, or that have it in parts.
-
-    A small one is not divided: each rank has it alone.
-    """
-    if isinstance(scene, PartScene):
-        return scene.part.comm
+    """Give the ranks that divide a scene: all that mpirun has started, or of a small one each alone."""
     return ALL if len(scene.tets) >= FEW * ALL.size else ALONE
 
 
@@ -56,12 +50,8 @@ class Numbering:
 
     def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE, skin: Ints | None = None):
         self.degree, self.comm = degree, comm
-        if isinstance(scene, PartScene):
-            domain, self.cell_vertices, self.tet = scene.part.domain, scene.part.cells, np.arange(len(scene.tets))
-        else:
-            domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
-            self.cell_vertices, self.tet = seam.cell_vertices(domain), seam.cell_tets(domain)
-        self.divided = comm.size > 1 and not scene.in_parts
+        domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
+        self.cell_vertices, self.tet = seam.cell_vertices(domain), seam.cell_tets(domain)
         self.space = seam.vector_space(domain, degree)
         local = CORNERS if degree == 1 else np.concatenate([CORNERS, EDGES])
         self.cell_dofs = seam.cell_dofs(self.space, len(local))
@@ -76,19 +66,13 @@ class Numbering:
         ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
         self._number(ends)
         ids = seam.global_dofs(self.space)
-        self.own_vertices = self.vertex
-        if self.divided:
-            self.own_vertices = self.vertex[self.corners < owned]
+        self.own_vertices = self.vertex[self.corners < owned]
+        if comm.size > 1:
             ids = self._with_distant(scene, skin, ids, owned)
         self.nodes = IndexMap(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        self.all_vertices = gather(self.asked, self.own_vertices)
+        self.all_vertices = gather(self.comm, self.own_vertices)
         self.own_corners = self.dof[self.own_vertices]
-
-    @property
-    def asked(self) -> MPI.Intracomm:
-        """The ranks whose parts together answer for the scene's vertices: of one in parts each for its own."""
-        return self.comm if self.divided else ALONE
 
     def _number(self, ends: Ints):
         """Number nodes by their ends (n, 2)."""
@@ -121,7 +105,7 @@ class Numbering:
 
     def _here(self, triangles: Ints) -> Ints:
         """Those of triangles (k, 3) that this rank integrates over; every rank asks at once."""
-        if not self.divided:
+        if self.comm.size == 1:
             return np.arange(len(triangles))
         first = self._first_with(triangles)
         return np.flatnonzero(np.where(first < self.comm.size, first, self._owner[triangles[:, 0]]) == self.comm.rank)
@@ -152,7 +136,7 @@ class Numbering:
     def faces(self, name: str, triangles: Ints) -> tuple[Ints, Ints]:
         """Those of a term's triangles (k, 3) that this rank integrates over, and their nodes; see `face_dofs`."""
         self.dofs_of(name, triangles)
-        if self.divided and self.degree == 2:
+        if self.comm.size > 1 and self.degree == 2:
             self._check_faces(name, self._first_with(triangles) < self.comm.size)
         here = self._here(triangles)
         return here, self.face_dofs(name, triangles[here])
@@ -216,14 +200,13 @@ class Numbering:
     def to_scene(self, values: Floats, elsewhere: Floats) -> Floats:
         """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet.
 
-        Every rank gives those that it owns at least, and all of them have the whole; of a scene in parts each gives
-        a field and has its own.
+        Every rank gives those that it owns at least, and all of them have the whole.
         """
         result = np.array(elsewhere)
-        result[self.all_vertices] = gather(self.asked, values[self.own_corners])
+        result[self.all_vertices] = gather(self.comm, values[self.own_corners])
         return result
 
     def all_nodes(self, values: Floats) -> tuple[Ints, Floats]:
         """The ends (n, 2) and values (n, 3) of the scene's nodes, from those that each rank owns."""
-        mine = self.nodes.owned if self.divided else len(values)
-        return gather(self.asked, self.ends[:mine]), gather(self.asked, values[:mine])
+        mine = self.nodes.owned
+        return gather(self.comm, self.ends[:mine]), gather(self.comm, values[:mine])

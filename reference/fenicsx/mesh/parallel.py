@@ -106,7 +106,7 @@ def gather(comm: MPI.Intracomm, rows: np.ndarray) -> np.ndarray:
 
 def check_same(comm: MPI.Intracomm, scene: Scene):
     """Raise SceneError, in all ranks, unless all of them were given the same scene."""
-    if comm.size == 1 or scene.in_parts:
+    if comm.size == 1:
         return
     values: list[Any] = [scene.vertices, scene.tets]
     for term in scene.terms:

@@ -67,7 +67,7 @@ class Continuation:
         self._policy = policy.load_path
         self._run, self._problem, self._descent = run, problem, descent
         self.equations = Equilibrium(problem, problem.held_dofs(run.held), saddle)
-        self.start, self.goal = (self.equations.vector(u, run.pressure) for u in (run.u, run.goal))
+        self.start, self.goal = (self.equations.vector(u, None) for u in (run.u, run.goal))
         self._drifts = has_free_motion(run.scene)
         self._limit = run.record.left(self._policy.max_iterations)
         self.factors = Factorisation(policy.linear)

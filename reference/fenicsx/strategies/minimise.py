@@ -43,7 +43,7 @@ class Minimisation:
         if rigid is not None:
             self._rigid = bodies = rigid[0]
             bodies.set(run.scene)
-            self._poses = bodies.nearest(run.numbering.to_dofs(run.start)) if run.warm else bodies.rest()
+            self._poses = bodies.nearest(run.numbering.to_dofs(run.start)) if run.is_given else bodies.rest()
             self._freed = Newton(bodies, bodies.held(held), *rigid[1:], self._report, self._work, policy.newton)
             held[bodies.nodes] = True
             places = X + self._goal

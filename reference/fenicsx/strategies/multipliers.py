@@ -143,7 +143,7 @@ class MultiplierDescent:
         run = self._run if self._find_start is None else self._find_start(self._run)
         condensed, record = self._condensed, run.record
         count, self._limit = condensed.matrix.pressures, record.left(self._policy.multipliers.max_iterations)
-        condensed.begin(np.zeros(count) if run.pressure is None else run.pressure[:count])
+        condensed.begin(np.zeros(count))
 
         def end_step(force: float, first: float) -> float:
             self._first = max(self._first, force)

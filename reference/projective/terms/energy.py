@@ -52,10 +52,10 @@ class Energy:
     parts: tuple[Part, ...]
 
     @classmethod
-    def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
+    def from_scene(cls, scene: Scene) -> Energy:
         """Build what depends on mesh and stiffnesses."""
         parts = (kind.from_scene(scene) for kind in dict.fromkeys(PARTS.values()))
-        return cls(tuple(part.on_threads(threads) for part in parts if part is not None))
+        return cls(tuple(part for part in parts if part is not None))
 
     def for_scene(self, scene: Scene) -> Energy:
         """Take another scene's numbers that are `varying`."""

@@ -17,8 +17,6 @@ from .lanes import (
     A0,
     A1,
     A2,
-    ACTIVE,
-    ACTIVE2,
     ALWAYS_READ,
     COMPILED,
     D0,
@@ -165,13 +163,12 @@ def _is_guarded(w, parameters):
 
 
 @njit(**COMPILED)
-def _acts(w, strain, low, high, active):
+def _acts(w, strain, low, high):
     """Whether a lane's Strain acts at its stretches."""
     acting = 0
     for k in range(LANES):
-        s0 = w[S0 + k]
-        beyond = (s0 > w[high + k]) or (w[S2 + k] < w[low + k])
-        acting += 1 if beyond and s0 > w[active + k] and w[strain + k] > 0.0 else 0
+        beyond = (w[S0 + k] > w[high + k]) or (w[S2 + k] < w[low + k])
+        acting += 1 if beyond and w[strain + k] > 0.0 else 0
     return acting > 0
 
 
@@ -188,11 +185,11 @@ def _at_corner(w, strain, low, high):
 
 
 @njit(**COMPILED)
-def _bounded_stress(w, strain, low, high, active):
+def _bounded_stress(w, strain, low, high):
     """Add a Strain of any limit to the quadratic and the energy of every lane."""
     for k in range(LANES):
         s0, s1, s2, bottom, top = w[S0 + k], w[S1 + k], w[S2 + k], w[low + k], w[high + k]
-        weight = w[strain + k] if s0 > w[active + k] else 0.0
+        weight = w[strain + k]
         d0 = s0 - min(max(s0, bottom), top)
         d1 = s1 - min(max(s1, bottom), top)
         d2 = s2 - min(max(s2, bottom), top)
@@ -254,9 +251,7 @@ def _forces_by_frames(w):
     for k in range(LANES):
         d = w[D0 + k], w[D1 + k], w[D2 + k]
         s = w[S0 + k], w[S1 + k], w[S2 + k]
-        energy, weight = 0.0, w[VOLUME + k]
-        first = w[STRAIN + k] if s[0] > w[ACTIVE + k] else 0.0
-        other = w[STRAIN2 + k] if s[0] > w[ACTIVE2 + k] else 0.0
+        energy, weight, first, other = 0.0, w[VOLUME + k], w[STRAIN + k], w[STRAIN2 + k]
         for i in range(3):
             energy += weight * d[i] * d[i]
             a = s[i] - min(max(s[i], w[LOW + k]), w[HIGH + k])
@@ -334,10 +329,10 @@ def add_tets(parameters, corners, kinds, u, gradient):
             _forces_by_frames(w)
         else:
             if kind & HAS_BOUNDS:
-                _bounded_stress(w, STRAIN, LOW, HIGH, ACTIVE)
+                _bounded_stress(w, STRAIN, LOW, HIGH)
                 w[STRAIN : STRAIN + LANES] = 0.0
-            if guarded and _acts(w, STRAIN2, LOW2, HIGH2, ACTIVE2):
-                _bounded_stress(w, STRAIN2, LOW2, HIGH2, ACTIVE2)
+            if guarded and _acts(w, STRAIN2, LOW2, HIGH2):
+                _bounded_stress(w, STRAIN2, LOW2, HIGH2)
             _forces(w)
         total += _scatter(w, corners[block], gradient)
     return total

@@ -38,10 +38,6 @@ class Part(ABC):
         """Return the same elements with all numbers of a scene of the same terms."""
         return self.from_scene(scene)
 
-    def on_threads(self, threads: int) -> Self:
-        """Return the same part for so many threads, if it can use them."""
-        return self
-
     def add_anchors(self, anchored: Floats):
         """Add the stiffness [mN/mm] that ties vertices to places in space, to an array (n,)."""
         return

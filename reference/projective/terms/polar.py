@@ -1,4 +1,4 @@
-"""The nearest rotation of a block of tets in closed form, and their stretches: no singular vectors.
+"""The nearest rotation of tets in closed form, a block at a time, and their stretches: no singular vectors.
 
 F = R S with R a rotation and S symmetric, whose eigenvalues are the signed singular values s0 >= s1 >= |s2| of F. Of
 the invariants i1 = s0 + s1 + s2, i2 = s0 s1 + s0 s2 + s1 s2 and i3 = det F only i1 has to be searched for. It is the

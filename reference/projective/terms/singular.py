@@ -1,4 +1,4 @@
-"""Signed singular values of a block of tets: F = U diag(s) Vᵀ with rotations U and V, and s0 >= s1 >= |s2|."""
+"""Signed singular values of tets, a block at a time: F = U diag(s) Vᵀ with rotations U and V, and s0 >= s1 >= |s2|."""
 
 from __future__ import annotations
 

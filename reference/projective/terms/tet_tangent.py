@@ -14,8 +14,6 @@ from numba import njit
 
 # isort: off
 from .lanes import (
-    ACTIVE,
-    ACTIVE2,
     COMPILED,
     D0,
     D1,
@@ -64,11 +62,11 @@ def _strain_pair(a, b, ca, cb, inside_a, inside_b):
 
 
 @njit(**COMPILED)
-def _add_strain(w, k, weight, bottom, top, active, h, twist, flip):
+def _add_strain(w, k, weight, bottom, top, h, twist, flip):
     """Add one lane's Strain, whose rows these are, to the block h (3, 3), twist (3,) and flip (3,)."""
     s0, s1, s2 = w[S0 + k], w[S1 + k], w[S2 + k]
     strain, low, high = w[weight + k], w[bottom + k], w[top + k]
-    if strain == 0.0 or s0 <= w[active + k]:
+    if strain == 0.0:
         return
     c0, c1, c2 = s0 - min(max(s0, low), high), s1 - min(max(s1, low), high), s2 - min(max(s2, low), high)
     in0, in1, in2 = low < s0 < high, low < s1 < high, low < s2 < high
@@ -88,8 +86,8 @@ def _moduli(w, k, h, twist, flip):
     """Write the block h (3, 3), twist (3,) and flip (3,) of one lane, weights and rest volume included."""
     s0, s1, s2, volume = w[S0 + k], w[S1 + k], w[S2 + k], w[VOLUME + k]
     h[:], twist[:], flip[:] = 0.0, 0.0, 0.0
-    _add_strain(w, k, STRAIN, LOW, HIGH, ACTIVE, h, twist, flip)
-    _add_strain(w, k, STRAIN2, LOW2, HIGH2, ACTIVE2, h, twist, flip)
+    _add_strain(w, k, STRAIN, LOW, HIGH, h, twist, flip)
+    _add_strain(w, k, STRAIN2, LOW2, HIGH2, h, twist, flip)
     if volume == 0.0:
         return
     t0, t1, t2 = s0 - w[D0 + k], s1 - w[D1 + k], s2 - w[D2 + k]

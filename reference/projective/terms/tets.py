@@ -1,14 +1,11 @@
 """Strain and Volume on the tets of a scene, in blocks: their energy, gradient, matrix and Hessian (SoftDECA Eq. 10).
 
-E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance (but for the jumps of
-Strain's indicator).
+E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -16,8 +13,6 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Strain, Volume
 from .lanes import (
-    ACTIVE,
-    ACTIVE2,
     HIGH,
     HIGH2,
     LANES,
@@ -33,12 +28,10 @@ from .local_step import HAS_BOUNDS, HAS_GUARDS, HAS_VOLUME, add_tets
 from .part import Part
 from .tet_tangent import PAIRS, add_tet_tangent
 
-ALWAYS = -1.0
-"""Below any largest stretch."""
 WIDE = 2.0
 """A Strain whose limit is above that hardly ever acts."""
-_STRAIN_ROWS = np.array([[STRAIN, LOW, HIGH, ACTIVE], [STRAIN2, LOW2, HIGH2, ACTIVE2]]) // LANES
-"""Weight, bounds and indicator of the two Strains that a row of blocks has room for."""
+_STRAIN_ROWS = np.array([[STRAIN, LOW, HIGH], [STRAIN2, LOW2, HIGH2]]) // LANES
+"""Weight and bounds of the two Strains that a row of blocks has room for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +46,7 @@ class _Places:
         """Whether a term of the same tets has the numbers that were written."""
         mine = self.term
         if isinstance(mine, Strain) and isinstance(term, Strain):
-            return mine.rule == term.rule and _same(mine, term, "stiffness", "limit", "growth")
+            return _same(mine, term, "stiffness", "limit")
         return isinstance(mine, Volume) and isinstance(term, Volume) and _same(mine, term, "stiffness", "target")
 
     def write(self, term: Strain | Volume, volumes: Floats, parameters: Floats):
@@ -62,14 +55,10 @@ class _Places:
             _spread(term.stiffness * volumes, VOLUME // LANES, self.rows, parameters)
             _spread(term.target, TARGET // LANES, self.rows, parameters)
             return
-        strain, low, high, active = _STRAIN_ROWS[self.slots].T
+        strain, low, high = _STRAIN_ROWS[self.slots].T
         _spread(term.stiffness * volumes, strain, self.rows, parameters)
-        if term.rule == "indicator":
-            _spread(term.limit, active, self.rows, parameters)
-            return
-        size = np.cbrt(term.growth)
-        _spread(size / term.limit, low, self.rows, parameters)
-        _spread(size * term.limit, high, self.rows, parameters)
+        _spread(1.0 / term.limit, low, self.rows, parameters)
+        _spread(term.limit, high, self.rows, parameters)
 
 
 def _same(one: Strain | Volume, other: Strain | Volume, *names: str) -> bool:
@@ -85,7 +74,6 @@ class TetBlocks(Part):
     kinds: np.ndarray
     places: tuple[_Places, ...]
     tets: Ints
-    threads: int = 1
 
     @classmethod
     def from_scene(cls, scene: Scene) -> TetBlocks | None:
@@ -96,7 +84,6 @@ class TetBlocks(Part):
         blocks = -(-len(tets) // LANES)
         parameters = np.zeros((blocks, PARAMETERS, LANES))
         parameters[:, [row // LANES for row in (LOW, HIGH, LOW2, HIGH2, TARGET)]] = 1.0
-        parameters[:, [ACTIVE // LANES, ACTIVE2 // LANES]] = ALWAYS
         corners = np.zeros((blocks, 4, LANES), dtype=np.uint32)
         every = np.arange(len(tets))
         inverse, _ = shape_gradients(scene, tets)
@@ -121,17 +108,13 @@ class TetBlocks(Part):
         """See Part."""
         return self.for_scene(scene)
 
-    def on_threads(self, threads: int) -> TetBlocks:
-        """See Part."""
-        return replace(self, threads=threads)
-
     def separate(self) -> TetBlocks:
         """Return the same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
         corners = np.zeros_like(self.corners)
         every = np.arange(len(self.tets))
         for corner in range(4):
             _spread(4 * every + corner, corner, every, corners)
-        return replace(self, corners=corners, threads=1)
+        return replace(self, corners=corners)
 
     def untangling(self, volume_share: float) -> TetBlocks:
         """Move a share of Volume's weight to Strain with limit 1, and leave the rest out.
@@ -139,40 +122,23 @@ class TetBlocks(Part):
         A Strain of wide limit is left with the share that the matrix has of it.
         """
         parameters = self.parameters.copy()
-        for strain, low, high, active in _STRAIN_ROWS:
+        for strain, low, high in _STRAIN_ROWS:
             parameters[:, strain] *= _share(parameters[:, high], volume_share)
-            size = np.sqrt(parameters[:, low] * parameters[:, high])
-            parameters[:, low] = parameters[:, high] = size
-            parameters[:, active] = ALWAYS
+            parameters[:, low] = parameters[:, high] = 1.0
         parameters[:, STRAIN // LANES] += volume_share * parameters[:, VOLUME // LANES]
         parameters[:, VOLUME // LANES] = 0.0
         none = tuple(replace(place, term=None) for place in self.places)
         return replace(self, parameters=parameters, kinds=_kinds_of(parameters), places=none)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part.
-
-        Threads share the blocks evenly and add up in order: the same bits each time for the same number of threads.
-        """
-        blocks = self.parameters.reshape(len(self.parameters), -1), self.corners.reshape(len(self.corners), -1)
-        if self.threads == 1:
-            return total + add_tets(*blocks, self.kinds, u, gradient)
-
-        def share(first: int, last: int) -> tuple[float, Floats]:
-            own = np.zeros_like(gradient)
-            return add_tets(*(part[first:last] for part in blocks), self.kinds[first:last], u, own), own
-
-        bounds = np.linspace(0, len(self.parameters), self.threads + 1).astype(int)
-        mine = 0.0
-        for energy, own in _workers(self.threads).map(share, bounds[:-1], bounds[1:]):
-            mine += energy
-            gradient += own
-        return total + mine
+        """See Part."""
+        blocks = (numbers.reshape(len(numbers), -1) for numbers in (self.parameters, self.corners))
+        return total + add_tets(*blocks, self.kinds, u, gradient)
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
         """Return rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]: see `Part`."""
         weights = volume_share * self.parameters[:, VOLUME // LANES]
-        for strain, _, high, _ in _STRAIN_ROWS:
+        for strain, _, high in _STRAIN_ROWS:
             weights = weights + _share(self.parameters[:, high], volume_share) * self.parameters[:, strain]
         _, gradients = shape_gradients(scene, self.tets)
         local = np.einsum("e,eai,ebi->eab", weights.ravel()[: len(self.tets)], gradients, gradients)
@@ -192,11 +158,6 @@ class TetBlocks(Part):
         parameters, corners = (a.reshape(len(a), -1) for a in (self.parameters, self.corners))
         slots = slots.reshape(-1, len(PAIRS))
         add_tet_tangent(parameters, corners, self.kinds, len(self.tets), slots, least, u, blocks)
-
-
-@cache
-def _workers(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
 
 
 def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
@@ -233,9 +194,10 @@ def _spread(values, row: int | Ints, rows: Ints, blocks: np.ndarray):
 
 def _kinds_of(parameters: Floats) -> np.ndarray:
     """Tell what each block asks for, by its parameters (blocks, PARAMETERS, LANES): see `local_step`."""
-    (strain, low, high, active), (guard, *_) = (parameters[:, rows].swapaxes(0, 1) for rows in _STRAIN_ROWS)
-    bounded = (strain > 0.0) & ((low != high) | (active != ALWAYS))
-    asked = ((HAS_VOLUME, parameters[:, VOLUME // LANES] > 0.0), (HAS_BOUNDS, bounded), (HAS_GUARDS, guard > 0.0))
+    strain, low, high = (parameters[:, row // LANES] for row in (STRAIN, LOW, HIGH))
+    volume, guard = (parameters[:, row // LANES] for row in (VOLUME, STRAIN2))
+    bounded = (strain > 0.0) & (low != high)
+    asked = ((HAS_VOLUME, volume > 0.0), (HAS_BOUNDS, bounded), (HAS_GUARDS, guard > 0.0))
     return np.sum([flag * lanes.any(axis=1) for flag, lanes in asked], axis=0, dtype=np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""The nearest volume of a block of tets: stretches t of a determinant v > 0 nearest to stretches s.
+"""The nearest volume of tets, a block at a time: stretches t of a determinant v > 0 nearest to stretches s.
 
 The nearest matrix of determinant v (SoftDECA Eq. 10, after ShapeOp) is U diag(t) Vᵀ, since v > 0, with t of
 min Σ (t_i - s_i)² subject to t0 t1 t2 = v. The stationary points have t_i (t_i - s_i) = m for one multiplier m, so

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ....lhm.base.errors import SceneError
-from ....lhm.base.geometry.cholesky import LinearSolver, factorise
+from ....lhm.base.geometry.cholesky import factorise
 from ....lhm.base.mesh import Floats, Ints
 from .coordinates import Body, Coordinates
 
@@ -44,19 +44,11 @@ class System:
     groups: tuple[Group, ...]
 
     @classmethod
-    def from_matrix(
-        cls,
-        matrix: csr_matrix,
-        anchored: np.ndarray,
-        coordinates: Coordinates,
-        *,
-        linear_solver: LinearSolver | None = None,
-        like: System | None = None,
-    ) -> System:
-        """Factor the matrix (n, n) [mN/mm], given the vertices that a Target holds (n,); see also `factorise`."""
+    def from_matrix(cls, matrix: csr_matrix, anchored: np.ndarray, coordinates: Coordinates) -> System:
+        """Factor the matrix (n, n) [mN/mm], given the vertices that a Target holds (n,)."""
         _, part = connected_components(_joined(matrix, coordinates.bodies), directed=False)
         groups = []
-        for number, (components, free) in enumerate(coordinates.groups):
+        for components, free in coordinates.groups:
             is_tied = np.zeros(part.max() + 1, dtype=bool)
             is_tied[part[anchored | coordinates.held[:, components[0]]]] = True
             loose = np.where(is_tied[part], -1, part)
@@ -68,8 +60,7 @@ class System:
             reduced.setdiag(diagonal + shift)
             solver: Solver = np.copy
             if len(free):
-                known = like.groups[number].solver if like is not None and number < len(like.groups) else None
-                solver = factorise(reduced.tocsc(), linear_solver=linear_solver, like=known)
+                solver = factorise(reduced.tocsc())
             groups.append(Group(components, solver, loose, *_schur(matrix, rows, solver, coordinates.bodies)))
         return cls(coordinates, tuple(groups))
 
