@@ -41,7 +41,6 @@ def template_to_arrays(template: Template) -> dict[str, np.ndarray]:
     for name in _TIES:
         weights = getattr(template, name)
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
-        arrays |= {f"{name}_shape": np.array(weights.shape)}
     arrays |= {f"region_{name}": mask for name, mask in template.regions.items()}
     for name in _SURFACES:
         arrays |= surface_to_arrays(name, getattr(template, name))

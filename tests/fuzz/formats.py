@@ -17,7 +17,7 @@ from softdeca.benchmarks.harness.results import compare_results
 from softdeca.benchmarks.studies import load_study
 from softdeca.lhm import InputError, Surface, expressions, identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.base.files import surface_file, tet_file
+from softdeca.lhm.base.files import surface_file
 from softdeca.lhm.expressions import resample
 from softdeca.lhm.head import file as head_file
 from softdeca.lhm.identities.arkit import ARKIT
@@ -72,8 +72,6 @@ def all_formats() -> Iterator[Format]:
     yield Format("scan.stl", read_scan, text)
     yield Format("scan.glb", read_scan, mutations.of_glb)
     yield Format("scan.gltf", read_scan, tree)
-    for suffix in tet_file.FORMATS:
-        yield Format(f"tets{suffix}", read_tets, text)
     yield Format("landmarks.json", read_points, tree)
     yield Format("guesses.json", lambda path: list(read_guesses(path).values()), tree)
     yield Format("take.json", read_take, tree, ("take: ",))
@@ -155,12 +153,6 @@ def read_bodyparts(path: Path) -> list[np.ndarray]:
     arrays = bodyparts.read_folder(path.parent)
     bodyparts.missing_parts(arrays)
     return [arrays["vertices"] / surface_file.FARTHEST]
-
-
-def read_tets(path: Path) -> list[np.ndarray]:
-    tagged = tet_file.read_tets(path)
-    assert len(tagged.tags) == len(tagged.mesh.tets)
-    return [tagged.mesh.vertices, tagged.mesh.volumes, *tagged.surfaces.values()]
 
 
 def read_points(path: Path) -> list[np.ndarray]:

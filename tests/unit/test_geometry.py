@@ -261,15 +261,6 @@ def test_edges_of_a_motion_give_it_back(case):
     np.testing.assert_allclose(DeformationTransfer(reference, still).displacements(edges), motion, atol=1e-9)
 
 
-def test_superlu_stands_in_for_cholespy(case, monkeypatch):
-    reference, before, after, still = case
-    gradients = minus_identity(deformation_gradients(before, after, reference.triangles))
-    with_cholespy = DeformationTransfer(reference, still).delta(gradients, before[None])
-    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
-    without = DeformationTransfer(reference, still).delta(gradients, before[None])
-    np.testing.assert_allclose(without, with_cholespy, atol=1e-9)
-
-
 def test_factors_that_are_forgotten_leave_no_workspace_of_their_widest_solve():
     n, columns = 4000, 4 * cholesky.WIDEST + 1
     chain = diags([-1.0, 2.5, -1.0], [-1, 0, 1], shape=(n, n), format="csc")

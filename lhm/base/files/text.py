@@ -60,14 +60,6 @@ def find_beside(path: Path, name: str) -> Path:
     return found.resolve()
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a folder; InputError if there is none of that name."""
-    path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: no such folder")
-    return path
-
-
 @contextmanager
 def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
     """Make every error of input or mesh an InputError that names the file, once."""
