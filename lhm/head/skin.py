@@ -27,10 +27,8 @@ MOST_ROUGH = 0.55
 """Of a shape's difference between neighbours to its own size: Anny's have 0.12, coarse spheres 0.40, shuffled 0.72."""
 
 
-def check_skin(surface: Surface, *, openings: int = 0) -> None:
+def check_skin(surface: Surface) -> None:
     """Raise MeshError unless a skin is one closed, consistently oriented surface of a head's size.
-
-    Up to `openings` holes are let pass: a scan is open at the neck.
 
     The message says how many holes there are, which edge has more than two triangles, how many pieces, or what the
     extent [mm] is where the unit seems wrong.
@@ -42,9 +40,9 @@ def check_skin(surface: Surface, *, openings: int = 0) -> None:
         first = unique[count > 2][0]
         raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
     holes = _pieces(unique[count == 1])
-    if holes > openings:
-        wanted = "it must be closed" + (f" but for {openings}" if openings else "")
-        raise MeshError(f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; {wanted}")
+    if holes:
+        counted = f"{holes} hole" if holes == 1 else f"{holes} holes"
+        raise MeshError(f"skin: the surface is open, with {counted}; it must be closed")
     if len(np.unique(edges, axis=0)) != len(edges):
         raise MeshError("skin: neighbouring triangles are oriented against one another")
     pieces = _pieces(unique)

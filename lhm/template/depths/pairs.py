@@ -149,9 +149,7 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {name: (pair["skin"], pair["skull"]) for name, pair in pairs.items()}
 
 
-def read_skin(
-    path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm", progress: OnProgress = silent
-) -> tuple[Surface, float]:
+def read_skin(path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm") -> tuple[Surface, float]:
     """Read a skin [mm] in the space's topology, and how far off it the registered face is on average [mm].
 
     0 for a skin of that topology. InputError names the file that cannot be read, registered, or is of another unit.
@@ -161,7 +159,7 @@ def read_skin(
         if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
             check_skin(skin)
             return skin, 0.0
-        registered = register(space.mean, space.parts, skin, progress=progress)
+        registered = register(space.mean, space.parts, skin)
     except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None
     return registered.surface, registered.residual.mean
