@@ -175,7 +175,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made |= {("scan.stl", "binary"): stl(*ball), ("scan.stl", "text"): exported("stl_ascii", *ball)}
     rigged, draco = whole_files.rigged_glb(), whole_files.draco_glb()
     take = (folder / "take.glb").read_bytes()
-    for name, glb in {"take": take, "rigged": rigged, "packed": whole_files.packed_glb(), "draco": draco}.items():
+    for name, glb in {"take": take, "rigged": rigged, "draco": draco}.items():
         if glb is not None:
             made["scan.glb", name] = glb
     made["scan.gltf", "whole"] = gltf_of(rigged)
