@@ -15,7 +15,7 @@ from softdeca.benchmarks.face.score import AnswerError, Archive, describe_score,
 from softdeca.benchmarks.harness.report import read_part, write_report
 from softdeca.benchmarks.harness.results import compare_results
 from softdeca.benchmarks.studies import load_study
-from softdeca.lhm import InputError, Surface, expressions, identities
+from softdeca.lhm import InputError, Surface, check_head, expressions, identities
 from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.base.files import surface_file
 from softdeca.lhm.expressions import resample
@@ -105,7 +105,8 @@ def of_surface(surface: Surface | None) -> list[np.ndarray]:
 
 def read_head(path: Path) -> list[np.ndarray]:
     """The parts, the head of them, and what it does with an expression."""
-    made, report = head_file.load_head(path), head_file.check_head_file(path)
+    made = head_file.load_head(path)
+    report = check_head(made)
     assert all(text.isprintable() for text in (*made.notes, *map(str, report.figures)))
     weights = np.zeros(52)
     weights[ARKIT.index("jawOpen")] = 1.0
