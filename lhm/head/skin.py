@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from ..base.checks import real
 from ..base.errors import InputError, MeshError
 from ..base.geometry.likeness import FARTHEST
-from ..base.geometry.topology import connected_parts, directed_edges
+from ..base.geometry.topology import connected_parts, directed_edges, number_edges
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
@@ -35,7 +35,7 @@ def check_skin(surface: Surface) -> None:
     """
     triangles = surface.triangles
     edges = directed_edges(triangles)
-    unique, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    unique, _, count = number_edges(triangles)
     if (count > 2).any():
         first = unique[count > 2][0]
         raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
@@ -80,8 +80,8 @@ def check_registrable(skin: Surface) -> Surface:
             f"skin: {pieces} separate pieces; the largest is registered, the others are carried along", stacklevel=3
         )
     whole = Surface(skin.vertices, skin.triangles[kept])
-    edges = whole.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    unique, times = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    edges = directed_edges(whole.triangles)
+    unique, _, times = number_edges(whole.triangles)
     if (times > 2).any():
         first = unique[times > 2][0].tolist()
         raise MeshError(f"skin: {(times > 2).sum()} edges have more than two triangles, the first is {first}")
