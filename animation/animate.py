@@ -1,4 +1,4 @@
-"""A take animated on a head: every frame within an accuracy, in a folder that resumes, or by a rig alone.
+"""A take animated on a head: every frame within an accuracy, or by a rig alone.
 
 Static frames of free bones come from a certified face, each by the cheapest method. Inertia, contact and other bones
 take the simulator, frame after frame. A rig alone costs what blendshapes do, and tells no error.
@@ -6,32 +6,25 @@ take the simulator, frame after frame. A rig alone costs what blendshapes do, an
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.files.resumable import RowStore, lock_folder
-from ..lhm.base.mesh import Floats32
 from ..lhm.base.progress import OnProgress
-from ..lhm.expressions import Take, rotations
-from ..lhm.head.head import LayeredHead
-from ..reference import Face, Reason, SettledFace, settle
+from ..lhm.expressions import Take
+from ..reference import Face, Reason, settle
 from ..reference.face.bones import Bones
-from ..reference.face.dynamics import extrapolate_turns, find_pivot
+from ..reference.face.dynamics import find_pivot
 from ..surrogate import BoundRig, Surrogate, certify
 from ..surrogate.certified import ACCURACY
-from .frames import CertifiedFrames, SimulatedFrames, TakeFrames
-from .play import Output, PlayedTake
+from .frames import SimulatedFrames, TakeFrame, certified_frames, rig_frames
+from .play import Output, Played, Stage, play
 from .preview import check_preview
-from .store import TakeStore, digest
 
 
 @dataclass(frozen=True)
@@ -50,11 +43,6 @@ class AnimateConfig(Output):
     def simulates(self) -> bool:
         """Whether every frame needs the simulator, one after another."""
         return self.dynamic or self.bones != "rigid" or bool(self.contact)
-
-    @property
-    def choices(self) -> dict[str, Any]:
-        """Options of `facial_scene`."""
-        return {"bones": self.bones} | ({"contact": list(self.contact)} if self.contact else {})
 
 
 @dataclass(frozen=True)
@@ -80,38 +68,32 @@ class AnimateResult:
 
 
 def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate, progress: OnProgress) -> AnimateResult:
-    """Make the frames that are missing, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
+    """Make a take's frames, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
 
     take: evenly spaced frames, `rate` apart. The neutral face settles under p first. With dynamics, the take's head
     rotation shakes it where there is one. The surrogate helps where it knows the head and parameters. A frame that is
     not within the accuracy keeps what was reached, one that cannot be simulated its blendshapes; both are listed.
-    InputError if another run works in the folder, if it holds another take, and for a take without head rotation that
-    is to be `turned`.
+    InputError for a take without head rotation that is to be `turned`.
     """
     _check(config, take)
-    head, begin = face.head, time.perf_counter()
-    with lock_folder(config.out, "animate"):
-        store = TakeStore(config.out, _manifest(config, face, take, surrogate))
-        reason = Reason.CONVERGED.name
-        frames: TakeFrames
-        if config.simulates:
-            neutral, reason = _settle(config, face, store, progress)
-            frames = SimulatedFrames(
-                neutral, face.shapes, take, config.accuracy, dynamic=config.dynamic, contact=bool(config.contact)
-            )
-        else:
-            progress("settling: neutral face", 0.0)
-            frames = CertifiedFrames(certify(face, surrogate), take, config.accuracy)
-            progress("settling: neutral face", 1.0)
-        bound = time.perf_counter() - begin
-        _make(frames, head, take, store, progress)
-        log = store.log()
-        # The wrap ends below the neck: of a bust it is the head.
-        framed = head.skin_wrap.vertices
-        pivot = find_pivot(head)
-        played = PlayedTake(head.skin, face.shapes, pivot, framed, take, lambda numbers: map(store.moved, numbers))
-        files, notes = _write(played, config, f"within {config.accuracy:g} mm", progress)
-    return _result(log, (*files, config.out / "log.jsonl"), notes, bound, reason)
+    head, begin, reason = face.head, time.perf_counter(), Reason.CONVERGED
+    progress("settling: neutral face", 0.0)
+    frames: Iterable[TakeFrame]
+    if config.simulates:
+        choices = {"bones": config.bones} | ({"contact": list(config.contact)} if config.contact else {})
+        neutral = settle(head, face.on_wraps, **choices)
+        reason = neutral.reason
+        frames = SimulatedFrames(
+            neutral, face.shapes, take, config.accuracy, dynamic=config.dynamic, contact=bool(config.contact)
+        )
+    else:
+        frames = certified_frames(certify(face, surrogate), take, config.accuracy)
+    progress("settling: neutral face", 1.0)
+    bound = time.perf_counter() - begin
+    # The wrap ends below the neck: of a bust it is the head.
+    stage = Stage(head.skin, face.shapes, find_pivot(head), head.skin_wrap.vertices, take)
+    played = play(frames, stage, config, f"within {config.accuracy:g} mm", progress)
+    return _result(played, bound, reason.name)
 
 
 def animate_rig(
@@ -120,37 +102,23 @@ def animate_rig(
     """Write wanted.out's files by a rig alone, whose frames tell no error: take.vtkhdf or take.glb, preview, log.jsonl.
 
     bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes
-    the face where there is one. Returns the rig, too. InputError if another run works in the folder, and for a take
-    without head rotation that is to be `turned`.
+    the face where there is one. Returns the rig, too. InputError for a take without head rotation that is to be
+    `turned`.
     """
     _check(wanted, take)
     begin = time.perf_counter()
     method, rig = bind(face)
-    bind_seconds = time.perf_counter() - begin
+    bound = time.perf_counter() - begin
     if wanted.turned and rig.swing is None:
         raise InputError(
             "turned: the weights do not tell what a head turns about; bind(exact=True) takes it of the head"
         )
     neutral = rig.skin
-    log: dict[int, dict[str, Any]] = {}
-
-    def moved(numbers: Sequence[int]) -> Iterator[NDArray]:
-        chosen = set(numbers)
-        for number, (frame, seconds) in enumerate(_frames(rig, take, wanted.dynamic)):
-            told = {"method": method, "error": None, "certain": False, "reason": "", "seconds": seconds}
-            log.setdefault(number, {"frame": number, "time": float(take.times[number]), **told})
-            if number in chosen:
-                yield frame - neutral.vertices
-
-    middle = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
-    used = neutral.vertices[np.unique(neutral.triangles)]
-    played = PlayedTake(neutral, face.shapes, middle, used, take, moved)
-    with lock_folder(wanted.out, "animate"):
-        if (wanted.out / "take.json").exists():
-            raise InputError(f"{wanted.out}: holds a take within an accuracy; use another folder or remove it")
-        files, notes = _write(played, wanted, method, progress)
-        RowStore(wanted.out, file="log.jsonl").keep(log.values())
-    return _result(list(log.values()), (*files, wanted.out / "log.jsonl"), notes, bind_seconds), rig
+    pivot = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
+    framed = neutral.vertices[np.unique(neutral.triangles)]
+    stage = Stage(neutral, face.shapes, pivot, framed, take)
+    played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress)
+    return _result(played, bound), rig
 
 
 def _check(wanted: Output, take: Take) -> None:
@@ -159,24 +127,9 @@ def _check(wanted: Output, take: Take) -> None:
         raise InputError("turned: the take has no head rotation")
 
 
-def _write(
-    played: PlayedTake, wanted: Output, caption: str, progress: OnProgress
-) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the moving skin, and the preview if there is to be one; return their paths and notes."""
-    written = [played.export(wanted, progress)]
-    if wanted.preview != "none":
-        written.append(played.show(wanted, caption, progress))
-    return [path for path, _ in written], tuple(note for _, note in written if note)
-
-
-def _result(
-    log: Sequence[dict[str, Any]],
-    files: tuple[Path, ...],
-    notes: tuple[str, ...],
-    bound: float,
-    neutral: str = Reason.CONVERGED.name,
-) -> AnimateResult:
+def _result(played: Played, bound: float, neutral: str = Reason.CONVERGED.name) -> AnimateResult:
     """Sum up a log."""
+    log = played.log
     errors = [row["error"] for row in log if row["error"] is not None]
     return AnimateResult(
         frames=len(log),
@@ -186,76 +139,7 @@ def _result(
         failed=tuple((row["frame"], row["reason"]) for row in log if row["reason"]),
         bind_seconds=bound,
         frame_ms=1e3 * float(np.median([row["seconds"] for row in log])),
-        files=files,
-        notes=notes,
+        files=played.files,
+        notes=played.notes,
         neutral=neutral,
     )
-
-
-def _manifest(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate) -> dict[str, Any]:
-    """Return what decides the frames: a folder whose manifest differs holds another take."""
-    head, parameters = face.head, face.on_wraps
-    values = [np.asarray(getattr(parameters, f.name)) for f in fields(parameters)]
-    network = None if config.simulates else surrogate.weights.network
-    return {
-        "head": digest(head.skin.vertices, head.skin.triangles, head.vertices, head.tets, head.bone),
-        "expressions": digest(face.shapes),
-        "weights": digest(take.weights),
-        "first time": float(take.times[0]),
-        "frames": len(take.times),
-        "rate": float(take.rate),
-        "parameters": digest(*values),
-        "neutral": "settled under p",
-        "dynamic": "flesh lags" if config.dynamic else False,
-        "head rotation": digest(take.head) if config.dynamic and take.head is not None else None,
-        "accuracy": config.accuracy,
-        "network": None if network is None else digest(*(network[name] for name in sorted(network))),
-        "choices": json.loads(json.dumps(config.choices)),
-    }
-
-
-def _settle(config: AnimateConfig, face: Face, store: TakeStore, progress: OnProgress) -> tuple[SettledFace, str]:
-    """Return the neutral face settled under p, from the folder where it is there, and why settling stopped."""
-    kept = store.neutral()
-    if kept is None:
-        progress("settling: neutral face", 0.0)
-        found = settle(face.head, face.on_wraps, **config.choices)
-        kept = {
-            "positions": found.positions,
-            "displacement": found.displacement,
-            "reason": np.array(found.reason.name),
-        }
-        store.keep_neutral(kept)
-        progress("settling: neutral face", 1.0)
-    neutral = SettledFace(face.head, face.on_wraps, kept["positions"], kept["displacement"], choices=config.choices)
-    return neutral, str(kept["reason"])
-
-
-def _make(frames: TakeFrames, head: LayeredHead, take: Take, store: TakeStore, progress: OnProgress) -> None:
-    """Make the frames that the store lacks."""
-    done, state = store.done(*frames.state_names)
-    if state is not None:
-        frames.resume(state)
-    count = len(take.times)
-    for number in range(done, count):
-        begin = time.perf_counter()
-        frame = frames.frame(number)
-        record = {"frame": number, "time": float(take.times[number]), **frame.record}
-        record["seconds"] = round(time.perf_counter() - begin, 4)
-        store.add(number, (frame.skin - head.skin.vertices).astype(np.float32), record, frame.state)
-        progress(f"frame {number + 1} of {count}", (number + 1) / count)
-
-
-def _frames(rig: BoundRig, take: Take, dynamic: bool) -> Iterator[tuple[Floats32, float]]:
-    """The take's skins in their order, and the seconds of each."""
-    bases = None if take.head is None else rotations(take.head)
-    moving = rig.dynamic(1.0 / take.rate) if dynamic else None
-    if moving is not None and bases is not None:
-        moving.begin(take.weights[0], base=extrapolate_turns(bases))
-    for number, weights in enumerate(take.weights):
-        begin = time.perf_counter()
-        if moving is None:
-            skin = rig.frame(weights)
-        else:
-            skin = moving.frame(weights, base=None if bases is None else bases[number])
-        yield skin, time.perf_counter() - begin

@@ -1,22 +1,22 @@
-"""Frames of a take in their order, each with its error: by a certified face, or by the simulator, one after another."""
+"""Frames of a take in their order: by a certified face, by the simulator, one after another, or by a rig alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ..lhm.base.errors import SoftdecaError
-from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.expressions import Take, rotations
 from ..reference import Sequence, SettledFace, Solution
 from ..reference.face.dynamics import extrapolate_turns
-from ..reference.face.sequence import TOLERANCE, State
+from ..reference.face.sequence import TOLERANCE
 from ..reference.face.settle import carry_skin
-from ..surrogate.certified import POLICY, CertifiedFace, Reached, find_counted
-from .play import blend_linearly
+from ..surrogate import BoundRig
+from ..surrogate.certified import POLICY, CertifiedFace, find_counted
 
 TIGHTER, TIGHTEST = 0.1, 1e-9
 """A frame of the simulator that is not within the accuracy goes on to this times its tolerance, down to the least."""
@@ -24,64 +24,52 @@ TIGHTER, TIGHTEST = 0.1, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TakeFrame:
-    """A frame: its skin (n, 3) [mm], its fields of the log, and the state from which the next one follows.
+    """A frame: its skin (n, 3) [mm], and its fields of the log.
 
-    Fields: method, error [mm] (None: not known), certain, solves, reason ("" where nothing failed), and, of the
-    simulator, energy [µJ], residual (gradient norm [mN]), inverted tets and contacts.
+    Fields: method, error [mm] (None: not known), certain, solves (not of a rig), reason ("" where nothing failed), and,
+    of the simulator, energy [µJ], residual (gradient norm [mN]), inverted tets and contacts.
     """
 
     skin: Floats | Floats32
     record: dict[str, Any]
-    state: dict[str, np.ndarray]
 
 
-class TakeFrames(Protocol):
-    """Makes a take's frames in their order."""
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of a state's arrays."""
-        ...
-
-    def resume(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on after the frame that left a state."""
-        ...
-
-    def frame(self, number: int) -> TakeFrame:
-        """Make frame `number`, which follows the last one made."""
-        ...
+def blend_linearly(neutral: Surface, deltas: Floats, weights: Floats) -> Floats:
+    """Linear blendshapes [mm], shape (n, 3), of weights (52,)."""
+    used = np.flatnonzero(weights)
+    return neutral.vertices + np.tensordot(weights[used], deltas[used], axes=1)
 
 
-class CertifiedFrames:
-    """Static frames within an accuracy [mm], each by the cheapest method; see `surrogate.certified`."""
+def rig_frames(method: str, rig: BoundRig, take: Take, dynamic: bool) -> Iterator[TakeFrame]:
+    """Make a take's frames by a rig, which tells no error; with inertia if `dynamic`."""
+    record = {"method": method, "error": None, "certain": False, "reason": ""}
+    if not dynamic:
+        yield from (TakeFrame(rig.frame(weights), record) for weights in take.weights)
+        return
+    bases = None if take.head is None else rotations(take.head)
+    moving = rig.dynamic(1.0 / take.rate)
+    if bases is not None:
+        moving.begin(take.weights[0], base=extrapolate_turns(bases))
+    for number, weights in enumerate(take.weights):
+        yield TakeFrame(moving.frame(weights, base=None if bases is None else bases[number]), record)
 
-    state_names: tuple[str, ...] = ("weights", "positions")
 
-    def __init__(self, face: CertifiedFace, take: Take, accuracy: float):
-        self._face, self._take, self._accuracy = face, take, accuracy
-        self._last: Reached | None = None
-
-    def resume(self, state: Mapping[str, np.ndarray]) -> None:
-        """See TakeFrames."""
-        self._last = Reached(state["weights"], state["positions"])
-
-    def frame(self, number: int) -> TakeFrame:
-        """See TakeFrames."""
-        made = self._face.frame(self._take.weights[number], self._accuracy, after=self._last)
-        self._last = made
-        reason = "" if made.bound <= self._accuracy else f"error {made.bound:.2g} mm, expected {self._accuracy:g}"
-        record = {"method": made.method, "error": made.error, "certain": made.certain, "solves": made.solves}
-        state = {"weights": made.weights, "positions": made.positions}
-        return TakeFrame(made.skin, record | {"reason": reason}, state)
+def certified_frames(face: CertifiedFace, take: Take, accuracy: float) -> Iterator[TakeFrame]:
+    """Make static frames within an accuracy [mm], each by the cheapest method; see `surrogate.certified`."""
+    last = None
+    for weights in take.weights:
+        last = face.frame(weights, accuracy, after=last)
+        reason = "" if last.bound <= accuracy else f"error {last.bound:.2g} mm, expected {accuracy:g}"
+        record = {"method": last.method, "error": last.error, "certain": last.certain, "solves": last.solves}
+        yield TakeFrame(last.skin, record | {"reason": reason})
 
 
 class SimulatedFrames:
     """Frames of a sequence of the simulator, with inertia, contact or bones of one's own; each within an accuracy [mm].
 
     The error of a frame with inertia is to the converged answer that follows the frames before as they were made.
+    Iterating raises SoftdecaError where the first frame fails, for there is nothing to begin from.
     """
-
-    state_names: tuple[str, ...] = ("positions", "sought", "before", "drift", "turns")
 
     def __init__(
         self, neutral: SettledFace, deltas: Floats, take: Take, accuracy: float, *, dynamic: bool, contact: bool
@@ -93,18 +81,13 @@ class SimulatedFrames:
         turned = dynamic and take.head is not None
         self._bases = rotations(take.head) if turned else np.array([np.eye(3)] * len(take.times))
 
-    def resume(self, state: Mapping[str, np.ndarray]) -> None:
-        """See TakeFrames."""
-        self._sequence.state = State(**state)
-
-    def frame(self, number: int) -> TakeFrame:
-        """See TakeFrames. SoftdecaError where the first frame fails, for there is nothing to begin from."""
-        expression = blend_linearly(self._neutral.head.skin, self._deltas, self._take.weights[number])
-        skin, record = self._solve(expression, self._bases[number:])
-        state = self._sequence.state
-        if state is None:
-            raise SoftdecaError(f"frame {number}: {record['reason']}; nothing to begin from")
-        return TakeFrame(skin, record, {name: getattr(state, name) for name in self.state_names})
+    def __iter__(self) -> Iterator[TakeFrame]:
+        for number, weights in enumerate(self._take.weights):
+            expression = blend_linearly(self._neutral.head.skin, self._deltas, weights)
+            skin, record = self._solve(expression, self._bases[number:])
+            if self._sequence.state is None:
+                raise SoftdecaError(f"frame {number}: {record['reason']}; nothing to begin from")
+            yield TakeFrame(skin, record)
 
     def _solve(self, expression: Floats, bases: Floats) -> tuple[Floats, dict[str, Any]]:
         sequence, tolerance = self._sequence, TOLERANCE

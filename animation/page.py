@@ -28,6 +28,8 @@ from ..surrogate.rigs.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 
+TOP = 2.0
+"""[mm] Where the colours of distances end."""
 FINEST = 1 / 32767
 """Of the largest number of a row: what a 16-bit number tells apart."""
 
@@ -83,11 +85,10 @@ def render_page(
     *,
     poses: Sequence[Pose] = (),
     layers: Sequence[Layer] = (),
-    top: float = 2.0,
 ) -> str:
-    """The page as text; `words` stand beneath the title, `top` [mm] is where the colours of distances end.
+    """The page as text; `words` stand beneath the title, the last rig is shown first.
 
-    The last rig is shown first. Raises InputError without a rig, and for skins that are not all of one size.
+    Raises InputError without a rig, and for skins that are not all of one size.
     """
     if not rigs:
         raise InputError("viewer: there is no rig to show")
@@ -99,7 +100,7 @@ def render_page(
             raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
     skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
     content = pack_skin(packed, skin) | {
-        "top": top,
+        "top": TOP,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
         "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],

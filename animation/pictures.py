@@ -271,11 +271,11 @@ def draw_cut_away(head: LayeredHead, *, positions: Floats | None = None, size: i
     middle = vertices[head.tets].mean(axis=1)[:, 0] < 0.5 * (across.min() + across.max())
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
     plotter.subplot(0, 0)
-    for which, parse_colour in ((0, SOFT), (1, MUSCLE)):
+    for which, colour in ((0, SOFT), (1, MUSCLE)):
         tets = head.tets[middle & (layer == which)]
         cells = np.hstack([np.full((len(tets), 1), 4), tets]).ravel()
         grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
-        plotter.add_mesh(grid, color=parse_colour, show_edges=True, edge_color="#55443a", line_width=0.5)
+        plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
     aim_camera(plotter, *frame_view([vertices], SIDE), SIDE)
     n = len(head.bone)
     for column, colours in enumerate((np.zeros(n), head.bone), start=1):
@@ -309,7 +309,7 @@ def draw_views(
 ) -> bytes:
     """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
 
-    `framed` and `rest` as in `strip`.
+    `framed` and `rest` as in `draw_strip`.
     """
     pyvista = load_pyvista()
     colours = None if rest is None else shade_skin(rest)
@@ -371,9 +371,9 @@ def draw_labelled(
     framed: Floats,
     size: int = 560,
 ) -> bytes:
-    """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`.
+    """A surface from several views (caption, direction), with points [mm] by name, numbered.
 
-    The names are listed below.
+    The names are listed below; `framed` as in `draw_strip`.
     """
     pyvista = load_pyvista()
     window = (size * len(views), size)

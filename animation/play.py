@@ -1,22 +1,26 @@
-"""A take played on a head, whoever computed it: its files, glTF or VTKHDF, and a preview beside blendshapes."""
+"""A take played on a head, whoever computes it: its files, glTF or VTKHDF, a preview beside blendshapes, and a log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.base.errors import InputError
+from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.moving_surface import write_gltf, write_vtkhdf
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..reference.face.dynamics import turn_about
 from ..surrogate.methods import BLENDSHAPES
+from .frames import TakeFrame, blend_linearly
 from .preview import GIF_SECONDS, Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
@@ -43,12 +47,11 @@ class Output:
 
 
 @dataclass(frozen=True, eq=False)
-class PlayedTake:
-    """Skins of a take's frames.
+class Stage:
+    """What a take is shown on.
 
     neutral: the skin without p [mm]; deltas (52, n, 3) [mm]: what the weights add to it; pivot (3,) [mm]: what the head
-    turns about; framed (k, 3) [mm]: the points that a preview has in view. moved: frames by their numbers, rising, less
-    neutral [mm], each (n, 3).
+    turns about; framed (k, 3) [mm]: the points that a preview has in view.
     """
 
     neutral: Surface
@@ -56,74 +59,88 @@ class PlayedTake:
     pivot: Floats
     framed: Floats
     take: Take
-    moved: Callable[[Sequence[int]], Iterator[NDArray]]
 
-    def export(self, wanted: Output, progress: OnProgress) -> tuple[Path, str]:
-        """Write OUT/take.vtkhdf or take.glb; return its path, and how far glTF's morph targets are off, or ""."""
-        path, count = wanted.out / FILES[wanted.format], len(self.take.times)
-        progress(f"export: {path.name}", 0.0)
-        moved = _told(self._shown(wanted, range(count)), count, f"export: {path.name}", progress)
-        note = ""
-        if wanted.format == "vtkhdf":
-            frames = (self.neutral.vertices + one for one in moved)
-            write_vtkhdf(path, self.neutral.triangles, self.take.times, frames)
-        else:
-            morphs = write_gltf(path, self.neutral, self.take.times, np.array(list(moved)))
-            note = describe_targets(path, len(morphs.targets), morphs.error)
-        progress(f"export: {path.name}", 1.0)
-        return path, note
-
-    def show(self, wanted: Output, caption: str, progress: OnProgress) -> tuple[Path, str]:
-        """Write OUT/preview.gif or .mp4: blendshapes, and beside them the frames under their caption.
-
-        Return its path, and what a GIF leaves out, or "".
-        """
-        path = wanted.out / f"preview.{wanted.preview}"
-        shown = choose_frames(len(self.take.times), self.take.rate, wanted.preview)
-        pairs = (
-            (self._placed(wanted, k, self._blended(k)), self.neutral.vertices + moved)
-            for k, moved in zip(shown, self._shown(wanted, shown), strict=True)
-        )
-        told = _told(pairs, len(shown), f"preview: {path.name}", progress)
-        captions, weights = (BLENDSHAPES, caption), self.take.weights[shown]
-        pictures = render_frames(self.neutral, told, captions, framed=self.framed, weights=weights)
-        write_preview(path, wanted.preview, pictures, self.take.times[shown], self.take.rate)
-        progress(f"preview: {path.name}", 1.0)
-        left_out = len(self.take.times) - shown.stop
-        note = f"{path.name} ends after {GIF_SECONDS:g} s; --preview mp4 shows the {left_out} frames left"
-        return path, note if left_out else ""
-
-    def _shown(self, wanted: Output, numbers: Sequence[int]) -> Iterator[NDArray]:
-        """Frames as they are shown, less the neutral skin [mm], each (n, 3)."""
-        for number, moved in zip(numbers, self.moved(numbers), strict=True):
-            if wanted.turned:
-                placed = self._placed(wanted, number, self.neutral.vertices + moved)
-                moved = placed - self.neutral.vertices
-            yield moved
-
-    def _placed(self, wanted: Output, number: int, skin: Floats) -> Floats:
-        """A skin [mm], shape (n, 3), of the head's own frame as it is shown."""
-        if not wanted.turned or self.take.head is None:
+    def turned(self, skin: Floats, number: int) -> Floats:
+        """A skin (n, 3) [mm] of the head's own frame, turned as the take has the head in a frame."""
+        if self.take.head is None:
             return skin
         return turn_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
 
-    def _blended(self, number: int) -> Floats:
+    def blended(self, number: int) -> Floats:
+        """The blendshapes [mm] of a frame, shape (n, 3)."""
         return blend_linearly(self.neutral, self.deltas, self.take.weights[number])
+
+
+@dataclass(frozen=True)
+class Played:
+    """The files of a take, notes on what they leave out or approximate, and the log's lines."""
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+    log: list[dict[str, Any]]
+
+
+def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str, progress: OnProgress) -> Played:
+    """Make the frames, and write OUT/take.vtkhdf or take.glb, OUT/preview.gif or .mp4, and OUT/log.jsonl.
+
+    The preview has blendshapes, and beside them the frames under their caption.
+    """
+    take, count = stage.take, len(stage.take.times)
+    shown = choose_frames(count, take.rate, wanted.preview) if wanted.preview != "none" else range(0)
+    log: list[dict[str, Any]] = []
+    kept: dict[int, NDArray[np.float32]] = {}
+
+    def moved() -> Iterator[NDArray]:
+        """Make the frames, less the neutral skin [mm]; keep those of the preview."""
+        begin = time.perf_counter()
+        for number, frame in enumerate(frames):
+            seconds = round(time.perf_counter() - begin, 6)
+            log.append({"frame": number, "time": float(take.times[number]), **frame.record, "seconds": seconds})
+            one = (frame.skin - stage.neutral.vertices).astype(np.float32)
+            if wanted.turned:
+                one = stage.turned(stage.neutral.vertices + one, number) - stage.neutral.vertices
+            if number in shown:
+                kept[number] = one
+            progress(f"frame {number + 1} of {count}", (number + 1) / count)
+            yield one
+            begin = time.perf_counter()
+
+    files, notes = [wanted.out / FILES[wanted.format]], []
+    if wanted.format == "vtkhdf":
+        write_vtkhdf(files[0], stage.neutral.triangles, take.times, (stage.neutral.vertices + one for one in moved()))
+    else:
+        morphs = write_gltf(files[0], stage.neutral, take.times, np.array(list(moved())))
+        notes.append(describe_targets(files[0], len(morphs.targets), morphs.error))
+    if shown:
+        files.append(wanted.out / f"preview.{wanted.preview}")
+        _write_preview(files[1], kept, stage, wanted, caption, progress)
+        if shown.stop < count:
+            left_out = f"--preview mp4 shows the {count - shown.stop} frames left"
+            notes.append(f"{files[1].name} ends after {GIF_SECONDS:g} s; {left_out}")
+    files.append(wanted.out / "log.jsonl")
+    write_whole(files[-1], b"".join(json.dumps(row, allow_nan=False).encode() + b"\n" for row in log))
+    return Played(tuple(files), tuple(notes), log)
+
+
+def _write_preview(
+    path: Path, kept: Mapping[int, NDArray], stage: Stage, wanted: Output, caption: str, progress: OnProgress
+) -> None:
+    """Write blendshapes beside frames, given by their number less the neutral skin [mm]."""
+
+    def pairs() -> Iterator[tuple[Floats, Floats]]:
+        for done, (number, moved) in enumerate(kept.items()):
+            progress(f"preview: {path.name}", done / len(kept))
+            blended = stage.blended(number)
+            left = stage.turned(blended, number) if wanted.turned else blended
+            yield left, stage.neutral.vertices + moved
+
+    take, numbers = stage.take, list(kept)
+    weights = take.weights[numbers]
+    pictures = render_frames(stage.neutral, pairs(), (BLENDSHAPES, caption), framed=stage.framed, weights=weights)
+    write_preview(path, wanted.preview, pictures, take.times[numbers], take.rate)
+    progress(f"preview: {path.name}", 1.0)
 
 
 def describe_targets(path: Path, count: int, error: float) -> str:
     """Say how far a glTF's morph targets are off, at the worst vertex of the worst frame [mm]."""
     return f"{path.name}: {count} morph targets, greatest error {error:.2g} mm"
-
-
-def blend_linearly(neutral: Surface, deltas: Floats, weights: Floats) -> Floats:
-    """Linear blendshapes [mm], shape (n, 3), of weights (52,)."""
-    used = np.flatnonzero(weights)
-    return neutral.vertices + np.tensordot(weights[used], deltas[used], axes=1)
-
-
-def _told(items: Iterator, count: int, what: str, progress: OnProgress) -> Iterator:
-    """The items, each with word of how far the file is."""
-    for number, item in enumerate(items):
-        progress(what, number / count)
-        yield item

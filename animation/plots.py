@@ -45,11 +45,6 @@ LEAST_SECONDS = 1e-3
 """Where a method without a bind stands."""
 
 
-def draw_costs(scores: Sequence) -> bytes:
-    """`plot_costs` as PNG."""
-    return to_png(plot_costs(scores))
-
-
 def plot_costs(scores: Sequence):
     """Mean error [mm] of methods (`evaluate.Score`) against seconds before the first frame, and of one frame."""
     figure, axes = subplots(1, 2, figsize=(10, 4.2), sharey=True)

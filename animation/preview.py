@@ -25,6 +25,8 @@ GIF_RATE, GIF_SECONDS = 25.0, 20.0
 """[Hz, s] A GIF has at most so many frames a second, of the beginning of a take; an MP4 has all."""
 BACKGROUND = "#f4f1ec"
 FACING = (0.3, 0.04, 1.0)
+SIZE = 400
+"""Columns of pixels of one skin."""
 HEADROOM = 1.14
 
 
@@ -40,25 +42,24 @@ def render_frames(
     pairs: Iterable[tuple[Floats, Floats]],
     captions: Sequence[str],
     *,
-    size: int = 400,
     framed: Floats | None = None,
     weights: Iterable[Floats] | None = None,
 ) -> Iterator[Picture]:
-    """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3); eyes turn by `weights` (52,) of each.
+    """RGB pictures, (460, 800, 3), of pairs of skins [mm], each (n, 3); eyes turn by `weights` (52,) of each.
 
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
     all of the skin. What is hidden in `neutral` is drawn dark.
     """
     pyvista = load_pyvista()
-    rows = 2 * (23 * size // 40)
-    plotter = pyvista.Plotter(off_screen=True, window_size=(2 * size, rows))
+    rows = 2 * (23 * SIZE // 40)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(2 * SIZE, rows))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     plotter.set_background(BACKGROUND)
     framed = neutral.vertices[np.unique(neutral.triangles)] if framed is None else framed
     centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, HEADROOM * float(np.ptp(framed[:, 1]))
     aim_camera(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
-    aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
+    aside = 0.5 * height * SIZE / rows * right / np.linalg.norm(right)
     meshes, colours = [], shade_skin(neutral)
     how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):

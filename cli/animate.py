@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..lhm.base.errors import is_interrupt
 from ..lhm.base.limits import BAKED_TARGETS, SEED
 from ..lhm.expressions import Take
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import FILE, LEVEL, argument, count_range, make_command, option, refuse_given
 from .take_options import HeadChoice, load_take
-from .terminal import INTERRUPTED, show_progress
+from .terminal import show_progress
 from .written_file import FOLDER
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ class Animate:
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
 
     Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error, certain
-    and seconds of each frame. An interrupted run resumes. With --targets it also writes OUT/rig.glb: the rig's own
+    and seconds of each frame. With --targets it also writes OUT/rig.glb: the rig's own
     morph targets and the take's weights of them. Exit status 1 if a frame is not within the accuracy; those are listed.
     """
 
@@ -95,7 +94,7 @@ class Animate:
     targets: int | None = option(
         None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
     )
-    out: Path = option("out/animation", "folder of the results; finished frames in it are kept", type=FOLDER)
+    out: Path = option("out/animation", "folder of the results", type=FOLDER)
     json: bool = option(False, "print the result as JSON")
 
     def run(self) -> int:
@@ -104,13 +103,7 @@ class Animate:
         which = HeadChoice(self.head, self.identities, self.seed, self.level)
         take = load_take(self.take, self.fps, self.frames, self.turned)
         parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
-        try:
-            result = (self._by_rig if self.accuracy is None else self._within)(which, take, parameters)
-        except BaseException as error:
-            if not is_interrupt(error):
-                raise
-            click.echo(f"softdeca: interrupted; the same command goes on after the frames in {self.out}", err=True)
-            return INTERRUPTED
+        result = (self._by_rig if self.accuracy is None else self._within)(which, take, parameters)
         self._say(result)
         return 1 if result.failed or result.neutral != "CONVERGED" else 0
 

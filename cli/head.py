@@ -14,7 +14,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.base.errors import FitError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.progress import OnProgress
-from ..lhm.head.file import export_vtk, load_head, naming_damage, read_parts, save_head
+from ..lhm.head.file import export_vtk, load_head, naming_damage, save_head
 from ..lhm.head.gates import Figure
 from ..lhm.identities.arkit import ARKIT
 from ..lhm.template.depths.depths import DepthRegressor
@@ -201,12 +201,9 @@ class Check:
     def run(self) -> int:
         """Read and report."""
         with naming_damage(self.file, "a layered head"):
-            parts = read_parts(self.file)
-            report = parts.report()
-            # A head with inverted tets at rest cannot be moved.
-            moves = report.inverted_tets == 0 and report.least_volume > 0
-            posed = check_posed(parts.head()) if moves else ()
-        report_gates(report, self.json, notes=parts.notes, posed=posed)
+            given = load_head(self.file)
+            report, posed = check_head(given), check_posed(given)
+        report_gates(report, self.json, notes=given.notes, posed=posed)
         return 0
 
 

@@ -13,6 +13,7 @@ from ..base.errors import InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
 from ..base.geometry.surfaces import simplify, zero_surface
+from ..base.geometry.topology import join_surfaces
 from ..base.mesh import Floats, Ints, Surface
 from ..head.head import CRANIUM, FREE, MANDIBLE
 from .bodyparts import Anatomy
@@ -108,7 +109,10 @@ def closed_envelope(
             f"closed_envelope: closing {closing:g} and spacing {spacing:g} must be positive, cavity {cavity:g}, "
             f"inflate {inflate:g} and clearance {clearance:g} not negative"
         )
-    vertices, triangles = _joined(surfaces)
+    if not surfaces:
+        raise InputError("closed_envelope: no surfaces given")
+    joined = join_surfaces(surfaces)
+    vertices, triangles = joined.vertices, joined.triangles
     grid = _Grid(vertices, spacing, max(closing + inflate, cavity) + 4 * spacing)
     out = closing + inflate
     tree = TriangleTree(vertices, triangles)
@@ -185,14 +189,6 @@ class _Grid:
         points = np.stack(np.unravel_index(first, self.shape), axis=1)
         inner = phi(self.origin + self.spacing * points)[0] < 0
         return np.where(np.append(False, inner)[pieces], -field, field)
-
-
-def _joined(surfaces: Sequence[Surface]) -> tuple[Floats, Ints]:
-    if not surfaces:
-        raise InputError("closed_envelope: no surfaces given")
-    starts = np.cumsum([0] + [len(s.vertices) for s in surfaces[:-1]])
-    triangles = [s.triangles + start for s, start in zip(surfaces, starts, strict=True)]
-    return np.vstack([s.vertices for s in surfaces]), np.vstack(triangles)
 
 
 def _kept_inside(surface: Surface, within: Surface, clearance: float) -> Surface:

@@ -9,9 +9,10 @@ from scipy.spatial.distance import cdist
 
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
-from ..base.geometry.warp import TriharmonicWarp, farthest_points
+from ..base.geometry.topology import find_openings
+from ..base.geometry.warp import Similarity, TriharmonicWarp, farthest_points, fit_similarity
 from ..base.mesh import Floats, Ints, Surface
-from ..identities.cut import boundary_loops, close_loop
+from ..identities.cut import close_loop
 from ..identities.space import EYES, MOUTH
 from ..template.wraps.depth import mean_depth
 from ..template.wraps.landmarks import Landmarks, Mask, find_landmarks
@@ -88,12 +89,8 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints, policy: PlacementPolicy 
     normals = outside.vertex_normals[exposed]
     held = _places(anatomy)
     goals = _goals(outer, marks, policy)
-    scale, rotation, shift = _aligned(tissue, outside.vertices[exposed], normals, held, goals)
-
-    def similar(points: Floats) -> Floats:
-        return scale * points @ rotation.T + shift
-
-    start, normals = similar(outside.vertices[exposed]), normals @ rotation.T
+    similar = _aligned(tissue, outside.vertices[exposed], normals, held, goals)
+    start, normals = similar(outside.vertices[exposed]), normals @ similar.rotation.T
     chosen = farthest_points(start, policy.centres, np.array([0]))
     held = similar(held)
     near = np.exp(-((cdist(start[chosen], held) / policy.landmark_reach) ** 2))
@@ -119,7 +116,7 @@ def close_pockets(skin: Surface, parts: Ints) -> Surface:
     """Close the visible skin over mouth and eye sockets by lids across their rims, which come last."""
     triangles = skin.triangles[_visible(skin, parts)]
     vertices = skin.vertices
-    for loop in boundary_loops(triangles):
+    for loop in find_openings(triangles):
         weights, lid = close_loop(loop, len(vertices))
         vertices, triangles = np.vstack([vertices, weights @ vertices]), np.vstack([triangles, lid])
     return keep_triangles(Surface(vertices, triangles), np.full(len(triangles), True))
@@ -173,31 +170,19 @@ def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Float
     return x
 
 
-def _aligned(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goals: Floats):
-    """Scale, rotation and shift that bring landmarks to their goals and the vault to its depth under the scalp."""
-    fit = _similarity(held, goals, np.ones(len(held)))
+def _aligned(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goals: Floats) -> Similarity:
+    """Bring landmarks to their goals and the vault to its depth under the scalp."""
+    fit = fit_similarity(held, goals)
     vault = exposed[:, 1] > held[0, 1] + 15.0
     source = np.vstack([held, exposed[vault]])
     # Landmarks together weigh as much as the vault.
     weight = np.append(np.full(len(held), vault.sum() / len(held)), np.ones(vault.sum()))
     for _ in range(20):
-        scale, rotation, shift = fit
-        x = scale * exposed[vault] @ rotation.T + shift
-        depths, outward = tissue.at(x, normals[vault] @ rotation.T)
+        x = fit(exposed[vault])
+        depths, outward = tissue.at(x, normals[vault] @ fit.rotation.T)
         target = x + (depths.depth - depths.wanted)[:, None] * outward
-        fit = _similarity(source, np.vstack([goals, target]), weight)
+        fit = fit_similarity(source, np.vstack([goals, target]), weight)
     return fit
-
-
-def _similarity(rest: Floats, moved: Floats, weight: Floats) -> tuple[float, Floats, Floats]:
-    """Weighted least-squares scale, rotation and shift (Umeyama, IEEE TPAMI 13(4), 1991)."""
-    w = (weight / weight.sum())[:, None]
-    a, b = (w * rest).sum(axis=0), (w * moved).sum(axis=0)
-    u, s, vt = np.linalg.svd((w * (moved - b)).T @ (rest - a))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * sign) @ vt
-    scale = float((s * sign).sum() / (w * (rest - a) ** 2).sum())
-    return scale, rotation, b - scale * rotation @ a
 
 
 _CHIN_AXES = np.array([[0.0, 0.0, 1.0], [0.0, -(0.5**0.5), 0.5**0.5]])

@@ -45,7 +45,6 @@ VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million
 TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
 CORNERS = Bound("corners of triangles", 120_000_000, "three for each triangle")
 TETS = Bound("tets", 20_000_000, "six times the finest mesh that has been solved", least=1)
-TAGS = Bound("tags of surfaces", 10_000, "a head has three; anatomical atlases some hundred")
 MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
 MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
 GLTF_NODES = Bound("nodes", 10_000, "a scene with a rigged body has some hundred")

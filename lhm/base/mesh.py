@@ -15,17 +15,17 @@ Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 
-def as_points(name: str, values, *, columns: int = 3) -> Floats:
-    """Return a read-only float64 copy of shape (n, columns); MeshError names the first bad row."""
+def as_points(name: str, values) -> Floats:
+    """Return a read-only float64 copy of shape (n, 3); MeshError names the first bad row."""
     try:
         # numpy would drop masks and imaginary parts, and read texts as numbers.
         if isinstance(values, np.ma.MaskedArray) or np.asarray(values).dtype.kind not in "fiubO":
             raise TypeError
         points = np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise MeshError(f"{name}: expected numbers of shape (n, {columns}), got {type(values).__name__}") from None
-    if points.ndim != 2 or points.shape[1] != columns:
-        raise MeshError(f"{name}: expected shape (n, {columns}), got {points.shape}")
+        raise MeshError(f"{name}: expected numbers of shape (n, 3), got {type(values).__name__}") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(f"{name}: expected shape (n, 3), got {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise MeshError(f"{name}: {bad.size} rows are not finite (NaN or infinite), the first is {bad[0]}")

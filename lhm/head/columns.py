@@ -9,14 +9,14 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from ..base.geometry.cholesky import factorise
-from ..base.geometry.topology import neighbours
+from ..base.geometry.topology import graph_laplacian, neighbours, unique_edges
 from ..base.mesh import Floats, Ints, Surface
 from .layers import prism_tets
 
 
 def edge_graph(vertices: Floats, triangles: Ints) -> csr_matrix:
     """Edges of a surface, open or closed, each once, with their lengths [mm]: a graph for shortest ways along it."""
-    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = unique_edges(triangles)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     return csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices),) * 2)
 
@@ -83,7 +83,7 @@ def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Flo
     _, piece = connected_components(edges, directed=False)
     free = ~given & np.isin(piece, piece[given])
     if free.any():
-        laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()[free]
+        laplacian = graph_laplacian(edges)[free]
         right = -(laplacian[:, ~free] @ filled[~free].reshape(np.count_nonzero(~free), -1))
         filled[free] = factorise(laplacian[:, free].tocsc())(right).reshape(filled[free].shape)
     return filled

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import meshio
@@ -22,11 +21,11 @@ from ..base.files.tet_file import TaggedTets
 from ..base.files.text import parse_json
 from ..base.geometry.bvh import TriangleTree
 from ..base.limits import NOTE_LETTERS, NOTES, REGIONS, TETS, TRIANGLES, VERTICES
-from ..base.mesh import Floats, Ints, Surface, TetMesh
+from ..base.mesh import Surface, TetMesh
 from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
-from .gates import HeadReport, check_layers, check_regions, measure_face
+from .gates import check_regions, measure_face
 from .head import LayeredHead
 from .skin import check_outward
 
@@ -59,8 +58,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     arrays |= {"skin_vertices": head.skin.vertices, "skin_triangles": head.skin.triangles}
     arrays |= {name: getattr(head, name).vertices for name in _WRAPS}
     for name in _WEIGHTS:
-        weights = getattr(head, name)
-        arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
+        arrays |= weights_to_arrays(name, getattr(head, name))
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
     for name in _INSIDE:
         arrays |= surface_to_arrays(name, getattr(head, name))
@@ -70,7 +68,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     arrays |= _rig_to_arrays(head.rig)
     arrays |= {"notes": np.array(json.dumps(head.notes))}
     with refusing_to_write(path):
-        _parts(arrays).check_bones()
+        _head_from_arrays(arrays)
     write_arrays(path, arrays)
 
 
@@ -99,6 +97,11 @@ def surface_to_arrays(name: str, surface: Surface | None) -> dict[str, np.ndarra
     if surface is None:
         return {}
     return {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+
+
+def weights_to_arrays(name: str, weights: csr_matrix) -> dict[str, np.ndarray]:
+    """Return sparse weights as three named arrays."""
+    return {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
 
 
 def read_surface_arrays(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
@@ -165,87 +168,31 @@ def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) ->
     return ties
 
 
-@dataclass(frozen=True, eq=False)
-class HeadParts:
-    """What a file says of a head, each part checked by itself: enough to measure it, though it may make no head.
-
-    Fields as in LayeredHead; `volume`: the vertices (k, 3) after the wraps', and both tissues' tets.
-    """
-
-    skin: Surface
-    wraps: tuple[Surface, Surface, Surface]
-    bone: Ints
-    regions: Mapping[str, np.ndarray]
-    wrap_from_skin: csr_matrix
-    skin_from_wrap: csr_matrix
-    muscles: Surface | None
-    skull: Surface | None
-    volume: tuple[Floats, Ints, Ints] | None
-    rig: Rig | None
-    notes: tuple[str, ...]
-
-    def head(self) -> LayeredHead:
-        """Return the head; MeshError where tets are inverted, InputError where its bones lie as in no head."""
-        ties = (self.wrap_from_skin, self.skin_from_wrap)
-        volume = None
-        if self.volume is not None:
-            inner, *tissues = self.volume
-            vertices = np.vstack([*(wrap.vertices for wrap in self.wraps), inner])
-            soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
-            volume = soft, muscle
-        made = LayeredHead(
-            self.skin,
-            *self.wraps,
-            self.bone,
-            *ties,
-            self.regions,
-            muscles=self.muscles,
-            skull=self.skull,
-            volume=volume,
-            rig=self.rig,
-            notes=self.notes,
-        )
-        self.check_bones()
-        return made
-
-    def check_bones(self) -> None:
-        """Raise InputError where cranium and mandible lie as in no head."""
-        skin, _, skull = (wrap.vertices for wrap in self.wraps)
-        values = measure_face(skin, skull, self.bone, self.regions)
-        for name, words in (
-            ("mandible_over_eyes", "the mandible reaches {:.3g} mm above the eyes"),
-            ("cranium_under_mouth", "the face's cranium reaches {:.3g} mm below the mouth"),
-        ):
-            value = values[name]
-            if value is not None and value >= 0.0:
-                raise InputError(f"bone: {words.format(value)}; are cranium and mandible exchanged?")
-
-    def report(self) -> HeadReport:
-        """Measure the gates, also where wraps cross and tets are inverted, so that no head can be made."""
-        rigged = None if self.rig is None else (self.rig, self.skin_from_wrap)
-        return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
+def _check_bones(head: LayeredHead) -> None:
+    """Raise InputError where cranium and mandible lie as in no head."""
+    values = measure_face(head.skin_wrap.vertices, head.skull_wrap.vertices, head.bone, head.regions)
+    for name, words in (
+        ("mandible_over_eyes", "the mandible reaches {:.3g} mm above the eyes"),
+        ("cranium_under_mouth", "the face's cranium reaches {:.3g} mm below the mouth"),
+    ):
+        value = values[name]
+        if value is not None and value >= 0.0:
+            raise InputError(f"bone: {words.format(value)}; are cranium and mandible exchanged?")
 
 
 @check_arguments
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a layered head"):
-        return _read_parts(path).head()
-
-
-def check_head_file(path: str | os.PathLike[str]) -> HeadReport:
-    """Measure the gates of the head in a file, also where its wraps cross and tets are inverted.
-
-    InputError names a file that is missing, damaged or something else.
-    """
-    with naming_damage(path, "a layered head"):
-        return _read_parts(path).report()
-
-
-def read_parts(path: str | os.PathLike[str]) -> HeadParts:
-    """Read the parts of a head, which may make no head; InputError names a file that is missing or damaged."""
-    with naming_damage(path, "a layered head"):
-        return _read_parts(path)
+        arrays = read_arrays(path, of="a layered head")
+        if arrays.get("format", np.array("")).tolist() != FORMAT:
+            raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+        if "registered_vertices" in arrays:
+            raise InputError(
+                f"{path}: a scan in its own triangles, as earlier versions made it; fit the scan again by "
+                f"`softdeca head fit --skin`, in the template's triangles"
+            )
+        return _head_from_arrays(arrays)
 
 
 @contextmanager
@@ -260,19 +207,8 @@ def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
         raise InputError(said if said.startswith(one_line(f"{path}:")) else f"{path}: damaged, {said}") from None
 
 
-def _read_parts(path: str | os.PathLike[str]) -> HeadParts:
-    arrays = read_arrays(path, of="a layered head")
-    if arrays.get("format", np.array("")).tolist() != FORMAT:
-        raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
-    if "registered_vertices" in arrays:
-        raise InputError(
-            f"{path}: a scan in its own triangles, as earlier versions made it; fit the scan again by "
-            f"`softdeca head fit --skin`, in the template's triangles"
-        )
-    return _parts(arrays)
-
-
-def _parts(arrays: Mapping[str, np.ndarray]) -> HeadParts:
+def _head_from_arrays(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
+    """Return the head of such arrays; MeshError where tets are inverted, InputError for what is in no head."""
     skin = surface_from_arrays("skin", arrays["skin_vertices"], arrays["skin_triangles"])
     skin_wrap, muscle_wrap, skull_wrap = (
         surface_from_arrays(name, arrays[name], arrays["triangles"]) for name in _WRAPS
@@ -286,17 +222,19 @@ def _parts(arrays: Mapping[str, np.ndarray]) -> HeadParts:
     surfaces = {"skin": skin, **dict(zip(_WRAPS, wraps, strict=True))}
     more = {name: read_surface_arrays(arrays, name) for name in _INSIDE}
     extent = check_extent(surfaces | {name: surface for name, surface in more.items() if surface is not None})
-    return HeadParts(
+    head = LayeredHead(
         skin,
-        wraps,
+        *wraps,
         checks.integers("bone", arrays["bone"], 0, 2, (n,)),
-        read_masks(arrays, n),
         *read_ties(arrays, skin, skin_wrap),
-        volume=_read_volume(arrays, skin_wrap, extent),
+        read_masks(arrays, n),
+        volume=_read_volume(arrays, wraps, extent),
         rig=_read_rig(arrays, skin_n, extent),
         notes=read_notes(arrays),
         **more,
     )
+    _check_bones(head)
+    return head
 
 
 def check_extent(surfaces: Mapping[str, Surface]) -> float:
@@ -322,20 +260,24 @@ def check_extent(surfaces: Mapping[str, Surface]) -> float:
     return extent
 
 
-def _read_volume(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
+def _read_volume(
+    arrays: Mapping[str, np.ndarray], wraps: tuple[Surface, ...], extent: float
+) -> tuple[TetMesh, TetMesh] | None:
     if not any(name.startswith("volume_") for name in arrays):
         return None
     inner = checks.finite("volume_vertices", arrays["volume_vertices"], (None, 3))
-    middle = 0.5 * (wrap.vertices.min(axis=0) + wrap.vertices.max(axis=0))
+    middle = 0.5 * (wraps[0].vertices.min(axis=0) + wraps[0].vertices.max(axis=0))
     if len(inner) and np.abs(inner - middle).max() > extent:
         raise InputError("volume_vertices: some lie outside the head")
-    count = 3 * len(wrap.vertices) + VERTICES.check("volume", len(inner))
-    soft, muscle = (
-        checks.indices_below(name, arrays[name], count, (None, 4)) for name in ("volume_soft", "volume_muscle")
-    )
-    for name, tets in (("volume_soft", soft), ("volume_muscle", muscle)):
+    VERTICES.check("volume", len(inner))
+    vertices = np.vstack([*(wrap.vertices for wrap in wraps), inner])
+    tissues = []
+    for name in ("volume_soft", "volume_muscle"):
+        tets = checks.indices_below(name, arrays[name], len(vertices), (None, 4))
         TETS.check(name, len(tets))
-    return inner, soft, muscle
+        tissues.append(TetMesh(vertices, tets))
+    soft, muscle = tissues
+    return soft, muscle
 
 
 def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:

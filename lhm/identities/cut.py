@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..base.errors import MeshError
+from ..base.geometry.topology import find_openings
 from ..base.mesh import Floats, Ints
 from .space import MOUTH, OUTSIDE
 
@@ -15,25 +16,6 @@ RINGS = 5
 EVEN = 6
 REACH = 6.0
 WIDTH = 5.0
-
-
-def boundary_loops(triangles: Ints) -> list[Ints]:
-    """Find the loops of edges that have one triangle, each as vertex ids in the direction of their triangles."""
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    inner = np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])
-    following = {}
-    for start, end in edges[~inner].tolist():
-        if start in following:
-            raise MeshError(f"the open boundary touches itself at vertex {start}")
-        following[start] = end
-    loops = []
-    while following:
-        loop = [next(iter(following))]
-        while loop[-1] in following:
-            loop.append(following.pop(loop[-1]))
-        loops.append(np.array(loop[:-1]))
-    return loops
 
 
 def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
@@ -85,7 +67,7 @@ def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints, I
     number = np.full(n_vertices, -1)
     number[used] = np.arange(len(used))
     triangles = number[triangles]
-    loops = boundary_loops(triangles)
+    loops = find_openings(triangles)
     if len(loops) != 1:
         raise MeshError(f"expected one open boundary at the neck, found {len(loops)}")
     lid, more = close_loop(loops[0], len(used))

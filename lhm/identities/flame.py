@@ -16,10 +16,11 @@ from scipy.sparse import csr_matrix, vstack
 from ..base.checks import finite, indices_below, real
 from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
+from ..base.geometry.topology import find_openings
 from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
 from .arkit import ARKIT
-from .cut import boundary_loops, close_loop, even_loop, keep_lips_together, largest_piece
+from .cut import close_loop, even_loop, keep_lips_together, largest_piece
 from .safe_pickle import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
@@ -71,7 +72,7 @@ def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     triangles = number[triangles]
     closed = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n))
     parts, inward = [np.full(len(used), OUTSIDE)], [np.zeros(len(used))]
-    loops = boundary_loops(triangles)
+    loops = find_openings(triangles)
     if not loops or len(loops) > 4:
         raise MeshError(f"expected openings at the neck, and at most at mouth and eyes, found {len(loops)}")
     x = template[used]

@@ -15,6 +15,7 @@ from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
+from ..base.geometry.warp import Similarity
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..head.head import LayeredHead
@@ -22,7 +23,6 @@ from ..head.skin import check_skin
 from ..identities.arkit import find_arkit_morphs
 from ..template.depths.depths import DepthRegressor
 from ..template.fit import fit_head, has_triangles_of, is_upright
-from ..template.registration.alignment import Similarity
 from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..template.registration.registration import find_face, register
 from ..template.template import Template

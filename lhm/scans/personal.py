@@ -17,7 +17,7 @@ import numpy as np
 from ..base.errors import FitError, InputError, SoftdecaError
 from ..base.files.surface_file import read_scan
 from ..base.files.text import find_beside, read_json
-from ..base.geometry.warp import rigid_motion
+from ..base.geometry.warp import fit_similarity, rigid_motion
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..expressions.rig import Rig
@@ -26,7 +26,7 @@ from ..head.head import LayeredHead
 from ..head.skin import check_registrable
 from ..identities.arkit import ARKIT, weights_of
 from ..template.fit import has_triangles_of
-from ..template.registration.alignment import Target, find_start, fit_similarity, tukey_weights
+from ..template.registration.alignment import Target, find_start, tukey_weights
 from ..template.registration.nonrigid import lay_onto
 from ..template.registration.registration import WORST_FACE, WORST_START, find_face
 from ..template.template import Template

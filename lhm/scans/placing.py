@@ -10,10 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base.errors import FitError, InputError
+from ..base.geometry.warp import Similarity, fit_similarity
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..head.columns import unit
-from ..template.registration.alignment import Similarity, Target, fit_similarity, icp, score_start
+from ..template.registration.alignment import Target, icp, score_start
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""

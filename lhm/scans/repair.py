@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..base.errors import MeshError
 from ..base.files.surface_file import Scan
-from ..base.geometry.topology import connected_parts
+from ..base.geometry.topology import connected_parts, number_edges, open_edges
 from ..base.mesh import Floats, Ints
 
 SAME = 1e-6
@@ -45,7 +45,7 @@ def repair_scan(scan: Scan) -> Repaired:
 
 def _merged(given: Repaired) -> Repaired:
     scan = given.scan
-    rim = np.unique(_edges_of(scan.triangles, 1))
+    rim = np.unique(open_edges(scan.triangles))
     if not len(rim):
         return given
     # Lips that touch at rest may not be sewn together: what moves apart is told apart by the morph targets.
@@ -100,7 +100,7 @@ def _manifold(given: Repaired) -> Repaired:
         return given
     vertex = np.empty(fans, dtype=np.int64)
     vertex[fan] = triangles.ravel()
-    crowded = len(_edges_of(triangles, 3))
+    crowded = np.count_nonzero(number_edges(triangles)[2] > 2)
     what = f"{crowded} edges of more than two triangles" if crowded else "vertices where surfaces only touch"
     order = np.argsort(vertex, kind="stable")
     place = np.empty(fans, dtype=np.int64)
@@ -187,23 +187,10 @@ def _extent(scan: Scan) -> float:
     return float(np.ptp(scan.vertices[np.unique(scan.triangles)], axis=0).max())
 
 
-def _sides(triangles: Ints) -> tuple[Ints, Ints, Ints]:
-    """The edges (k, 2), the number of each triangle's three sides among them, (3 m,), and how many have each."""
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    n = int(sides.max()) + 1
-    key, number, times = np.unique(sides[:, 0] * n + sides[:, 1], return_inverse=True, return_counts=True)
-    return np.stack([key // n, key % n], axis=1), number.ravel(), times
-
-
-def _edges_of(triangles: Ints, least: int) -> Ints:
-    """The edges (k, 2) of one triangle (`least` 1), or of at least so many."""
-    edges, _, times = _sides(triangles)
-    return edges[times == 1] if least == 1 else edges[times >= least]
-
-
 def _neighbours(triangles: Ints) -> tuple[Ints, Ints, Ints]:
     """The two triangles at each edge that has two, shape (k,) each, and its ends (k, 2)."""
-    edges, number, times = _sides(triangles)
+    edges, number, times = number_edges(triangles)
+    number = number.ravel()
     order = np.argsort(number, kind="stable")
     order = order[times[number[order]] == 2]
     return order[::2] // 3, order[1::2] // 3, edges[number[order[::2]]]

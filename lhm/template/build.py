@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from ..base.checks import check_arguments
 from ..base.errors import FitError, InputError
@@ -16,6 +15,7 @@ from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
 from ..base.geometry.rays import first_hits
 from ..base.geometry.topology import is_closed
+from ..base.geometry.triangles import barycentric_matrix
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..head.columns import Columns, unit
@@ -142,8 +142,8 @@ def build_template(
     wrap_ids = opened.triangles[triangle]
     triangle, skin_weights, _ = TriangleTree(wrap.vertices, wrap.triangles).closest(opened.vertices)
     shape = (len(wrap.vertices), len(x))
-    wrap_from_skin = _barycentric(wrap_ids, wrap_weights, shape)
-    skin_from_wrap = _barycentric(wrap.triangles[triangle], skin_weights, shape[::-1])
+    wrap_from_skin = barycentric_matrix(wrap_ids, wrap_weights, shape)
+    skin_from_wrap = barycentric_matrix(wrap.triangles[triangle], skin_weights, shape[::-1])
     columns = Columns(wrap.triangles, len(wrap.vertices))
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
     masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, marks).items()}
@@ -188,11 +188,6 @@ def _check_inside(inside: Surface, skin: Surface, what: str) -> None:
             f"{what}: {np.count_nonzero(outside > 0)} of {len(outside)} vertices lie outside the skin, the farthest "
             f"by {outside.max():.3g} mm (none may)"
         )
-
-
-def _barycentric(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
-    rows = np.repeat(np.arange(len(ids)), 3)
-    return csr_matrix((weights.ravel(), (rows, ids.ravel())), shape=shape)
 
 
 def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: OnProgress) -> Surface:

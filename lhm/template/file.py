@@ -22,6 +22,7 @@ from ..head.file import (
     refusing_to_write,
     surface_from_arrays,
     surface_to_arrays,
+    weights_to_arrays,
 )
 from ..identities.space import CAP, OUTSIDE
 from .template import Template
@@ -39,9 +40,7 @@ def template_to_arrays(template: Template) -> dict[str, np.ndarray]:
     arrays |= {"name": np.array(template.name)}
     arrays |= {"skin_vertices": template.skin.vertices, "skin_triangles": template.skin.triangles}
     for name in _TIES:
-        weights = getattr(template, name)
-        arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
-        arrays |= {f"{name}_shape": np.array(weights.shape)}
+        arrays |= weights_to_arrays(name, getattr(template, name))
     arrays |= {f"region_{name}": mask for name, mask in template.regions.items()}
     for name in _SURFACES:
         arrays |= surface_to_arrays(name, getattr(template, name))

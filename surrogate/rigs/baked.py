@@ -124,7 +124,7 @@ class BakedRig:
         reach = np.maximum(np.abs(np.concatenate([usual, played])).max(axis=0), 1e-6)
         rig = Morphs(played / reach, self.targets * reach[:, None, None], self.largest_error)
         neutral = Surface(self.neutral.astype(np.float64), self.triangles)
-        write_rig(path, neutral, take.times, rig, usual / reach, name="rig")
+        write_rig(path, neutral, take.times, rig, usual / reach)
 
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; see `BoundSurrogate.dynamic`."""

@@ -1,6 +1,5 @@
-"""softdeca animate: a take in, files that other programs read out: within an accuracy and resumed, or by a rig."""
+"""softdeca animate: a take in, files that other programs read out: within an accuracy, or by a rig."""
 
-import fcntl
 import json
 import os
 import signal
@@ -16,7 +15,6 @@ import pytest
 from PIL import Image
 
 from softdeca.animation.animate import AnimateConfig, animate, animate_rig
-from softdeca.animation.frames import CertifiedFrames
 from softdeca.animation.play import Output
 from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
@@ -63,12 +61,6 @@ def nodding(frames=8):
     return replace(take(frames), head=np.stack([0.2 * np.sin(12 * t), 0.3 * np.sin(9 * t + 1), 0 * t], axis=1))
 
 
-def contents(folder):
-    files = sorted(p for p in folder.rglob("*") if p.suffix in (".npz", ".vtkhdf"))
-    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}, [{**row, "seconds": 0} for row in log]
-
-
 def run(config, head, deltas, shown, p=None, progress=silent):
     """The take by the dial, or by the simulator frame after frame; no network knows a sphere."""
     face = Face(head, deltas, Parameters() if p is None else p)
@@ -83,35 +75,14 @@ def logged(folder):
     ("dynamic", "bones", "take"),
     [(False, "rigid", take), (False, "prescribed", take), (True, "prescribed", take), (True, "rigid", nodding)],
 )
-def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones, take):
+def test_a_take_is_the_dials_or_the_simulators(sphere_head, deltas, tmp_path, dynamic, bones, take):
     p = Parameters(gravity=1.5, soft_volume=1.2)
 
-    def made(name, progress=silent):
-        config = AnimateConfig(tmp_path / name, dynamic=dynamic, bones=bones, accuracy=0.01)
-        return run(config, sphere_head, deltas, take(), p, progress)
-
-    whole = made("whole")
-
-    def stop(at):
-        def progress(what, fraction):
-            if what.startswith(f"frame {at} "):
-                raise KeyboardInterrupt
-
-        return progress
-
-    for at in (3, 4, 7):
-        with pytest.raises(KeyboardInterrupt):
-            made("stopped", stop(at))
-    with open(tmp_path / "stopped" / "log.jsonl", "a") as log:
-        log.write('{"frame": 7, "ti')  # what a kill leaves of a line
-    again = made("stopped")
-    assert contents(tmp_path / "stopped") == contents(tmp_path / "whole")
-    assert (whole.frames, whole.failed) == (again.frames, again.failed) == (8, ())
-    moved = [np.load(tmp_path / "whole" / "frames" / f"{k:06d}.npz")["moved"] for k in range(8)]
-    with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
-        played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
-    assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
-    assert all(row["error"] * (1 if row["certain"] else 3) <= 0.01 for row in logged(tmp_path / "whole"))
+    config = AnimateConfig(tmp_path, dynamic=dynamic, bones=bones, accuracy=0.01)
+    done = run(config, sphere_head, deltas, take(), p)
+    assert (done.frames, done.failed) == (8, ())
+    moved = played(done.files[0]) - sphere_head.skin.vertices
+    assert all(row["error"] * (1 if row["certain"] else 3) <= 0.01 for row in logged(tmp_path))
     if not dynamic and bones == "rigid":
         face = certify(Face(sphere_head, deltas, p))
         for k, weights in enumerate(take().weights):
@@ -129,82 +100,29 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
 
 
 def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_turned(sphere_head, deltas, tmp_path):
-    def played(name, shaken, **choices):
-        config = AnimateConfig(tmp_path / name, dynamic=True, **choices)
-        run(config, sphere_head, deltas, shaken)
-        with h5py.File(tmp_path / name / "take.vtkhdf") as file:
-            return file["VTKHDF/Points"][()].reshape(8, -1, 3)
+    def shown(shaken, **choices):
+        return played(run(AnimateConfig(tmp_path, dynamic=True, **choices), sphere_head, deltas, shaken).files[0])
 
-    still, own = played("still", take()), played("own", nodding())
+    still, own = shown(take()), shown(nodding())
     assert np.linalg.norm(own - still, axis=2).max() > 1.0
-    room = played("own", nodding(), turned=True)  # of the same folder: nothing is simulated anew
+    room = shown(nodding(), turned=True)
     for k, base in enumerate(expressions.rotations(nodding().head)):
         assert room[k] == pytest.approx(turn_skin(sphere_head, own[k], base), abs=1e-4)
     assert np.linalg.norm(room - own, axis=2).max() > 20.0
-    refused("another head rotation", played, "own", replace(nodding(), head=-nodding().head))
-    refused("turned: the take has no head rotation", played, "still", take(), turned=True)
+    refused("turned: the take has no head rotation", shown, take(), turned=True)
 
 
 def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
-    """At zero weights the skin is the settled neutral face's, which goes on from disk; a bad one fails."""
+    """At zero weights the skin is the settled neutral face's."""
     p, still = Parameters(soft_volume=1.4), replace(take(2), weights=np.zeros((2, 52)))
     neutral = settle(sphere_head, p, bones="prescribed")
     config = AnimateConfig(tmp_path, bones="prescribed")
-    assert run(config, sphere_head, deltas, still, p).neutral == "CONVERGED"
-    moved = np.load(tmp_path / "frames" / "000001.npz")["moved"]
+    done = run(config, sphere_head, deltas, still, p)
+    assert done.neutral == "CONVERGED"
+    moved = played(done.files[0], 2)[1] - sphere_head.skin.vertices
     rest = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions).positions
     assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=1e-4)
     assert np.abs(moved).max() > 0.1
-    kept = dict(np.load(tmp_path / "neutral.npz"))
-    np.savez(tmp_path / "neutral.npz", **kept | {"reason": np.array("STALLED")})
-    assert run(config, sphere_head, deltas, still, p).neutral == "STALLED"
-
-
-@pytest.mark.parametrize("harm", ["frame", "log", "state"])
-def test_what_was_damaged_is_made_anew(sphere_head, deltas, tmp_path, harm):
-    config = AnimateConfig(tmp_path / "take")
-    run(config, sphere_head, deltas, take(4))
-    before = contents(config.out)
-    broken = {"frame": "frames/000001.npz", "log": "log.jsonl", "state": "state.npz"}[harm]
-    (config.out / broken).write_bytes((config.out / broken).read_bytes()[:40])
-    run(config, sphere_head, deltas, take(4))
-    assert contents(config.out) == before
-
-
-def test_what_makes_no_sense_is_made_anew(sphere_head, deltas, tmp_path):
-    """A state that is not finite, and lines of the log that are of no frame."""
-    config = AnimateConfig(tmp_path / "take")
-    run(config, sphere_head, deltas, take(3))
-    before = contents(config.out)
-    state = dict(np.load(config.out / "state.npz"))
-    np.savez(config.out / "state.npz", **state | {"positions": state["positions"] * np.nan})
-    with (config.out / "log.jsonl").open("a") as log:
-        log.write('{"frame": [1]}\n{"frame": 1}\n' + "[" * 100_000 + "\n")
-    run(config, sphere_head, deltas, take(3))
-    assert contents(config.out) == before
-
-
-def test_frames_are_not_made_twice_for_another_format(sphere_head, deltas, tmp_path, monkeypatch):
-    config = AnimateConfig(tmp_path / "take")
-    run(config, sphere_head, deltas, take(3))
-    monkeypatch.setattr(CertifiedFrames, "frame", None)
-    done = run(replace(config, format="gltf"), sphere_head, deltas, take(3))
-    assert done.frames == 3 and (tmp_path / "take" / "take.glb").read_bytes().startswith(b"glTF")
-
-
-def test_another_take_in_the_folder_and_a_second_run_are_refused(sphere_head, deltas, tmp_path):
-    config = AnimateConfig(tmp_path)
-    run(config, sphere_head, deltas, take(2))
-    for other, message in (
-        ((config, sphere_head, deltas, take(3)), "another weights"),
-        ((config, sphere_head, deltas, take(2), Parameters(gravity=2.0)), "another parameters"),
-        ((replace(config, dynamic=True), sphere_head, deltas, take(2)), "another dynamic"),
-        ((replace(config, accuracy=0.01), sphere_head, deltas, take(2)), "another accuracy"),
-    ):
-        refused(message, run, *other)
-    with open(tmp_path / ".lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        refused("another animate runs there", run, config, sphere_head, deltas, take(2))
 
 
 def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, tmp_path, monkeypatch):
@@ -220,7 +138,7 @@ def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, t
     done = run(AnimateConfig(tmp_path, bones="prescribed"), sphere_head, deltas, take(5))
     assert done.frames == 5 and done.failed == ((2, "made to fail"),)
     blended = np.tensordot(take(5).weights[2], deltas, axes=1)
-    assert np.load(tmp_path / "frames" / "000002.npz")["moved"] == pytest.approx(blended, abs=1e-5)
+    assert played(done.files[0], 5)[2] == pytest.approx(sphere_head.skin.vertices + blended, abs=1e-4)
 
 
 def test_a_frame_that_is_not_within_the_accuracy_is_told(sphere_head, deltas, tmp_path, monkeypatch):
@@ -296,15 +214,6 @@ def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_p
     assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
 
 
-def test_a_rig_leaves_a_take_that_resumes_alone(network, sphere_head, deltas, tmp_path):
-    run(AnimateConfig(tmp_path), sphere_head, deltas, take(2))
-    before = contents(tmp_path)
-    face = Face(sphere_head, deltas)
-    bind = partial(bind_cheaply, surrogate=network)
-    refused("holds a take within an accuracy", animate_rig, Output(tmp_path), face, bind, take(2), silent)
-    assert contents(tmp_path) == before
-
-
 def test_accuracies_are_lengths_or_words(command, tmp_path):
     tight = command(
         *("animate", "conversation:0.1", "--level", 1, "--accuracy", "tight", "--preview", "none", "--frames", "3:5"),
@@ -358,7 +267,7 @@ def test_frames_are_cut_as_python_does():
         assert cut_take(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path):
+def test_ctrl_c_leaves_no_part_of_a_file(tmp_path):
     arguments = [*COMMAND, "animate", "conversation:20", "--level", "1", "--preview", "none", "--out", tmp_path / "t"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         for line in process.stderr:
@@ -369,10 +278,8 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
         process.wait(60)
     said = [line for line in rest.splitlines() if line and not line.endswith(" s)")]
     assert process.returncode == 130
-    assert said == [f"softdeca: interrupted; the same command goes on after the frames in {tmp_path / 't'}"]
-    names = {p.name for p in (tmp_path / "t").iterdir()}
-    sure = {".lock", "take.json", "frames", "log.jsonl"}
-    assert sure <= names <= sure | {"state.npz"}
+    assert len(said) == 1 and said[0].startswith("softdeca: interrupted")
+    assert not (tmp_path / "t").exists() or not list((tmp_path / "t").iterdir()), "files are whole or not there"
 
 
 def played(path, frames=8):

@@ -15,9 +15,9 @@ from softdeca.benchmarks.face.score import AnswerError, Archive, describe_score,
 from softdeca.benchmarks.harness.report import read_part, write_report
 from softdeca.benchmarks.harness.results import compare_results
 from softdeca.benchmarks.studies import load_study
-from softdeca.lhm import InputError, Surface, expressions, identities
+from softdeca.lhm import InputError, Surface, check_head, expressions, identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.base.files import surface_file, tet_file
+from softdeca.lhm.base.files import surface_file
 from softdeca.lhm.expressions import resample
 from softdeca.lhm.head import file as head_file
 from softdeca.lhm.identities.arkit import ARKIT
@@ -72,8 +72,6 @@ def all_formats() -> Iterator[Format]:
     yield Format("scan.stl", read_scan, text)
     yield Format("scan.glb", read_scan, mutations.of_glb)
     yield Format("scan.gltf", read_scan, tree)
-    for suffix in tet_file.FORMATS:
-        yield Format(f"tets{suffix}", read_tets, text)
     yield Format("landmarks.json", read_points, tree)
     yield Format("guesses.json", lambda path: list(read_guesses(path).values()), tree)
     yield Format("take.json", read_take, tree, ("take: ",))
@@ -107,7 +105,8 @@ def of_surface(surface: Surface | None) -> list[np.ndarray]:
 
 def read_head(path: Path) -> list[np.ndarray]:
     """The parts, the head of them, and what it does with an expression."""
-    made, report = head_file.load_head(path), head_file.check_head_file(path)
+    made = head_file.load_head(path)
+    report = check_head(made)
     assert all(text.isprintable() for text in (*made.notes, *map(str, report.figures)))
     weights = np.zeros(52)
     weights[ARKIT.index("jawOpen")] = 1.0
@@ -155,12 +154,6 @@ def read_bodyparts(path: Path) -> list[np.ndarray]:
     arrays = bodyparts.read_folder(path.parent)
     bodyparts.missing_parts(arrays)
     return [arrays["vertices"] / surface_file.FARTHEST]
-
-
-def read_tets(path: Path) -> list[np.ndarray]:
-    tagged = tet_file.read_tets(path)
-    assert len(tagged.tags) == len(tagged.mesh.tets)
-    return [tagged.mesh.vertices, tagged.mesh.volumes, *tagged.surfaces.values()]
 
 
 def read_points(path: Path) -> list[np.ndarray]:

@@ -25,9 +25,8 @@ from scipy.sparse import csc_matrix
 from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.archive import describe, write_archive
 from softdeca.benchmarks.face.problems import MESHES, PROBLEMS
-from softdeca.lhm.base.files import moving_surface, tet_file
+from softdeca.lhm.base.files import moving_surface
 from softdeca.lhm.head import file as head_file
-from softdeca.lhm.head.file import tets_from_head
 from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.template import file as template_file
 from softdeca.surrogate.corpus.folder import Corpus
@@ -161,9 +160,6 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     for kind in CHECKS:
         rough_weights(kind).save(folder / "weights.safetensors")
         made["weights.safetensors", kind] = (folder / "weights.safetensors").read_bytes()
-    for suffix in tet_file.FORMATS:
-        tet_file.write_tets(folder / f"tets{suffix}", tets_from_head(head))
-        made[f"tets{suffix}", "whole"] = (folder / f"tets{suffix}").read_bytes()
     flame = whole_files.flame()
     for name in ("ict", "anatomy", "flame"):
         made[f"{name}.npz", "whole"] = archive_of(getattr(whole_files, name)())
@@ -179,7 +175,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made |= {("scan.stl", "binary"): stl(*ball), ("scan.stl", "text"): exported("stl_ascii", *ball)}
     rigged, draco = whole_files.rigged_glb(), whole_files.draco_glb()
     take = (folder / "take.glb").read_bytes()
-    for name, glb in {"take": take, "rigged": rigged, "packed": whole_files.packed_glb(), "draco": draco}.items():
+    for name, glb in {"take": take, "rigged": rigged, "draco": draco}.items():
         if glb is not None:
             made["scan.glb", name] = glb
     made["scan.gltf", "whole"] = gltf_of(rigged)

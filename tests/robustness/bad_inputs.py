@@ -33,7 +33,7 @@ from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
-from softdeca.lhm.base.files import surface_file, tet_file
+from softdeca.lhm.base.files import surface_file
 from softdeca.lhm.head import file as head_file
 from softdeca.lhm.template import file as template_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
@@ -262,8 +262,7 @@ def functions() -> Iterator[Function]:
     file = Path(tempfile.gettempdir()) / "softdeca-bad-inputs.vtu"
     yield Function("write_solution", reference.write_solution, {"path": file, "scene": SCENE, "solution": SOLUTION})
 
-    for name, read in (("surface", surface_file.read_surface), ("tets", tet_file.read_tets)):
-        yield Function(f"read_{name}", read, {"path": "no/such.npz", "unit": "mm"})
+    yield Function("read_surface", surface_file.read_surface, {"path": "no/such.npz", "unit": "mm"})
     yield Function("read_template", template_file.read_template, {"path": "no/such.npz"})
     yield Function("load_head", head_file.load_head, {"path": "no/such.npz"})
     yield Function("save_head", head_file.save_head, {"path": file.with_suffix(".npz"), "head": HEAD})

@@ -8,11 +8,11 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from softdeca.lhm import Surface, identities, load_template
+from softdeca.lhm import Surface, check_head, identities, load_template
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.head.file import check_head_file, load_head
+from softdeca.lhm.head.file import load_head
 from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.scans.repair import repair_scan
 
@@ -168,7 +168,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
     assert ended.status == 0, ended.errors
     head = load_head(out)
-    assert check_head_file(out).problems == () and np.array_equal(head.skin.triangles, triangles)
+    assert check_head(head).problems == () and np.array_equal(head.skin.triangles, triangles)
     assert any("taken for in" in note for note in head.notes)
     # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
     used = np.unique(torn)

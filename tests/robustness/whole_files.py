@@ -239,28 +239,6 @@ def rigged_glb() -> bytes:
     return gltf.glb()
 
 
-PACKED_TRIANGLES = bytes.fromhex(
-    "e1fefefefefefefefefefefefefefefefefffffffffffffffffffffffffefefefeffff0f0af202f202f2025f045f025f020f"
-    "026f046f025f020f026f046f025f020f02ff2b0a01f2050af1070af1070aff050a01f2050af1070af1070aff050a01f2050a"
-    "f1070af1070a80171615fe0a292f050e007687566778a9866589689801690000"
-)
-"""102 corners over a grid of 5 x 5, by meshoptimizer's own encoder (0.2.30 of its Python wrapper)."""
-
-
-def packed_glb() -> bytes:
-    """Those triangles, over their grid."""
-    gltf = Gltf(extensionsRequired=["EXT_meshopt_compression"])
-    place = gltf.add(np.stack([*np.divmod(np.arange(25), 5), np.arange(25) % 3], axis=1).astype("<f4"))
-    packed = gltf.words["bufferViews"][gltf.view(PACKED_TRIANGLES)]
-    packed |= {"byteStride": 4, "count": 102, "mode": "TRIANGLES", "filter": "NONE"}
-    gltf.words["buffers"].append({"byteLength": 408})
-    unpacked = {"buffer": 1, "byteLength": 408, "extensions": {"EXT_meshopt_compression": packed}}
-    gltf.words["bufferViews"][1] = unpacked
-    corners = gltf.access({"bufferView": 1, "componentType": 5125, "count": 102, "type": "SCALAR"})
-    gltf.mesh({"attributes": {"POSITION": place}, "indices": corners})
-    return gltf.glb()
-
-
 def draco_glb() -> bytes | None:
     """A sphere compressed by Draco; None without the package."""
     try:

@@ -15,10 +15,10 @@ from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.base.geometry.topology import across_edges, subdivide
+from softdeca.lhm.base.geometry.topology import across_edges, find_openings, subdivide
 from softdeca.lhm.base.geometry.triangles import triangles_cross
 from softdeca.lhm.base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
-from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
+from softdeca.lhm.identities.cut import cut_and_close
 from softdeca.lhm.template.wraps.depth import inscribed_radius
 from softdeca.lhm.template.wraps.landmarks import jaw_share
 
@@ -170,7 +170,7 @@ def test_cut_cylinder_is_closed_by_its_lid_and_two_holes_are_refused():
     np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1)
     assert kept.max() < len(tube.vertices)
     sides = open_above[np.ptp(tube.vertices[open_above][:, :, 2], axis=1) > 1e-9]
-    assert len(boundary_loops(sides)) == 2
+    assert len(find_openings(sides)) == 2
     refused("found 2", cut_and_close, sides, len(tube.vertices), error=MeshError)
 
 
@@ -259,15 +259,6 @@ def test_edges_of_a_motion_give_it_back(case):
     corners = motion[:, reference.triangles]
     edges = corners[:, :, 1:] - corners[:, :, :1]
     np.testing.assert_allclose(DeformationTransfer(reference, still).displacements(edges), motion, atol=1e-9)
-
-
-def test_superlu_stands_in_for_cholespy(case, monkeypatch):
-    reference, before, after, still = case
-    gradients = minus_identity(deformation_gradients(before, after, reference.triangles))
-    with_cholespy = DeformationTransfer(reference, still).delta(gradients, before[None])
-    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
-    without = DeformationTransfer(reference, still).delta(gradients, before[None])
-    np.testing.assert_allclose(without, with_cholespy, atol=1e-9)
 
 
 def test_factors_that_are_forgotten_leave_no_workspace_of_their_widest_solve():

@@ -199,10 +199,8 @@ def test_linear_solvers_that_are_not_there_are_named(monkeypatch):
     with pytest.raises(InputError, match="linear solver 'pardiso': expected one of cholespy, cholmod, superlu"):
         cholesky.factorise(matrix(), linear_solver="pardiso")
     monkeypatch.setattr(cholesky, "has_cholmod", lambda: False)
-    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
-    for name in ("cholmod", "cholespy"):
-        with pytest.raises(MissingDependencyError, match=f"linear solver '{name}' needs"):
-            cholesky.factorise(matrix(), linear_solver=name)
+    with pytest.raises(MissingDependencyError, match="linear solver 'cholmod' needs"):
+        cholesky.factorise(matrix(), linear_solver="cholmod")
 
 
 def test_anderson_finds_the_same_minimum_in_far_fewer_steps_than_plain(sphere_head):

@@ -11,6 +11,7 @@ from softdeca.lhm import FitError, InputError, MeshError, Surface, identities
 from softdeca.lhm.base.files.surface_file import read_surface
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.geometry.warp import fit_similarity
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 from softdeca.lhm.template.registration import (
     landmark_ids,
@@ -19,7 +20,7 @@ from softdeca.lhm.template.registration import (
     register,
     register_by_mapping,
 )
-from softdeca.lhm.template.registration.alignment import Target, fit_similarity
+from softdeca.lhm.template.registration.alignment import Target
 from softdeca.lhm.template.registration.nonrigid import SmoothAffine
 from softdeca.lhm.template.registration.registration import template_ties
 from softdeca.lhm.template.wraps.landmarks import find_landmarks

@@ -26,7 +26,7 @@ from softdeca.lhm.scans.repair import repair_scan
 from softdeca.lhm.template.registration import read_landmarks
 
 from ..refusals import refused
-from ..robustness.whole_files import Gltf, draco_glb, exported, glb, glb_words, obj, packed_glb, stl
+from ..robustness.whole_files import Gltf, draco_glb, exported, glb, glb_words, obj, stl
 
 UNIT, TRIANGLES = geodesic_sphere(4)
 X = np.round(6400 * UNIT) / 64  # [mm], exact in single precision and in nine digits
@@ -363,6 +363,7 @@ BAD = [
     ("a.gltf", '{"asset": {"version": "1.0"}}', "not a glTF 2.0 file"),
     ("a.gltf", '{"asset": {"version": "2.0"}, "nodes": [{"children": [0]}]}', "no triangles found"),
     ("a.gltf", '{"asset": {"version": "2.0"}, "extensionsRequired": ["X_y"]}', "needs the glTF extension 'X_y'"),
+    ("a.gltf", '{"asset": {"version": "2.0"}, "extensionsRequired": ["EXT_meshopt_compression"]}', "by meshoptimizer"),
     ("a.npz", "PK", "or damaged"),
     ("a.fbx", "x", "unknown kind of file"),
     ("a.obj", None, "no such file"),
@@ -453,27 +454,20 @@ def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_
 
 
 @pytest.mark.parametrize(
-    ("make", "kind", "number", "changes", "message"),
+    ("kind", "number", "changes", "message"),
     [
-        (packed_glb, "accessors", 1, {"count": 99}, None),
-        (packed_glb, "bufferViews", 1, {"byteLength": 396}, "396 bytes; its meshopt data have 102 times 4"),
-        (packed_glb, "bufferViews", 1, {"byteLength": 3 * 10**9}, "shorter than it says"),
-        (draco_glb, "accessors", 0, {"count": 41}, r"Draco's vertices: expected shape \(41, 3\), got \(42, 3\)"),
-        (draco_glb, "accessors", 0, {"min": [-100] * 3, "max": [50] * 3}, "Draco's vertices lie 50 off the extent"),
-        (draco_glb, "accessors", 1, {"count": 237}, r"Draco's corners: expected shape \(237,\), got \(240,\)"),
+        ("accessors", 0, {"count": 41}, r"Draco's vertices: expected shape \(41, 3\), got \(42, 3\)"),
+        ("accessors", 0, {"min": [-100] * 3, "max": [50] * 3}, "Draco's vertices lie 50 off the extent"),
+        ("accessors", 1, {"count": 237}, r"Draco's corners: expected shape \(237,\), got \(240,\)"),
     ],
 )
-def test_counts_of_a_compressed_gltf_are_those_of_what_is_in_it(tmp_path, make, kind, number, changes, message):
-    content = make()
+def test_counts_of_a_compressed_gltf_are_those_of_what_is_in_it(tmp_path, kind, number, changes, message):
+    content = draco_glb()
     if content is None:
         pytest.skip("DracoPy is not installed")
     words, chunk = glb_words(content)
     words[kind][number] |= changes
-    path = written(tmp_path / "a.glb", glb(words, chunk))
-    if message is None:  # an accessor may take the first part of a view
-        assert len(read_scan(path).triangles) == 33
-    else:
-        refused(message, read_scan, path)
+    refused(message, read_scan, written(tmp_path / "a.glb", glb(words, chunk)))
 
 
 @pytest.mark.parametrize(

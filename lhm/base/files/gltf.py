@@ -1,4 +1,4 @@
-"""glTF 2.0 and GLB: the meshes of a scene as one, in the scene's axes, with their morph targets; Draco and meshopt."""
+"""glTF 2.0 and GLB: the meshes of a scene as one, in the scene's axes, with their morph targets; Draco."""
 
 from __future__ import annotations
 
@@ -24,22 +24,16 @@ from ..limits import (
     MORPH_TARGETS,
     MORPH_VALUES,
     TRIANGLES,
-    UNPACKED_BYTES,
     VERTICES,
 )
 from ..mesh import Floats, Ints
-from .meshopt import decode_meshopt
 from .text import find_beside, parse_json, read_bytes, read_json
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 FLOAT = 5126
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_KNOWN = {
-    "KHR_draco_mesh_compression",
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
-    "KHR_mesh_quantization",
-}
+_KNOWN = {"KHR_draco_mesh_compression", "KHR_mesh_quantization"}
+_MESHOPT = {"EXT_meshopt_compression", "KHR_meshopt_compression"}
 LARGEST = 1e12
 """Of a number in a transform."""
 LONGEST_STRIDE = 65536
@@ -89,15 +83,14 @@ class _Document:
             raise InputError("not a glTF 2.0 file")
         needed = {name for name in self._json.get("extensionsRequired", ()) if not name.startswith("KHR_materials_")}
         unknown = sorted(needed - _KNOWN - {"KHR_texture_basisu", "KHR_texture_transform", "EXT_texture_webp"})
+        if needed & _MESHOPT:
+            raise InputError("it is compressed by meshoptimizer, which is not read; export it without, or with Draco")
         if unknown:
             raise InputError(f"it needs the glTF extension {quote(unknown[0])!r}, which is not read; export it without")
         self._buffers: dict[int, memoryview] = {}
-        self._unpacked: dict[int, bytes] = {}
         self._joints: dict[int, Floats] = {}
         listed = [_bytes("byteLength", buffer["byteLength"]) for buffer in self._json.get("buffers", ())]
         FILE_BYTES.check("its buffers have", sum(listed))
-        packed = [view["byteLength"] for view in self._json.get("bufferViews", ()) if _meshopt(view) is not None]
-        UNPACKED_BYTES.check("its meshopt data have", sum(_bytes("byteLength", size) for size in packed))
 
     def mesh(self) -> tuple[Floats, Ints, dict[str, Floats]]:
         """Return all instances of meshes in the scene, one after another."""
@@ -305,26 +298,11 @@ class _Document:
         count = VERTICES.check("sparse", sparse["count"])
         return _strided(self._view(sparse[which]["bufferView"]), offset, kind, count, width, width * kind.itemsize)
 
-    def _view(self, number: int) -> memoryview | bytes:
+    def _view(self, number: int) -> memoryview:
         view = self._item("bufferViews", number)
-        packed = _meshopt(view)
-        source = view if packed is None else packed
-        whole = self._buffer(source["buffer"])
-        start = _bytes("byteOffset", source.get("byteOffset", 0), len(whole))
-        content = whole[start : start + _bytes("byteLength", source["byteLength"], len(whole) - start)]
-        if packed is None:
-            return content
-        if number not in self._unpacked:
-            count, stride = _bytes("count", packed["count"]), _bytes("byteStride", packed["byteStride"])
-            if count * stride != view["byteLength"]:
-                raise InputError(
-                    f"bufferView {number}: {quote(view['byteLength'])} bytes; its meshopt data have {quote(count)} "
-                    f"times {quote(stride)}"
-                )
-            self._unpacked[number] = decode_meshopt(
-                content, count, stride, packed["mode"], packed.get("filter", "NONE")
-            )
-        return self._unpacked[number]
+        whole = self._buffer(view["buffer"])
+        start = _bytes("byteOffset", view.get("byteOffset", 0), len(whole))
+        return whole[start : start + _bytes("byteLength", view["byteLength"], len(whole) - start)]
 
     def _buffer(self, number: int) -> memoryview:
         """Return a buffer, of which no more is read than its stated length."""
@@ -346,12 +324,6 @@ class _Document:
 
 def _is_surface(primitive: dict) -> bool:
     return primitive.get("mode", 4) in (4, 5, 6) and "POSITION" in primitive["attributes"]
-
-
-def _meshopt(view: dict) -> dict | None:
-    """Return the words of a view that meshoptimizer packed."""
-    extensions = view.get("extensions", {})
-    return extensions.get("EXT_meshopt_compression") or extensions.get("KHR_meshopt_compression")
 
 
 def _from_base64(uri: str) -> bytes:
@@ -395,9 +367,7 @@ def _bytes(name: str, number: Any, most: int = FILE_BYTES.most) -> int:
     return number
 
 
-def _strided(
-    content: bytes | memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any
-) -> np.ndarray:
+def _strided(content: memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
     size = width * kind.itemsize
     if not size <= _bytes("byteStride", stride, LONGEST_STRIDE):
         raise InputError(f"byteStride: {stride}, below the {size} bytes of an element")

@@ -64,7 +64,6 @@ def write_gltf(
     motion: NDArray[np.float32],
     *,
     tolerance: float = 0.05,
-    name: str = "skin",
 ) -> Morphs:
     """Write a skin [mm] whose displacements from neutral are `motion` (k, n, 3) [mm] at `times` (k,) [s], rising.
 
@@ -74,7 +73,7 @@ def write_gltf(
     if motion.shape != (len(times), *neutral.vertices.shape):
         raise InputError(f"glTF: motion of shape {motion.shape} for {len(times)} times and {neutral.vertices.shape}")
     reduced = reduce_to_morphs(motion, tolerance=tolerance)
-    _write(path, neutral, times, reduced, _normal_targets(neutral, motion, reduced.weights), name=name)
+    _write(path, neutral, times, reduced, _normal_targets(neutral, motion, reduced.weights), name="skin")
     return reduced
 
 
@@ -84,8 +83,6 @@ def write_rig(
     times: Floats,
     rig: Morphs,
     usual: Floats,
-    *,
-    name: str = "skin",
 ) -> None:
     """Write a skin [mm] with given morph targets, played by their weights at `times` (k,) [s], rising.
 
@@ -93,7 +90,7 @@ def write_rig(
     InputError for a file that cannot be written.
     """
     motion = np.tensordot(usual, rig.targets, axes=1).astype(np.float32)
-    _write(path, neutral, times, rig, _normal_targets(neutral, motion, usual), name=name)
+    _write(path, neutral, times, rig, _normal_targets(neutral, motion, usual), name="rig")
 
 
 def _write(

@@ -1,8 +1,8 @@
 """Work of hours in a folder, which resumes: a store of rows, and a lock against a second run.
 
-A store says what its rows are of, and has a line of JSON for each; arrays lie beside them, a file each, whole or not
-there (`atomic`). Studies, takes and evaluations keep such stores. A corpus has shards instead, each with a checksum and
-its corpus' name, since they are copied and read without their folder; its manifest is checked as a store's.
+A store has a line of JSON for each row; arrays lie beside them, a file each, whole or not there (`atomic`). Studies
+keep such stores. A corpus has shards instead, each with a checksum and its corpus' name, since they are copied and read
+without their folder, and a manifest that says what they are of.
 """
 
 from __future__ import annotations
@@ -25,16 +25,11 @@ from .text import read_bytes, read_json
 class RowStore:
     """Rows of a folder's work, in the order in which they were added: JSON in `file`, arrays in files by name.
 
-    `manifest`, if given, is noted in WHAT.json, `what` being a word for the work. Raises InputError, naming what
-    differs, for a folder whose work is of another manifest, and where it cannot be written.
+    Raises InputError where it cannot be written.
     """
 
-    def __init__(
-        self, folder: Path, what: str = "", manifest: Mapping[str, Any] | None = None, *, file: str = "rows.jsonl"
-    ):
+    def __init__(self, folder: Path, *, file: str = "rows.jsonl"):
         self.folder, self.file = folder, folder / file
-        if manifest is not None and not check_manifest(folder / f"{what}.json", what, manifest):
-            write_whole(folder / f"{what}.json", json.dumps(dict(manifest), indent=1).encode())
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all whole rows; a line that a kill has torn is left out. InputError for no plain file."""

@@ -60,14 +60,6 @@ def find_beside(path: Path, name: str) -> Path:
     return found.resolve()
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a folder; InputError if there is none of that name."""
-    path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: no such folder")
-    return path
-
-
 @contextmanager
 def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
     """Make every error of input or mesh an InputError that names the file, once."""
@@ -93,10 +85,10 @@ def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES, *, first
     return content
 
 
-def read_json(path: str | os.PathLike[str], of: str = "a JSON file", *, allow_nan: bool = False) -> Any:
+def read_json(path: str | os.PathLike[str], of: str = "a JSON file") -> Any:
     """Return what a JSON file says; `of` is what the file should be. InputError, one line, names the file."""
     try:
-        return parse_json(read_bytes(path, JSON_BYTES), allow_nan=allow_nan)
+        return parse_json(read_bytes(path, JSON_BYTES))
     except InputError as error:
         said = str(error)
         raise InputError(said if said.startswith(str(path)) else f"{path}: not {of} ({said})") from None

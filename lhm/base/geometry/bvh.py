@@ -214,16 +214,12 @@ class TriangleTree:
         return _closest(*arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self.nodes)
 
     def self_crossings(self, *, most: int = ALL) -> Ints:
-        """Return pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
+        """Return pairs of triangles without a common vertex that cross, (k, 2); the search ends after `most`."""
         return self._pairs(self.corners, self.triangles, True, most)
 
-    def crossings(self, other: TriangleTree, *, shared_ids: bool = False, most: int = ALL) -> Ints:
-        """Return pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
-
-        With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
-        """
-        ids = other.triangles if shared_ids else other.triangles + len(self.vertices)
-        return self._pairs(other.corners, ids, False, most)
+    def crossings(self, other: TriangleTree, *, most: int = ALL) -> Ints:
+        """Return pairs (triangle of `other`, triangle of this) that cross, (k, 2); the search ends after `most`."""
+        return self._pairs(other.corners, other.triangles + len(self.vertices), False, most)
 
     def _pairs(self, query, query_ids, same, most) -> Ints:
         pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self.nodes)

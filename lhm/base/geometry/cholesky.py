@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
@@ -24,10 +25,6 @@ from scipy.sparse.linalg import splu
 from ..checks import one_of
 from ..errors import MissingDependencyError
 
-try:
-    from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
-except ImportError:
-    CholeskySolverD = None
 try:
     from sksparse.cholmod import CholmodNotPositiveDefiniteError, analyze
 except ImportError:
@@ -46,9 +43,9 @@ multiple of CHOLMOD's four columns, so that answers are the same to the bit."""
 def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
     """Factor a symmetric positive definite matrix (n, n); the result maps (n, columns) of its dtype to solutions.
 
-    linear_solver None takes cholespy, or SuperLU where that is not installed. With "cholmod", `like` is a factor of a
+    linear_solver None takes cholespy. With "cholmod", `like` is a factor of a
     matrix of the same pattern, or its analysis, which is used again; others have no use for it. Raises InputError for
-    an unknown linear solver and MissingDependencyError for one that is not installed.
+    an unknown linear solver and MissingDependencyError for CHOLMOD where it is not installed.
     """
     if linear_solver is not None:
         one_of("linear solver", linear_solver, get_args(LinearSolver))
@@ -56,9 +53,7 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
         if not has_cholmod():
             raise MissingDependencyError("linear solver 'cholmod' needs scikit-sparse: pip install 'softdeca[cholmod]'")
         return CholmodFactor(matrix, like)
-    if linear_solver == "cholespy" and CholeskySolverD is None:
-        raise MissingDependencyError("linear solver 'cholespy' needs the package cholespy")
-    if linear_solver == "superlu" or CholeskySolverD is None:
+    if linear_solver == "superlu":
         return _superlu(matrix).solve
     kind = CholeskySolverF if matrix.dtype == np.float32 else CholeskySolverD
     if not matrix.has_sorted_indices:
@@ -85,7 +80,7 @@ def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None
     """
     if has_cholmod() and linear_solver in (None, "cholmod"):
         return CholmodFactor(matrix, like, definite=True)
-    if linear_solver == "superlu" or (linear_solver is None and CholeskySolverD is None):
+    if linear_solver == "superlu":
         # LU without pivoting meets the signs of LDLᵀ.
         lu = _superlu(matrix)
         if not (lu.U.diagonal() > 0.0).all():

@@ -79,13 +79,9 @@ RAYS, REACH, OFF = 16, 200.0, 0.05
 """Directions tried at each point; how far [mm] they look, and how far off the surface they begin."""
 
 
-def visible_sky(surface: Surface, points: Floats | None = None, normals: Floats | None = None) -> Floats:
-    """Return the share (k,) of the directions before each point, by their cosine, that meet nothing within 200 mm.
-
-    `points` on the surface [mm] and their unit normals, shape (k, 3); by default its vertices.
-    """
-    points = surface.vertices if points is None else points
-    normals = surface.vertex_normals if normals is None else normals
+def visible_sky(surface: Surface) -> Floats:
+    """Return the share (n,) of the directions before each vertex, by their cosine, that meet nothing within 200 mm."""
+    points, normals = surface.vertices, surface.vertex_normals
     # Fibonacci's points on a disc, lifted to the hemisphere: evenly spread by cosine (Malley's method).
     k = np.arange(RAYS) + 0.5
     radius, angle = np.sqrt(k / RAYS), np.pi * (1 + 5**0.5) * k

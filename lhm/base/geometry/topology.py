@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import MeshError
@@ -16,9 +18,28 @@ def directed_edges(triangles: Ints) -> Ints:
     return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
+SIDES = np.array([[0, 1], [1, 2], [2, 0]])
+"""Corners of a triangle's edges."""
+
+
+def number_edges(triangles: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return each edge of triangles (m, 3) once, the edges of each by number, and how many triangles have each.
+
+    Edges (e, 2) have their smaller vertex first and rise; numbers (m, 3) are as in `directed_edges`; counts (e,).
+    """
+    edges, number = midpoints(triangles, SIDES, int(triangles.max(initial=-1)) + 1)
+    return edges, number, np.bincount(number.ravel(), minlength=len(edges))
+
+
 def unique_edges(triangles: Ints) -> Ints:
     """Return each edge of triangles (m, 3) once, its smaller vertex first, in rising order, shape (e, 2)."""
-    return np.unique(np.sort(directed_edges(triangles), axis=1), axis=0)
+    return number_edges(triangles)[0]
+
+
+def open_edges(triangles: Ints) -> Ints:
+    """Return the edges that have one triangle, shape (k, 2)."""
+    edges, _, count = number_edges(triangles)
+    return edges[count == 1]
 
 
 def _edge_keys(triangles: Ints) -> tuple[Ints, Ints]:
@@ -88,6 +109,13 @@ def find_openings(triangles: Ints) -> list[Ints]:
     return sorted(loops, key=len, reverse=True)
 
 
+def join_surfaces(surfaces: Sequence[Surface]) -> Surface:
+    """Return surfaces as one, their vertices and triangles one after another."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    triangles = [surface.triangles + start for surface, start in zip(surfaces, starts[:-1], strict=True)]
+    return Surface(np.vstack([surface.vertices for surface in surfaces]), np.vstack(triangles))
+
+
 def connected_parts(triangles: NDArray[np.integer], n_vertices: int) -> tuple[int, Ints]:
     """Return how many parts hang together through triangles, and the part of each vertex, shape (n,)."""
     pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
@@ -110,7 +138,7 @@ def split_triangles(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
     The middle of edge k is vertex n + k.
     """
-    ends, middles = midpoints(triangles, np.array([[0, 1], [1, 2], [2, 0]]), n)
+    ends, middles = midpoints(triangles, SIDES, n)
     a, b, c = triangles.T
     ab, bc, ca = n + middles.T
     parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
@@ -129,3 +157,8 @@ def neighbours(triangles: Ints, n: int) -> csr_matrix:
     rows, columns = np.concatenate([i, j, k]), np.concatenate([j, k, i])
     matrix = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
     return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
+
+
+def graph_laplacian(edges: csr_matrix) -> csr_matrix:
+    """Return D - W of symmetric weights W (n, n), as those of `neighbours`; D has their sums on its diagonal."""
+    return (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()

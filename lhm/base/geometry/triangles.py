@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_matrix
 
 from ..mesh import Floats, Ints
 
@@ -213,3 +214,8 @@ def _fan_crossings(vertices, triangles, corners, first):
                 if segment_hits(x, (i + 1) % 3, (i + 2) % 3, y) or segment_hits(y, (j + 1) % 3, (j + 2) % 3, x):
                     crossings.append((t, s))
     return crossings
+
+
+def barycentric_matrix(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
+    """Make a matrix of this shape whose k rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
+    return csr_matrix((weights.ravel(), (np.repeat(np.arange(len(ids)), 3), ids.ravel())), shape=shape)

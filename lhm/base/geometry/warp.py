@@ -1,6 +1,8 @@
-"""Maps of space: the best rigid motion between points, and a smooth warp of scattered displacements."""
+"""Maps of space: the rigid motion and the similarity that fit points best, and a warp of scattered displacements."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
@@ -15,6 +17,30 @@ def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:
     u, _, vt = np.linalg.svd((moved - b).T @ (rest - a))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return rotation, b - rotation @ a
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x -> scale rotation x + shift [mm]."""
+
+    scale: float
+    rotation: Floats
+    shift: Floats
+
+    def __call__(self, points: Floats) -> Floats:
+        """Move points (n, 3) [mm]."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+
+def fit_similarity(rest: Floats, moved: Floats, weight: Floats | None = None) -> Similarity:
+    """Fit moved = s R rest + t to points (n, 3), weighted (n,), by least squares (Umeyama, TPAMI 13(4), 1991)."""
+    w = np.ones((len(rest), 1)) if weight is None else (weight / weight.mean())[:, None]
+    middle, goal = (w * rest).mean(axis=0), (w * moved).mean(axis=0)
+    a, b = rest - middle, w * (moved - goal)
+    u, _, vt = np.linalg.svd(b.T @ a)
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    scale = float(np.einsum("nd,nd->", b, a @ rotation.T) / max(np.einsum("nd,nd->", w * a, a), 1e-30))
+    return Similarity(scale, rotation, goal - scale * rotation @ middle)
 
 
 def farthest_points(points: Floats, count: int, first: Ints) -> Ints:

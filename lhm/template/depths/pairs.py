@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse import identity
 from scipy.sparse.linalg import splu
 
 from ...base.errors import InputError, SoftdecaError
@@ -17,6 +17,7 @@ from ...base.files.surface_file import SUFFIXES, read_surface
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.distance import SignedDistance
 from ...base.geometry.rays import first_hits
+from ...base.geometry.topology import graph_laplacian, join_surfaces, neighbours
 from ...base.mesh import Floats, Surface
 from ...base.progress import OnProgress, silent
 from ...head.skin import check_skin
@@ -60,11 +61,8 @@ def move_wrap(template: Template, skin: Floats) -> Floats:
 
 def inward_normals(skin_wrap: Surface) -> Floats:
     """Unit directions (n, 3) into the head: area-weighted normals, smoothed so that a crease's rays do not cross."""
-    n, corners = len(skin_wrap.vertices), skin_wrap.triangles
-    i, j = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
-    # Each edge of a closed surface runs once in either direction.
-    edges = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
-    laplacian = diags(np.asarray(edges.sum(axis=1)).ravel()) - edges
+    n = len(skin_wrap.vertices)
+    laplacian = graph_laplacian(neighbours(skin_wrap.triangles, n))
     inward = -splu((identity(n) + SMOOTH * laplacian).tocsc()).solve(skin_wrap.vertex_normals)
     return inward / np.linalg.norm(inward, axis=1, keepdims=True)
 
@@ -76,9 +74,8 @@ def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) 
     closest (through a hole of thin bone, between the teeth, under the zygomatic arch), the closest point of the bones
     counts instead, limited to that range.
     """
-    starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
-    triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])
-    tree = TriangleTree(np.vstack([bone.vertices for bone in bones]), triangles)
+    skull = join_surfaces(bones)
+    tree = TriangleTree(skull.vertices, skull.triangles)
     along, closest = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1], tree.closest(skin_wrap)[2]
     met = along <= np.maximum(SLIPPED * closest, PLAUSIBLE[0])
     return MeasuredDepths(np.clip(np.where(met, along, closest), *PLAUSIBLE), met)
@@ -149,9 +146,7 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {name: (pair["skin"], pair["skull"]) for name, pair in pairs.items()}
 
 
-def read_skin(
-    path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm", progress: OnProgress = silent
-) -> tuple[Surface, float]:
+def read_skin(path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm") -> tuple[Surface, float]:
     """Read a skin [mm] in the space's topology, and how far off it the registered face is on average [mm].
 
     0 for a skin of that topology. InputError names the file that cannot be read, registered, or is of another unit.
@@ -161,7 +156,7 @@ def read_skin(
         if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
             check_skin(skin)
             return skin, 0.0
-        registered = register(space.mean, space.parts, skin, progress=progress)
+        registered = register(space.mean, space.parts, skin)
     except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None
     return registered.surface, registered.residual.mean
@@ -169,10 +164,7 @@ def read_skin(
 
 def read_skull(paths: Sequence[str | os.PathLike[str]], *, unit: str = "mm") -> Surface:
     """Read a skull [mm], all bones in one surface; InputError names files that are bad or of another unit."""
-    bones = [read_surface(path, unit=unit) for path in paths]
-    starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
-    triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])
-    skull = Surface(np.vstack([bone.vertices for bone in bones]), triangles)
+    skull = join_surfaces([read_surface(path, unit=unit) for path in paths])
     extent = np.ptp(skull.vertices[np.unique(skull.triangles)], axis=0)
     if extent.min() < SKULL_EXTENT[0] or extent.max() > SKULL_EXTENT[1]:
         size = " x ".join(f"{length:.4g}" for length in extent)

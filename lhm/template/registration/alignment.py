@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...base.geometry.bvh import TriangleTree
-from ...base.geometry.warp import rigid_motion
+from ...base.geometry.topology import open_edges
+from ...base.geometry.warp import Similarity, fit_similarity
 from ...base.mesh import Floats, Ints, Surface
 from ...head.columns import unit
 
@@ -63,34 +63,6 @@ def tukey_weights(distance: Floats, limit: float) -> Floats:
     """Weigh distances [mm] by Tukey's biweight: 1 at zero, 0 from `limit` on."""
     inside = np.maximum(1 - (distance / limit) ** 2, 0.0)
     return inside * inside
-
-
-def open_edges(triangles: Ints) -> Ints:
-    """Find the edges that have one triangle, shape (k, 2)."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    return unique[count == 1]
-
-
-@dataclass(frozen=True)
-class Similarity:
-    """x -> scale rotation x + shift [mm]."""
-
-    scale: float
-    rotation: Floats
-    shift: Floats
-
-    def __call__(self, points: Floats) -> Floats:
-        """The moved points (n, 3) [mm]."""
-        return self.scale * points @ self.rotation.T + self.shift
-
-
-def fit_similarity(rest: Floats, moved: Floats) -> Similarity:
-    """Fit moved = s R rest + t to points (n, 3) by least squares (Umeyama, IEEE TPAMI 13(4), 1991, Eq. 39-42)."""
-    rotation, _ = rigid_motion(rest, moved)
-    a, b = rest - rest.mean(axis=0), moved - moved.mean(axis=0)
-    scale = float(np.einsum("nd,nd->", b, a @ rotation.T) / max(np.einsum("nd,nd->", a, a), 1e-30))
-    return Similarity(scale, rotation, moved.mean(axis=0) - scale * rotation @ rest.mean(axis=0))
 
 
 def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similarity, float]:

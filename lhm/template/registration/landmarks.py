@@ -13,10 +13,10 @@ from ...base.errors import InputError, MeshError, quote
 from ...base.files.surface_file import FARTHEST
 from ...base.files.text import read_json
 from ...base.geometry.bvh import TriangleTree
+from ...base.geometry.warp import fit_similarity
 from ...base.mesh import Floats, Ints, Surface, as_points
 from ...identities.space import MOUTH, OUTSIDE
 from ..wraps.landmarks import find_landmarks
-from .alignment import fit_similarity
 
 Pairs = tuple[Ints, Floats]
 """Vertices of the template, shape (k,), and the points [mm] on the skin that belong to them, shape (k, 3)."""

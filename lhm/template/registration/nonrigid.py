@@ -10,7 +10,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.cholesky import Solve, factorise_definite
 from ...base.geometry.rays import visible_sky
-from ...base.geometry.topology import neighbours
+from ...base.geometry.topology import neighbours, unique_edges
 from ...base.mesh import Floats, Ints, Surface
 from ...base.progress import OnProgress
 from ...head.columns import unit
@@ -82,7 +82,7 @@ class SmoothAffine:
         policy: NonrigidPolicy = POLICY,
     ):
         n = self.n = len(start)
-        pairs = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        pairs = unique_edges(triangles)
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         along = start[j] - start[i]
         length = np.linalg.norm(along, axis=1)

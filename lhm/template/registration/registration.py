@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix, identity
 
 from ...base.errors import FitError, InputError
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.cholesky import factorise
-from ...base.geometry.topology import neighbours
+from ...base.geometry.topology import graph_laplacian, neighbours, open_edges
+from ...base.geometry.triangles import barycentric_matrix
+from ...base.geometry.warp import fit_similarity
 from ...base.mesh import Floats, Ints, Surface
 from ...base.progress import OnProgress, silent
 from ...head.columns import unit
 from ...head.skin import check_registrable
 from ...identities.space import CAP, EYES, MOUTH
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
-from .alignment import FACING, Target, find_start, fit_similarity, open_edges
+from .alignment import FACING, Target, find_start
 from .landmarks import Pairs, check_pairs, check_placed
 from .nonrigid import POLICY, NonrigidPolicy, lay_onto
 
@@ -184,8 +186,8 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
         away = np.linalg.norm(template.vertices - template.vertices[below].mean(axis=0), axis=1)
         crown = np.where(lost, -1.0, away).argmax()
         weights, lost = replace_rows(weights, below, weights[np.full(below.size, crown)]), lost & ~lid
-    edges = neighbours(template.triangles, len(template.vertices))
-    laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges).tocsr()
+    n = len(template.vertices)
+    laplacian = (graph_laplacian(neighbours(template.triangles, n)) + 1e-9 * identity(n)).tocsr()
     inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
     border = np.flatnonzero(np.asarray(abs(around).sum(axis=0)).ravel())
     filled = factorise(inner.tocsc())(np.asarray(-around[:, border].todense()))
@@ -215,8 +217,3 @@ def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.
     triangle[lost], weights[lost], distance[lost] = tree.closest(points.vertices[lost])
     shape = (len(points.vertices), len(surface.vertices))
     return barycentric_matrix(surface.triangles[triangle], weights, shape), distance, ~lost
-
-
-def barycentric_matrix(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
-    """Make a matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
-    return csr_matrix((weights.ravel(), (np.repeat(np.arange(len(ids)), 3), ids.ravel())), shape=shape)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.sparse import diags, identity
+from scipy.sparse import identity
 from scipy.sparse.linalg import splu
 
 from ...base.errors import FitError
 from ...base.geometry.bvh import TriangleTree
+from ...base.geometry.topology import graph_laplacian
 from ...base.mesh import Floats, Ints
 from ...head.columns import Columns, unit
 from . import climb
@@ -91,8 +92,7 @@ def smooth_creases(columns: Columns, wrap: Floats, policy: LayersPolicy = POLICY
 
 def smooth(columns: Columns, values: Floats, amount: float) -> Floats:
     """Solve (1 + amount L) y = values with the graph Laplacian L: implicit smoothing of a field on the wrap."""
-    laplacian = diags(np.asarray(columns.edges.sum(axis=1)).ravel()) - columns.edges
-    return splu((identity(columns.n) + amount * laplacian).tocsc()).solve(values)
+    return splu((identity(columns.n) + amount * graph_laplacian(columns.edges)).tocsc()).solve(values)
 
 
 @njit(cache=True, error_model="numpy")

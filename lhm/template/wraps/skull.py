@@ -20,6 +20,7 @@ from numba import njit
 from scipy.sparse import csr_matrix, diags
 
 from ...base.geometry.cholesky import factorise
+from ...base.geometry.topology import graph_laplacian, number_edges
 from ...base.mesh import Floats, Ints
 from ...head.columns import Columns, unit
 
@@ -91,9 +92,8 @@ class SkullFit:
         triangles, n, policy = self.columns.triangles, self.columns.n, self.policy
         surface = self.columns.surface(self.skin)
         areas = surface.vertex_areas
-        corners = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        edges, which = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
-        share = np.bincount(which.ravel(), np.repeat(surface.areas / 3.0, 3))
+        edges, number, _ = number_edges(triangles)
+        share = np.bincount(number.ravel(), np.repeat(surface.areas / 3.0, 3))
         laplacian = _cotan(self.skull, triangles)
         # Of a regular triangulation with edge h a vertex's area is sqrt(3)/2 h².
         rows = (2 / np.sqrt(3)) * laplacian
@@ -163,4 +163,4 @@ def _cotan(vertices: Floats, triangles: Ints) -> csr_matrix:
         values.append(np.maximum(0.5 * cotangent, 0.05))
     i, j, w = (np.concatenate(part) for part in (rows, columns, values))
     weights = csr_matrix((np.concatenate([w, w]), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n))
-    return (weights - diags(np.asarray(weights.sum(axis=1)).ravel())).tocsr()
+    return -graph_laplacian(weights)
