@@ -12,7 +12,6 @@ from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
 from softdeca.reference.projective import time_local_step
-from softdeca.reference.projective.memory import CAPACITY, Memory
 from softdeca.reference.projective.policy import ProjectivePolicy
 from softdeca.reference.projective.terms.energy import Energy
 from softdeca.reference.projective.unknowns import system
@@ -186,19 +185,6 @@ def test_cholmod_tells_definite_matrices_from_others(size, capfd):
 
 
 @cholmod_is_there
-def test_cholmod_takes_over_an_analysis_where_the_pattern_fits():
-    first = cholesky.CholmodFactor(matrix())
-    second = cholesky.CholmodFactor(matrix(seed=5), like=first)
-    assert second.analysis is first.analysis
-    right = np.random.default_rng(1).normal(size=(200, 3))
-    for made, seed in ((second, 5), (first, 0)):
-        np.testing.assert_allclose(made(right), np.linalg.solve(matrix(seed=seed).toarray(), right), atol=1e-8)
-    assert cholesky.CholmodFactor(matrix(150), like=first).analysis is not first.analysis
-    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        cholesky.CholmodFactor(-matrix())
-
-
-@cholmod_is_there
 def test_another_identity_is_prepared_like_the_first(sphere_head):
     first = prepare(scene_of(sphere_head), linear_solver="cholmod")
     scene = scene_of(sphere_head, stiffness=7.0, scale=1.1, shift=5.0)
@@ -260,56 +246,3 @@ def test_threads_share_the_local_step_and_change_nothing(sphere_head):
     for wrong in (0, 1.5, True):
         with pytest.raises(SceneError, match="threads must be from 1 to 256"):
             prepare(scene, threads=wrong)
-
-
-RNG = np.random.default_rng(0)
-SIZE = 30
-HESSIAN = (lambda m: m @ m.T + np.eye(SIZE))(RNG.normal(size=(SIZE, SIZE)))
-START = np.diag(RNG.uniform(0.5, 2.0, SIZE))  # A⁻¹
-
-
-def filled(count):
-    memory, pairs = Memory(SIZE), []
-    for _ in range(count):
-        step = RNG.normal(size=SIZE)
-        pairs.append((step, HESSIAN @ step))
-        memory.add(*pairs[-1])
-    return memory, pairs
-
-
-def bfgs(pairs):
-    """The inverse after each pair: (1 - ρ s yᵀ) H (1 - ρ y sᵀ) + ρ s sᵀ."""
-    inverse = START
-    for s, y in pairs:
-        keep = np.eye(SIZE) - np.outer(s, y) / (s @ y)
-        inverse = keep @ inverse @ keep.T + np.outer(s, s) / (s @ y)
-    return inverse
-
-
-def assert_like(memory, pairs):
-    gradient = RNG.normal(size=SIZE)
-    direction = memory.direction(gradient, lambda vector: START @ vector)
-    np.testing.assert_allclose(direction, -bfgs(pairs[-CAPACITY:]) @ gradient, rtol=1e-9)
-
-
-def test_directions_are_those_of_bfgs_over_the_last_pairs():
-    for count in (1, 3, CAPACITY, CAPACITY + 5):
-        assert_like(*filled(count))
-
-
-def test_a_cleared_memory_starts_anew_and_a_copy_stays():
-    memory, pairs = filled(5)
-    copy = memory.copy()
-    memory.clear()
-    assert len(memory) == 0 and len(copy) == 5
-    memory.add(*pairs[2])
-    assert_like(memory, [pairs[2]])
-    assert_like(copy, pairs)
-
-
-def test_a_pair_without_positive_curvature_is_not_taken():
-    memory, pairs = filled(2)
-    memory.add(pairs[0][0], -pairs[0][1])
-    memory.add(np.full(SIZE, np.nan), pairs[0][1])
-    assert len(memory) == 2
-    assert_like(memory, pairs)
