@@ -26,6 +26,29 @@ DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[
 """Real heads and takes, which docs/architecture.md names."""
 
 
+MAY_SKIP = ("no real data", "no Visible Male", "no bones and muscles", "another user", "docs/arena.md")
+"""Words of skips for what set-up does not install."""
+
+
+def _fail_if_skipped(report):
+    """Make a failure of a report of a skip, where $SOFTDECA_SKIPS_FAIL is set and set-up installs what was missing."""
+    why = str(report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr)
+    wanted = os.environ.get("SOFTDECA_SKIPS_FAIL") and not hasattr(report, "wasxfail")
+    if report.skipped and wanted and not any(words in why for words in MAY_SKIP):
+        report.outcome, report.longrepr = "failed", f"{why}; set-up installs what this needs"
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    return _fail_if_skipped((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report():
+    return _fail_if_skipped((yield))
+
+
 @pytest.fixture(scope="session")
 def data():
     """The folder of real heads; a test that needs it skips, by name, where it is missing."""

@@ -159,6 +159,7 @@ class CorpusPlan:
         """All recordings by name."""
         every = recordings(
             self.takes or None,
+            spoken=None if self.sources["speech"] > 0 else (),
             conversations=self.conversations,
             random=self.random,
             hard=self.hard,

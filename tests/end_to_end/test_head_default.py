@@ -53,7 +53,7 @@ def test_jaw_open_opens_the_mouth_and_details_survive(space, template):
     assert np.linalg.norm((targets - head.skin_wrap.vertices)[head.bone == 1], axis=1).max() < 3.5
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_random_identities_have_valid_layers(space, template, seed):
     _, skin = space.sample(np.random.default_rng(seed))
     head = fit_head(template, skin)

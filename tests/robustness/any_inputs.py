@@ -1,22 +1,26 @@
-"""Inputs that nobody thought of, by hypothesis: values for public functions, and options for commands.
+"""Bad inputs for public functions and commands: listed ones, and values that hypothesis draws.
 
-    python tests/robustness/any_inputs.py [how many of each [property ...]]
+    python tests/robustness/any_inputs.py [--every 1] [--drawn 500] [part of a name ...]
 
-A value is refused by a SoftdecaError of one line, or taken; a defect is another exception, or no end. Values are drawn
-alike each time. `bad_inputs.py` has the functions with arguments that are right, and the watch over time and memory.
+prints what ended otherwise than it should, and counts at the end: of the cases of `bad_inputs.py` one in so many, and
+of each property so many draws, alike each time. A value is refused by a SoftdecaError of one line, or taken; a defect
+is another exception, or no end.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
+import json
 import sys
 from collections.abc import Callable
+from itertools import islice
 
 import bad_inputs
 import click
 import numpy as np
-from bad_inputs import Case, Function, functions, outcome
+from bad_inputs import Case, Function, calls, commands, functions, outcome
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -28,7 +32,6 @@ from softdeca.cli.head_files import parse_layers
 from softdeca.lhm import expressions, identities
 from softdeca.lhm.base.errors import SoftdecaError
 
-EXAMPLES = 500
 # What is right takes these too long to be tried by the hundred.
 SLOW = {"check_head", "load_template", "fit_head", "settle", "transfer_expressions", "personalised", "recordings"}
 NUMBERS = st.one_of(
@@ -141,26 +144,46 @@ def any_options(data) -> None:
     no_defect(f"{' '.join(names)} {words!r}", read)
 
 
-def main(arguments: list[str]) -> int:
-    """Try each property; the number of those that found a defect, each told by its smallest case."""
+def try_listed(every: int, parts: list[str], counts: dict[str, int]) -> None:
+    """Try one in so many of the listed cases, of those with all parts in their name."""
+    for case in islice((*calls(), *commands()), 0, None, every):
+        if all(part in case.name for part in parts):
+            how, said = outcome(case)
+            fine = how == "refused" or how == "accepted" and bool(case.why)
+            counts[how if fine else "defects"] += 1
+            if not fine:
+                print(f"{how:<10} {case.name}: {said}", flush=True)
+
+
+def try_drawn(count: int, counts: dict[str, int]) -> None:
+    """Try each property; a defect is told by its smallest case."""
     QUICK.extend(function for function in functions() if function.name not in SLOW)
-    bound_memory(bad_inputs.MEMORY)
-    count = int(arguments[0]) if arguments else EXAMPLES
-    defects = 0
     how = settings(
         max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
     )
-    for found in (any_values, any_texts, any_options):
-        if len(arguments) > 1 and found.__name__ not in arguments[1:]:
-            continue
+    for property_of in (any_values, any_texts, any_options):
         try:
-            how(found)()
+            how(property_of)()
+            counts["drawn"] += count
         except BaseException as error:  # what pytest would show, in a line
-            defects += 1
-            print(f"{found.__name__}: {type(error).__name__}: {str(error)[:900]}", flush=True)
-    print({"of each": count, "defects": defects}, flush=True)
-    return defects
+            counts["defects"] += 1
+            print(f"{property_of.__name__}: {type(error).__name__}: {str(error)[:900]}", flush=True)
+
+
+def main() -> int:
+    """Try what the command line says; the number of defects."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("parts", nargs="*", help="parts of a listed case's name")
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--drawn", type=int, default=500)
+    given = parser.parse_args()
+    bound_memory(bad_inputs.MEMORY)
+    counts = {"refused": 0, "accepted": 0, "drawn": 0, "defects": 0}
+    try_listed(given.every, given.parts, counts)
+    try_drawn(given.drawn, counts)
+    print(json.dumps(counts), flush=True)
+    return min(counts["defects"], 100)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -1,11 +1,8 @@
 # ruff: noqa: E402, E501
-"""Some 2,400 bad inputs for public functions and 1,200 for the commands, in one process that watches time and memory.
+"""Public functions with arguments that are right, and what each argument and each option is given in its place.
 
-    python tests/robustness/bad_inputs.py [part of a name ...]
-
-prints what ended otherwise than it should, and counts at the end. A case is refused by a SoftdecaError (a command: by
-one line and a status that is not 0), or accepted on purpose, which `why_accepted` lists with the reason. Anything else is a
-defect: another exception, 10 s of work without an end, or the process' end.
+A case is refused by a SoftdecaError (a command: by one line and a status that is not 0), or accepted on purpose, which
+`why_accepted` lists with the reason. `any_inputs.py` tries them.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ import click
 import numpy as np
 import trimesh
 from scipy.sparse import identity
-from watch import bound_memory, watch
+from watch import watch
 
 from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
@@ -379,22 +376,3 @@ def command_ends(words) -> None:
         raise SoftdecaError(lines[0]) from None
     finally:
         sys.argv = before
-
-
-def main(arguments: list[str]) -> int:
-    """Try all cases, or those of a part or with a text in their name; the number of defects."""
-    bound_memory(MEMORY)
-    counts = {"refused": 0, "accepted": 0, "defects": 0}
-    for case in (*calls(), *commands()):
-        if all(text in case.name for text in arguments):
-            how, said = outcome(case)
-            fine = how == "refused" or how == "accepted" and bool(case.why)
-            counts[how if fine else "defects"] += 1
-            if not fine:
-                print(f"{how:<10} {case.name}: {said}", flush=True)
-    print(counts, flush=True)
-    return min(counts["defects"], 100)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -42,50 +42,34 @@ def folder(tmp_path_factory, sphere_head):
 SPEECH = "speech:" + "so " * 70_000
 WRONG = [
     ("--fast", "--fast"),
-    ("heads", "heads"),
     ("head", "Missing command"),
     ("study --expressions jawOpeen", "unknown ARKit expression 'jawOpeen'; did you mean jawOpen"),
     ("study --expressions jawOpen*2", "the weight of jawOpen is 2, outside [0, 1]"),
     ("study --expressions jawOpen+jawOpen", "jawOpen appears twice"),
-    ("study --expressions jawOpen*much", "'much' is no number"),
-    ("study --expressions jawOpen*", "'' is no number"),
     ("study --expressions jawOpen*nan", "outside [0, 1]"),
     ("study --expressions ''", "a name is missing"),
-    ("study --expressions jawOpen,,cheekPuff", "a name is missing"),
     ("study --identities deca", "'deca'"),
-    ("study --identities ict:", "'ict:'"),
     ("head fit --identities ict:nowhere.npz", "nowhere.npz: no such file"),
-    ("head fit --skin no.obj", "no.obj: no such file"),
     ("head fit --skin skin.npz --unit mile", "unit 'mile'"),
-    ("head fit --seed -1", "--seed"),
     ("head fit --seed 1 --skin a.obj", "--skin and --seed"),
     ("head fit --unit inch", "--unit is of --skin, which is not given"),
     ("head fit --template t.npz --level 1", "--template has a level"),
     ("head fit --template other.npz", "not a template"),
     ("head fit --out head.obj", "head.obj: expected a file that ends in .npz"),
-    ("head fit --picture head.jpg", "head.jpg: expected a file that ends in .png"),
-    ("head template --anatomy a.npz --out t.vtu", "expected a file that ends in .npz"),
-    ("head train-regressor --out depths", "depths: expected a file that ends in .npz"),
     ("head train-regressor empty --prior 8", "give one"),
     ("head train-regressor nowhere", "no such folder"),
-    ("head show none.npz", "no such file"),
     ("head show head.npz --expression jawOpn", "did you mean jawOpen"),
     ("head show head.npz --expression jawOpen", "not the triangles of 'anny'"),
     ("head mesh head.npz --layers 2", "layers '2': expected two counts"),
-    ("head mesh head.npz --layers 1_0,1", "layers '1_0,1': expected two counts"),
     ("head mesh head.npz --layers \u0661,1", "layers '\u0661,1': expected two counts"),
     ("head mesh head.npz --layers 0,1", "from 1 to 32"),
-    ("head mesh head.npz --layers 1000000,1", "from 1 to 32"),
     ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),
     ("head mesh head.npz --layers 2,2 --size 3", "leave out --layers"),
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("bench agreement --case slimming", "case 'slimming': none of jawOpen"),
-    ("bench mesh --expression grin", "grin"),
-    ("bench depth --skull head.npz", "Missing option '--skin'"),
     ("bench depth --skin head.npz", "Missing option '--skull'"),
     ("bench depth --skin none.ply --skull head.npz", "none.ply: no such file"),
-    ("bench depth --skin head.npz --skull none.ply", "none.ply: no such file"),
     ("animate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
     ("animate conversation:3600 --fps 9999", "take: 35,996,234 frames; expected 1 to 1,000,000"),
     ("animate conversation:1 --targets 4 --dynamic", "--targets are of static frames"),
@@ -99,27 +83,20 @@ WRONG = [
         (SPEECH, "expected"),
         ("conversation:-1", "expected conversation[:SECONDS[:SEED]]"),
         ("conversation:1e9", "expected conversation[:SECONDS[:SEED]]"),
-        ("conversation:36000", "expected"),
         ("conversation:1 --fps 1e12", "rate: 1e+12 Hz, expected a number above 0, 10,000 at most"),
-        ("conversation:1 --fps 0", "rate: 0 Hz"),
         ("conversation:1 --frames 70:80", "frames '70:80': none of the take's 60"),
         ("conversation:1 --frames 3", "frames '3': expected A:B"),
-        ("conversation:1 --parameters none.toml", "none.toml: no such file"),
-        ("conversation:1 --head none.npz", "none.npz: no such file"),
         ("conversation:1 --head a.npz --seed 1", "give one"),
     ]),
     ("corpus status nowhere", "nowhere: no corpus.json"),
     ("corpus sample made --out sheet.pdf", "expected a file that ends in .png"),
     ("corpus generate plan.toml --preset tiny", "both say which plan"),
     ("corpus generate --preset huge", "there are " + ", ".join(PRESETS)),
-    ("corpus generate none.toml --dry-run", "none.toml: no such file"),
-    ("corpus generate --takes nowhere --dry-run", "nowhere: no such folder"),
     ("corpus generate --takes empty --dry-run", "no take in it"),
     ("corpus generate --identities external:anny", "has the default's triangles"),
     ("corpus generate --identities external:", "expected 'external:' and a space"),
     ("corpus generate --scheduler nowhere", "'nowhere': expected an address, as tcp://host:8786"),
     ("train nowhere", "no corpus"),
-    ("evaluate nowhere", "no corpus"),
     # Options that nothing would read.
     ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
     ("head fit --find-landmarks l.json --vtk layers", "leave out --vtk"),
@@ -128,21 +105,10 @@ WRONG = [
     ("animate conversation:1 --exact", "without --accuracy none no rig is alone; leave out --exact"),
     ("animate conversation:1 --beyond refuse", "leave out --beyond"),
     ("bench material --jaw 0", "No such option '--jaw'"),
-    ("bench shapes --gallery 0", "No such option '--gallery'"),
-    ("bench dial --workers 2", "No such option '--workers'"),
-    ("bench work-precision --workers 1", "No such option '--workers'"),
-    ("bench unknowns --level 2", "No such option '--level'"),
-    ("evaluate corpus --workers 2", "No such option '--workers'"),
     # Counts out of their range.
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
-    ("corpus generate --workers 100000", "--workers': 100000 is not in the range 1<=x<=256"),
-    ("corpus sample out --count 1000000", "--count': 1000000 is not in the range 1<=x<=200"),
     (f"train out --steps {'9' * 40}", "1<=x<=100000000"),
-    ("animate conversation --targets 1000000", "--targets': 1000000 is not in the range 1<=x<=4096"),
     (f"view --seed {'9' * 40}", "0<=x<=9223372036854775807"),
-    (f"bench heads --count {'9' * 40}", "1<=x<=100000"),
-    ("bench throughput --frames 0", "--frames': 0 is not in the range 1<=x<=100000"),
-    ("bench dial --faces 0", "--faces': 0 is not in the range 1<=x<=1000"),
     ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
 
@@ -174,12 +140,9 @@ def test_bad_data_of_the_ict_space_are_named(command, tmp_path, content):
 
 def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     file = tmp_path / "head.npz"
-    with (
-        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        archive.open("skin_vertices.npy", "w") as part,
-    ):
-        for _ in range(201):
-            part.write(bytes(10_000_000))
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("skin_vertices.npy", bytes(10_000_000))
+        archive.filelist[0].file_size = 2_010_000_000
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused(r"head\.npz: .*2,010,000,000 bytes unpacked; expected at most 2,000,000,000", load_head, file)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kB"

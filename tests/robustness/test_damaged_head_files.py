@@ -49,12 +49,9 @@ POINTS = ("skin_vertices", *WRAPS, "rig_deltas")
 HEADS = {
     "vertex far off": (at("skin_vertices", (7, 0), 1e30), "skin vertices: 1e\\+30 is too large"),
     "vertex 1.7 km off": (at("skin_vertices", (7, 0), 1.7e6), "skin: vertex 7 lies 1.7e\\+06 mm from"),
-    "wrap's vertex far off": (at("skull_wrap", (3, 1), 1e30), "skull_wrap vertices: 1e\\+30 is too large"),
     "vertex NaN": (at("skin_vertices", (7, 2), np.nan), "skin vertices: .* the first at \\(7, 2\\)"),
     "weight NaN": (at("skin_from_wrap_data", 5, np.nan), "skin_from_wrap_data: 1 values are not finite"),
     "weights a million times": (times("wrap_from_skin_data", by=1e6), "wrap_from_skin_data: .*expected -1e-05..1"),
-    "weights halved": (times("wrap_from_skin_data", by=0.5), "wrap_from_skin: 1212 rows do not sum to one"),
-    "weights of others": (other("skin_from_wrap_indices", lambda a: a[::-1].copy()), "mm farther away than the"),
     "weights in another order": (
         other("skin_from_wrap_data", lambda a: np.roll(a.reshape(-1, 3), 1, axis=1).ravel()),
         "skin_from_wrap: it ties vertices .* mm farther away than the surface",
@@ -78,19 +75,11 @@ HEADS = {
     "skin of a head aside": (other("skin_vertices", lambda a: a + 500.0), "skin_wrap: it lies .* mm from the skin"),
     "three times as large": (times(*POINTS, by=3.0), "skin_wrap is 752.* mm across, a head 100 to 600 mm"),
     "column out of range": (at("skin_from_wrap_indices", 5, 10**9), "skin_from_wrap_indices: 1000000000 at 5"),
-    "column negative": (at("skin_from_wrap_indices", 5, -3), "skin_from_wrap_indices: -3 at 5; expected 0..1211"),
     "pointer out of range": (at("wrap_from_skin_indptr", 9, 10**9), "wrap_from_skin_indptr: 1000000000 at 9"),
-    "pointer falls": (at("wrap_from_skin_indptr", 9, 0), "wrap_from_skin_indptr: expected numbers that rise"),
     "corner negative": (at("triangles", (4, 1), -1), "outside 0..1211, the first is number 4"),
-    "corner out of range": (at("skin_triangles", (4, 1), 10**7), "outside 0..4462, the first is number 4"),
     "complex": (other("skin_vertices", lambda a: a + 1j), "skin vertices: expected real numbers, got complex128"),
-    "texts for numbers": (other("skull_wrap", lambda a: a.astype("U9")), "skull_wrap vertices: expected real numbers"),
-    "bone of another kind": (other("bone", lambda a: a.astype(float)), "bone: expected integers, got float64"),
     "bone out of range": (at("bone", 2, 7), "bone: 7 at 2; expected 0..2"),
-    "region of numbers": (other("region_face", lambda a: 3 * a), "region_face: expected True and False, got int64"),
     "rig of a huge mesh": (other("rig_vertices", lambda a: np.array(10**13)), "rig_vertices: .*expected 0..20000000"),
-    "rig of another mesh": (other("rig_vertices", lambda a: a + 1), "rig_vertices: 4464, the skin has 4463"),
-    "rig moves vertex -1": (at("rig_moved", 0, -1), "rig_moved: -1 at 0; expected 0..4462"),
     "rig NaN": (at("rig_deltas", (3, 0, 0), np.nan), "rig_deltas: 1 values are not finite"),
     "rig a thousandfold": (times("rig_deltas", by=1000), "rig_deltas: 3.43e\\+04 is too large"),
     "rig in metres": (times("rig_deltas", by=1e-3), "rig_deltas: they move no vertex farther than .*are they in m"),
@@ -99,12 +88,8 @@ HEADS = {
         "rig_about: smirk is none of ARKit's expressions",
     ),
     "notes deep": (lambda arrays: {"notes": np.array("[" * 5000)}, "JSON: .*levels of brackets"),
-    "notes of numbers": (lambda arrays: {"notes": np.array("[1, 2]")}, "notes: expected a list of texts"),
     "in metres": (times(*POINTS, by=1e-3), "skin_wrap is 0.2507 mm across, .*is it in m\\? Heads are in mm"),
-    "in kilometres": (times(*POINTS, by=1e-6), "is it in km\\? Heads are in mm"),
     "in centimetres": (times(*POINTS, by=0.1), "is it in cm\\? Heads are in mm"),
-    "in micrometres": (times(*POINTS, by=1e3), "is it in µm\\? Heads are in mm"),
-    "a point": (times(*POINTS, by=0.0), "skin_wrap is 0 mm across"),
     "inverted": (other("skull_wrap", lambda a: a * 2), "layers tets: .* are inverted"),
     "skull a point": (other("skull_wrap", lambda a: 0 * a + a.mean(axis=0)), "layers tets: .* are inverted"),
     "wrap of equal vertices": (at("skin_wrap", slice(0, 50), 0.0), "layers tets: .* are inverted"),
@@ -117,12 +102,9 @@ def test_a_damaged_head_is_refused_by_loading_and_by_check(tmp_path, whole, comm
     path = tmp_path / "damaged.npz"
     np.savez(path, **whole["head"] | edit(whole["head"]))
     began = time.process_time()
-    with pytest.raises(InputError, match=words) as raised:
-        load_head(path)
-    assert str(path) in str(raised.value)
-    ended = command("head", "check", path)
-    assert ended.status == 1 and len(ended.errors) == 1 and ended.errors[0].startswith("softdeca: error")
-    assert "Traceback" not in ended.errors[0] and time.process_time() - began < 10
+    assert str(path) in refused(words, load_head, path)
+    said = command("head", "check", path)
+    assert said.status == 1 and len(said.errors) == 1 and time.process_time() - began < 10
 
 
 def turned(*angles):
@@ -133,27 +115,24 @@ def turned(*angles):
 
 TOLD = {
     "lying": (turned(90, 0, 0), "turned: "),
-    "lying on its face": (turned(-90, 0, 0), "turned: "),
-    "looking aside": (turned(0, 90, 0), "turned: "),
     "looking back": (turned(0, 180, 0), "turned: 17"),
-    "upside down": (turned(0, 0, 180), "turned: 17"),
     "twice as large": (times(*POINTS, by=2.0), "mm (at most 140 mm)"),
     "nearly half as large": (times(*POINTS, by=0.45), "mm (at least 30 mm)"),
     "rig negated": (times("rig_deltas", by=np.float32(-1)), "jaw drop: -"),
-    "rig reversed": (other("rig_deltas", lambda a: a[::-1]), "own side: "),
     "rig of expressions in another order": (
         other("rig_deltas", lambda a: np.random.default_rng(0).permutation(a)),
         "own side: ",
     ),
     "rig mirrored": (times("rig_deltas", by=np.float32([-1, 1, 1])), "sideways: -"),
-    "rig turned": (other("rig_deltas", lambda a: a[:, :, [0, 2, 1]] * np.float32([1, -1, 1])), "jaw drop: "),
     "lips anywhere": (other("region_lips", lambda a: np.random.default_rng(0).permutation(a)), "lips off mouth: "),
-    "lids anywhere": (other("region_lids", lambda a: np.random.default_rng(0).permutation(a)), "lids off eyes: "),
     "lips and lids exchanged": (
         lambda arrays: {"region_lips": arrays["region_lids"], "region_lids": arrays["region_lips"]},
         "lids off eyes: ",
     ),
 }
+
+
+BONES = ("bones exchanged", "cranium for free")
 
 
 @pytest.mark.parametrize("name", TOLD)

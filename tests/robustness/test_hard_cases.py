@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softdeca.reference import MissingDependencyError, Reason, SceneError, problems
-from softdeca.reference.problems import bars, homogeneous, laws_on_elements, recovery, time_steps
+from softdeca.reference.problems import laws_on_elements, recovery
 
 SLOW = {"skfem": ("x5", "x10", "random", "crushed", "twisted")}
 FEW_SEEDS = [f"seed {seed}," for seed in range(2, recovery.SEEDS)]
@@ -75,31 +75,6 @@ def test_recovery_is_judged_by_shape_and_by_every_tet():
     bent[-1] += 1e-4
     assert 1e-5 < recovery.away_from_rest(scene, replace(solution, positions=bent)) < np.inf
     assert recovery.away_from_rest(scene, replace(solution, volume_ratio=solution.volume_ratio * 0.99)) == np.inf
-
-
-@pytest.mark.parametrize(
-    "row", [r for r in homogeneous.STRAIN_ROWS if "Volume" in r.label], ids=lambda r: f"{r.label} {r.stretch}"
-)
-def test_the_stretched_bar_s_law_has_the_published_rows(row):
-    """Six digits of V3: the law minimises over the lateral stretches and the nearest shape of volume 1 at once."""
-    lateral, stress = bars.strain_and_volume_law(row.stretch)
-    np.testing.assert_allclose(lateral, row.free_stretch, atol=1e-6)
-    assert stress == pytest.approx(row.stress, abs=1e-6)
-
-
-def test_the_neo_hookean_bar_s_law_has_the_published_rows():
-    for row in homogeneous.NEO_HOOKEAN_ROWS:
-        if row.loaded == 1:
-            lateral, stress = bars.neo_hookean_law(row.stretch)
-            np.testing.assert_allclose(lateral, row.free_stretch, atol=1e-10)
-            assert stress == pytest.approx(row.stress, abs=1e-10)
-
-
-def test_the_time_steps_scenes_weigh_what_they_should():
-    """10 x 10 x 20 mm of 1e-6 kg/mm³ are 2 g, and weigh 19.62 mN."""
-    moving, static = time_steps.hanging(0.5)
-    assert moving.inertia()[0].sum() == pytest.approx(2e-3 / 0.25)
-    assert static.loads().sum(axis=0) == pytest.approx([0, 0, -19.62])
 
 
 def test_bench_hard_prints_a_row_per_case_and_solver(command, tmp_path):

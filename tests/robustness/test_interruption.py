@@ -41,7 +41,8 @@ from softdeca.surrogate.corpus.spheres import Spheres
 if __name__ == "__main__":
     space = Spheres(2)
     plan = CorpusPlan(
-        identities=60, groups=1, frames=4, sequences=0, responses=0.0, conversations=4, random=4, seconds=4.0
+        identities=24, groups=1, frames=4, sequences=0, responses=0.0, conversations=4, random=4, seconds=4.0,
+        sources={"conversation": 0.5, "random": 0.5}
     )
     on = make_schedule(2, sys.argv[2] if len(sys.argv) > 2 else None)
     Corpus(sys.argv[1], plan, OfSpace(space, space.mean, space.fit)).generate(
@@ -127,14 +128,13 @@ def test_ctrl_c_in_a_callback_that_c_calls_is_not_lost(how):
     assert (ended.returncode, ended.stderr) == (130, "softdeca: interrupted; ended at once\n")
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.4, 0.8])
-def test_two_ctrl_c_among_compiled_loops_end_in_one_line(seconds, tmp_path):
+def test_two_ctrl_c_among_compiled_loops_end_in_one_line(tmp_path):
     arguments = [*COMMAND, "head", "fit", "--level", "1", "--out", tmp_path / "head.npz"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         for line in process.stderr:
             if line.startswith("head: identity"):
                 break
-        time.sleep(seconds)
+        time.sleep(0.4)
         for _ in range(2):
             process.send_signal(signal.SIGINT)
             time.sleep(0.03)
@@ -146,7 +146,7 @@ def test_two_ctrl_c_among_compiled_loops_end_in_one_line(seconds, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("seconds", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("seconds", [0.02, 0.3])
 def test_ctrl_c_while_modules_are_loaded_is_one_line(seconds):
     code = "import softdeca.cli; print('begin', flush=True); softdeca.cli.main()"
     with subprocess.Popen(
@@ -168,14 +168,13 @@ OTHERS = all(place.stat().st_mode & 0o005 == 0o005 for place in Path(__file__).r
 
 
 @pytest.mark.skipif(os.getuid() != 0 or not OTHERS, reason="another user, who can read this folder, is needed")
-@pytest.mark.parametrize("words", [[*COMMAND[1:], "--help"], ["-c", ONE_TET]], ids=["help", "solve"])
-def test_where_nothing_can_be_written_a_temporary_cache_is_used_and_said_once(words):
+def test_where_nothing_can_be_written_a_temporary_cache_is_used_and_said_once():
     nobody = {"user": 65534, "group": 65534, "extra_groups": []}
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o777)
         environment = {"HOME": "/nonexistent", "TMPDIR": folder, "PATH": os.environ["PATH"]}
         ended = subprocess.run(
-            [sys.executable, *words], capture_output=True, text=True, env=environment, timeout=120, **nobody
+            [sys.executable, "-c", ONE_TET], capture_output=True, text=True, env=environment, timeout=120, **nobody
         )
         assert os.listdir(folder) == ["softdeca-cache-65534"]
     assert ended.returncode == 0 and ended.stdout, ended.stderr
@@ -190,7 +189,7 @@ def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
     assert process.returncode != 0 and rest.rstrip().endswith("KeyboardInterrupt") and rest.count("Traceback") == 1
     left = sorted(p.name for p in (tmp_path / "corpus").iterdir())
     left = [name for name in left if not name.startswith(".") and not re.fullmatch(r"person-\d+\.json", name)]
-    assert left[0] == "corpus.json" and left[-1] == "template.npz" and 3 < len(left) < 60
+    assert left[0] == "corpus.json" and left[-1] == "template.npz" and 3 < len(left) < 24
     for name in left[1:-1]:
         assert name.startswith("person-")
         with h5py.File(tmp_path / "corpus" / name) as shard:
@@ -244,12 +243,12 @@ def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(tmp_pa
     arguments = [sys.executable, tmp_path / "make.py", tmp_path / "other"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
         for line in process.stderr:
-            if line.startswith("corpus: 20 of"):
+            if line.startswith("corpus: 12 of"):
                 process.kill()
     assert process.returncode == -signal.SIGKILL
     assert subprocess.run(arguments, capture_output=True, timeout=300).returncode == 0
     one, other = (sorted((tmp_path / name).glob("person-*.h5")) for name in ("one", "other"))
-    assert len(one) == len(other) == 60
+    assert len(one) == len(other) == 24
     for a, b in zip(one, other, strict=True):
         assert a.read_bytes() == b.read_bytes()
 
@@ -406,14 +405,6 @@ def test_whichever_write_of_a_corpus_fails_it_ends_in_one_line_and_goes_on_to_th
     assert found["count"] >= 20 and found["wrong"] == []
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")
-def test_results_that_cannot_be_printed_are_an_error():
-    with open("/dev/full", "w") as full:
-        ended = subprocess.run([*COMMAND, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
-    assert ended.returncode != 0
-    assert ended.stderr.splitlines() == ["softdeca: error: No space left on device"]
-
-
 @pytest.fixture
 def without_dolfinx(tmp_path):
     """An environment in which no process can import FEniCSx."""
@@ -424,21 +415,13 @@ def without_dolfinx(tmp_path):
     return os.environ | {"PYTHONPATH": str(tmp_path / "none")}
 
 
-def test_without_fenicsx_one_line_says_what_to_install(without_dolfinx, tmp_path):
-    arguments = ["bench", "verification", "--solver", "fenicsx", "--out", tmp_path / "out"]
-    ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, env=without_dolfinx)
-    said = [line for line in ended.stdout.splitlines() if "dolfinx" in line]
-    assert ended.returncode == 1 and len(said) == 1 and "Traceback" not in ended.stderr
-    assert re.match(r"SKIPPED (\d+) of \1: solver 'fenicsx' needs dolfinx", said[0])
-    assert "apt-get install python3-dolfinx" in said[0] and "conda" in said[0]
-
-
 def test_without_fenicsx_the_other_solvers_verify(without_dolfinx, tmp_path):
     arguments = ["bench", "verification", "--solver", "skfem", "--solver", "fenicsx"]
     arguments += ["--match", "two layers", "--out", tmp_path / "out"]
     ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, env=without_dolfinx)
     assert ended.returncode == 0
-    assert re.search(r"^SKIPPED \d+ of \d+: solver 'fenicsx' needs dolfinx", ended.stdout, flags=re.MULTILINE)
+    said = re.findall(r"^SKIPPED \d+ of \d+: solver 'fenicsx' needs dolfinx.*$", ended.stdout, flags=re.MULTILINE)
+    assert len(said) == 1 and "apt-get install python3-dolfinx" in said[0] and "conda" in said[0]
     assert ended.stdout.count(", skfem: ") == 4 and "MISS" not in ended.stdout
 
 
@@ -461,9 +444,8 @@ except ValueError as error:
     assert ended.stdout.splitlines()[0] == "4463" and "`softdeca train` makes it" in ended.stdout
 
 
-@pytest.mark.parametrize("network", ["modal", "paper"])
-def test_without_torch_what_trains_says_what_to_install(network, tmp_path):
-    words = ["train", "corpus", "--network", network, "--out", tmp_path / "out"]
+def test_without_torch_what_trains_says_what_to_install(tmp_path):
+    words = ["train", "corpus", "--out", tmp_path / "out"]
     ended = subprocess.run([sys.executable, "-c", BARE + MAIN, *words], capture_output=True, text=True)
     assert ended.returncode == 1 and not list(tmp_path.iterdir())
     (said,) = [line for line in ended.stderr.splitlines() if not line.endswith(" s)")]
@@ -487,7 +469,7 @@ def test_two_ctrl_c_while_a_preview_is_drawn_leave_no_file_and_no_crash(tmp_path
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".lock", "take.vtkhdf"]
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_a_stream_that_is_closed_takes_no_file_with_it(closed, tmp_path):
     """A file opened later would else get the stream's number, and messages would be written into it."""
     script = f"exec {closed}; exec {sys.executable} -c '{MAIN}' bench list"
@@ -517,7 +499,7 @@ def test_a_backend_of_matplotlib_that_is_not_installed_does_not_matter(monkeypat
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("OMP_NUM_THREADS", "abc"), ("OPENBLAS_NUM_THREADS", ""), ("NUMBA_NUM_THREADS", "0"), ("NUMBA_OPT", "abc")],
+    [("OMP_NUM_THREADS", "abc"), ("NUMBA_NUM_THREADS", "0")],
 )
 def test_an_odd_count_of_threads_is_named_in_one_line(name, value, tmp_path, sphere_head):
     save_head(tmp_path / "head.npz", sphere_head)

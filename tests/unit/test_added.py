@@ -198,32 +198,20 @@ WRONG = {
         own(**by_invariants(gradient=lambda g: 6 * g)),
         r"dpsi/dJ at F = diag\(.*\): expected 7.6.* 45.8",
     ),
-    "gradient by one": (own(**by_invariants(gradient=lambda g: g + [0, 1e-3, 0])), "dpsi/dI2 at F = .* got 0.001"),
     "Hessian": (own(**by_invariants(hessian=lambda h: h * DROPPED)), "d²psi/dJ dJ at F .* of the gradient, got 0"),
-    "Hessian lopsided": (own(**by_invariants(hessian=lambda h: h + 0.1 * np.eye(3)[[1, 0, 2]] * [0, 1, 0])), "d²psi/d"),
     "shape": (own(**by_invariants(gradient=lambda g: g[0])), r"expected shapes \(1,\), \(1, 3\), \(1, 3, 3\)"),
-    "raises": (own(**by_invariants(gradient=lambda g: g["mu"])), "by_invariants: IndexError"),
     "NaN at rest": (
         own(**by_invariants(psi=lambda psi, I1, J: psi * (I1 - 3) / (I1 - 3))),
         r"psi is NaN at F = diag\(1,",
     ),
     "not 0 at rest": (own(**by_invariants(psi=lambda psi, I1, J: psi + 1)), "psi is 1 kPa at rest, expected 0"),
-    "NaN inverted": (
-        own(**by_invariants(psi=lambda psi, I1, J: np.where(J > 0, psi, np.nan))),
-        "psi is NaN at F = .*-.* expected infinity",
-    ),
     "finite inverted": (
         own(**by_invariants(psi=lambda psi, I1, J: np.where(J > 0, psi, 5.0))),
         "psi is 5 kPa at F = .*, expected infinity: finite_inverted is False",
     ),
-    "infinite inverted": (own(finite_inverted=True), "psi is inf kPa at F = .*-.* where it must hold"),
     "holds nowhere": (
         own(**by_invariants(psi=lambda psi, I1, J: np.where(J < 1.01, psi, np.inf))),
         "where it must hold",
-    ),
-    "holds less far": (
-        own(**by_invariants(psi=lambda psi, I1, J: np.where(I1 < 3.3, psi, np.inf))),
-        "density at F = .* expected inf kPa, by psi",
     ),
     "energy twice": (
         own(**by_invariants(lambda psi, I1, J: 2 * psi, lambda g: 2 * g, lambda h: 2 * h)),
@@ -234,19 +222,13 @@ WRONG = {
         "its stress is 0.1 kPa at rest, expected 0",
     ),
     "density": (own(density=staticmethod(lambda F, p: 1.001 * Own.density(F, p))), "density at F = .* by psi, got"),
-    "density turned": (own(density=staticmethod(lambda F, p: Own.density(F, p) + F[0, 0] - 1)), "density at F = "),
-    "density raises": (own(density=staticmethod(lambda F, p: p.kappa)), "density at F = .*: AttributeError: "),
     "isochoric": (own(isochoric=staticmethod(lambda F, p: 2 * Own.isochoric(F, p))), "isochoric at F = "),
     "mixed": (
         own(mixed_density=staticmethod(lambda F, q, p: Own.mixed_density(F, q, p) - q**2 / 9)),
         "mixed_density, greatest at a pressure of .* kPa, at F = ",
     ),
     "square of mu": (lambda mu, lmbda: Own(mu**2, lmbda), r"of moduli \(0.4, 3.1\) kPa it has"),
-    "complex": (own(**by_invariants(psi=lambda psi, I1, J: psi + 0j)), "by_invariants: .* expected real numbers"),
     "ends the process": (own(**by_invariants(gradient=lambda g: sys.exit(0))), "by_invariants: SystemExit"),
-    "ends the process at once": (lambda mu, lmbda: sys.exit(0), "of moduli .* SystemExit"),
-    "lame raises": (own(lame=property(lambda self: 1 / 0)), "of moduli .* ZeroDivisionError"),
-    "no law": (lambda mu, lmbda: Own(-mu, lmbda), "of moduli .* SceneError: Own: mu must be positive"),
     "loose": (loose, "seen is no field of a frozen dataclass"),
     "list": (LISTED, "its parameters may change"),
 }
@@ -306,8 +288,6 @@ def test_a_law_takes_no_name_that_is_there_and_none_that_cannot_be_shown(name):
     ("words", "said"),
     [
         ("sys.stdout.close()", "closes stdout"),
-        ("sys.stderr.close()", "closes stderr"),
-        ("sys.stdout.close(); sys.stderr.close()", "closes stdout and stderr"),
         ("os.close(1); os.close(2)", ""),
         ("sys.stdout = sys.stderr = None", ""),
     ],

@@ -25,6 +25,8 @@ from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import solve
 from softdeca.reference.solution import write_solution
 
+from ..refusals import refused
+
 pytest.importorskip("dolfinx")
 
 
@@ -115,15 +117,6 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
     texts = {"README.md", "score.py", "benchmark.json", "SHA256SUMS"}
     assert names[0] == names[1] == meshes | texts | {"answers.npz"}
-
-
-def test_an_export_tries_failed_rows_again(study, exported, tmp_path):
-    shutil.copytree(exported[0] / "rows", tmp_path / "rows")
-    rows = tmp_path / "rows" / "rows.jsonl"
-    row = next(line for line in rows.read_text().splitlines() if "linear, coarse" in line)
-    rows.write_text(rows.read_text() + json.dumps(json.loads(row) | {"status": "failed", "values": {}}) + "\n")
-    results, _ = export(tmp_path / "benchmark.zip", study, tmp_path / "rows", workers=1)
-    assert results.passed and (tmp_path / "benchmark.zip").exists()
 
 
 def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
@@ -225,8 +218,7 @@ FINER_FAULTS = {
 }
 
 
-@pytest.mark.parametrize("problem", ["gravity", "jaw"])
-@pytest.mark.parametrize("mesh", ["medium", "fine"])
+@pytest.mark.parametrize(("problem", "mesh"), [("gravity", "medium"), ("jaw", "fine")])
 @pytest.mark.parametrize("fault", FINER_FAULTS)
 def test_points_that_refinement_added_are_judged(archive, judged, problem, mesh, fault):
     linear, limit = archive.arrays[f"{problem}.linear.{mesh}"], archive.arrays[f"{problem}.converged"]
@@ -264,8 +256,6 @@ def with_value(shape, value):
 NOT_FINITE = {
     "reaction": ({"reaction": with_value((126, 3), np.nan)}, "1 of 126 rows of 'reaction'"),
     "cauchy": ({"cauchy": [with_value((480, 9), np.inf)]}, "1 of 480 rows of 'cauchy'"),
-    "cauchy of six": ({"cauchy": [with_value((480, 6), np.nan)]}, "1 of 480 rows of 'cauchy'"),
-    "32 bits": ({"reaction": with_value((126, 3), -np.inf).astype(np.float32)}, "the first is 7"),
 }
 
 
@@ -283,23 +273,14 @@ REFUSED = {
         {},
         "1 tets are inverted, the first is 9",
     ),
-    "one missing": (lambda t: [("tetra", t[1:])], {}, "cells: 479 tets; meshes/coarse.vtu has 480"),
     "one twice": (lambda t: [("tetra", np.concatenate([t, t[:1]]))], {}, "cells: 481 tets"),
     "one instead of another": (lambda t: [("tetra", np.concatenate([t[:1], t[:-1]]))], {}, "tet 1 has not the corners"),
     "two blocks in another order": (lambda t: [("tetra", t[9:]), ("tetra", t[:9])], {}, "another order"),
-    "triangles": (lambda t: [("triangle", t[:, :3])], {"cauchy": [np.ones((480, 9))]}, "cells: 0 tets"),
     "hexahedra": (lambda t: [("hexahedron", np.tile(t, 2))], {}, "cells: hexahedron; expected tets"),
-    "quadratic": (lambda t: [("tetra10", np.tile(t, 3)[:, :10])], {}, "cells: tetra10; expected tets"),
-    "half the tets": (lambda t: [("tetra", t[:240])], {"cauchy": [np.ones((240, 9))]}, "cells: 240 tets"),
     "three components": (None, {"cauchy": [np.ones((480, 3))]}, "'cauchy': expected 9 or 6 components"),
-    "a number": (None, {"cauchy": [np.ones(480)]}, "'cauchy': expected 9 or 6 components"),
     "not symmetric": (None, {"cauchy": [with_value((480, 9), np.arange(9.0))]}, "not symmetric; that of tet 7"),
-    "huge stress": (None, {"cauchy": [with_value((480, 9), 1e200)]}, "'cauchy': 1e+200 is too large"),
     "huge force": (None, {"reaction": with_value((126, 3), 1e300)}, "'reaction': 1e+300 is too large"),
-    "forces as numbers": (None, {"reaction": np.ones(126)}, "'reaction': expected shape (126, 3), got (126,)"),
-    "huge displacement": (None, {"displacement": with_value((126, 3), 1e300)}, "'displacement': 1e+300 is too large"),
     "a point at NaN": (None, {"points": with_value((126, 3), np.nan)}, "some points are not finite"),
-    "a point at 1e300": (None, {"points": with_value((126, 3), 1e300)}, "out of all range"),
 }
 
 
@@ -307,9 +288,8 @@ REFUSED = {
 def test_another_mesh_or_array_is_refused_in_a_line(archive, judged, study, case):
     cells, arrays, words = REFUSED[case]
     cells = cells and cells(study.bodies()[0].tets)
-    with pytest.raises(scorer.AnswerError, match=re.escape(words)) as error:
-        judged(**({"moved": archive.arrays["gravity.converged"]} | arrays), cells=cells)
-    assert "\n" not in str(error.value)
+    given = {"moved": archive.arrays["gravity.converged"]} | arrays
+    refused(re.escape(words), judged, **given, cells=cells, error=scorer.AnswerError)
 
 
 def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, study):
@@ -375,7 +355,7 @@ def test_numbers_beside_an_answer_are_all_in_one_file(archive, judged, tmp_path,
         scorer.score(tmp_path / "gravity.xdmf", archive)
 
 
-@pytest.mark.parametrize("suffix", [".inp", ".med", ".h5m", ".hmf", ".ele", ".inp.vtu"])
+@pytest.mark.parametrize("suffix", [".inp", ".h5m", ".inp.vtu"])
 def test_other_kinds_of_files_are_not_opened(archive, tmp_path, suffix):
     os.mkfifo(tmp_path / "pipe")
     file = tmp_path / f"gravity{suffix}"
@@ -394,13 +374,11 @@ def test_an_answer_opens_no_file_of_another_folder(archive, judged, tmp_path, na
         scorer.score(file, archive)
 
 
-@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".xdmf", ".stl", ".xyz", ""])
-@pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"<VTKFile>", b"$MeshFormat\n4.1 0 8\n", b"# vtk DataFile"])
-def test_a_file_that_is_no_answer_is_one_line(archive, tmp_path, suffix, content):
-    (tmp_path / f"gravity{suffix}").write_bytes(content)
-    with pytest.raises(scorer.AnswerError) as error:
-        scorer.score(tmp_path / f"gravity{suffix}", archive)
-    assert "\n" not in str(error.value)
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".xdmf", ".stl", ""])
+def test_a_file_that_is_no_answer_is_one_line(archive, tmp_path, suffix):
+    for content in (b"", b"\x00" * 100, b"<VTKFile>", b"$MeshFormat\n4.1 0 8\n", b"# vtk DataFile"):
+        (tmp_path / f"gravity{suffix}").write_bytes(content)
+        refused("", scorer.score, tmp_path / f"gravity{suffix}", archive, error=scorer.AnswerError)
 
 
 def test_what_is_no_plain_file_is_refused_before_it_is_read(archive, tmp_path):
@@ -467,58 +445,25 @@ def set_to(*keys, value):
 DAMAGED = {
     "a list": lambda files: files.update({"benchmark.json": b"[]"}),
     "an empty object": lambda files: files.update({"benchmark.json": b"{}"}),
-    "a text": lambda files: files.update({"benchmark.json": b'"x"'}),
-    "no JSON": lambda files: files.update({"benchmark.json": b"{"}),
     "nested": lambda files: files.update({"benchmark.json": b"[" * 100_000}),
-    "no description": lambda files: files.pop("benchmark.json"),
     "no answers": lambda files: files.pop("answers.npz"),
-    "answers that are no arrays": lambda files: files.update({"answers.npz": b"PK"}),
     "problems that are a list": in_description(set_to("problems", value=[])),
-    "no problems": in_description(set_to("problems", value={})),
-    "no bones": in_description(set_to("bones", value=[])),
     "band NaN": in_description(set_to("problems", "gravity", "band_mm", value=float("nan"))),
-    "band infinite": in_description(set_to("problems", "gravity", "band_mm", value=1e999)),
-    "band a text": in_description(set_to("problems", "gravity", "band_mm", value="1")),
-    "band true": in_description(set_to("problems", "gravity", "band_mm", value=True)),
-    "band below zero": in_description(set_to("problems", "gravity", "band_mm", value=-1.0)),
     "band wider than the answer": in_description(set_to("problems", "gravity", "band_mm", value=100.0)),
-    "largest band wider than the answer": in_description(set_to("problems", "gravity", "largest_mm", value=100.0)),
-    "no quantities": in_description(set_to("problems", "jaw", "quantities", value={})),
-    "value of two numbers": in_description(
-        set_to("problems", "jaw", "quantities", "at chin", "value", value=[1.0, 2.0])
-    ),
-    "band of a quantity zero": in_description(set_to("problems", "jaw", "quantities", "at chin", "band", value=0)),
-    "unit a number": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value=1)),
     "band of a quantity wider than all": in_description(
         set_to("problems", "jaw", "quantities", "at chin", "band", value=100.0)
     ),
-    "value far off": in_description(set_to("problems", "jaw", "quantities", "skin, mean", "value", value=[100.0])),
     "unit that colours": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value="\x1b[31m")),
-    "bones that are numbers": in_description(set_to("bones", value=[1])),
     "skin point out of range": in_description(set_to("skin_points", 0, value=126)),
-    "skin point below zero": in_description(set_to("skin_points", 0, value=-1)),
-    "skin points broken": in_description(set_to("skin_points", 0, value=0.5)),
-    "no skin points": in_description(set_to("skin_points", value=[])),
-    "point out of range": in_description(set_to("points", "chin", value=10_000)),
     "patch out of range": in_description(set_to("patches", "left jowl, muscle", "tets", 0, value=480)),
-    "patch of no volume": in_description(set_to("patches", "left jowl, muscle", "volumes", 0, value=0.0)),
     "patch a volume short": in_description(lambda d: d["patches"]["left jowl, muscle"]["volumes"].pop()),
     "other meshes": in_description(lambda d: d["meshes"].pop("fine")),
-    "points of a mesh as text": in_description(set_to("meshes", "coarse", "points", value="126")),
-    "other number of points": in_description(set_to("meshes", "coarse", "points", value=123)),
     "other number of tets": in_description(set_to("meshes", "medium", "tets", value=481)),
-    "rows missing": in_answers(lambda a: a.update({"gravity.converged": a["gravity.converged"][:-3]})),
     "rows of a fine mesh missing": in_answers(lambda a: a.update({"jaw.linear.fine": a["jaw.linear.fine"][:126]})),
     "answers NaN": in_answers(lambda a: a["cheek.converged"].fill(np.nan)),
-    "linear answers NaN": in_answers(lambda a: a["cheek.linear.medium"].fill(np.nan)),
     "answers as texts": in_answers(lambda a: a.update({"jaw.converged": np.full((126, 3), "x")})),
-    "answers complex": in_answers(lambda a: a.update({"jaw.converged": a["jaw.converged"] + 1j})),
     "a problem's answers missing": in_answers(lambda a: a.pop("growth.converged")),
-    "points missing": in_answers(lambda a: a.pop("points")),
-    "coarse mesh moved": in_answers(lambda a: a["points"].__iadd__(5.0)),
     "coarse mesh flat": in_answers(lambda a: a["points"].fill(0.0)),
-    "mesh missing": lambda files: files.pop("meshes/coarse.vtu"),
-    "mesh damaged": lambda files: files.update({"meshes/coarse.vtu": files["meshes/coarse.vtu"][:999]}),
     "mesh exchanged": lambda files: files.update({"meshes/coarse.vtu": files["meshes/medium.vtu"]}),
 }
 
@@ -537,17 +482,19 @@ def test_a_damaged_archive_is_refused_in_a_line(archive, judged, tmp_path, damag
 def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path):
     judged(archive.arrays["gravity.converged"])
 
-    def refused(change, words):
+    def is_refused(change, words):
         rewrite(archive, tmp_path / "other.zip", change, with_checksums=False)
         with pytest.raises(scorer.AnswerError, match=words):
             scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "other.zip"))
 
-    refused(in_description(set_to("problems", "gravity", "band_mm", value=1.0)), "benchmark.json: its checksum differs")
-    refused(in_answers(lambda a: a["gravity.converged"].__imul__(1.01)), "answers.npz: its checksum differs")
-    refused(
+    is_refused(
+        in_description(set_to("problems", "gravity", "band_mm", value=1.0)), "benchmark.json: its checksum differs"
+    )
+    is_refused(in_answers(lambda a: a["gravity.converged"].__imul__(1.01)), "answers.npz: its checksum differs")
+    is_refused(
         lambda f: f.update({"meshes/coarse.vtu": f["meshes/coarse.vtu"] + b" "}), "coarse.vtu: its checksum differs"
     )
-    refused(lambda f: f.pop("SHA256SUMS"), "SHA256SUMS: missing")
+    is_refused(lambda f: f.pop("SHA256SUMS"), "SHA256SUMS: missing")
     with zipfile.ZipFile(tmp_path / "other.zip", "a") as file, pytest.warns(UserWarning, match="Duplicate name"):
         file.writestr("benchmark.json", "{}")
         file.writestr("SHA256SUMS", "")
@@ -569,12 +516,6 @@ def test_a_turned_answer_is_shifted(archive, judged):
     places = archive.arrays["points"]
     score = judged((places + archive.arrays["gravity.linear.coarse"]) @ turn.T - places)
     assert "SHIFTED" in score.line and "10 degrees" in score.line
-
-
-def test_held_points_that_moved_are_told(archive, judged, study):
-    moved = archive.arrays["gravity.linear.coarse"].copy()
-    moved[study.bodies()[0].held_vertices] += 50.0
-    assert "held points are up to 86.6 mm from where" in judged(moved).line
 
 
 def test_what_cannot_be_scored_is_named(archive, judged, tmp_path):
@@ -617,8 +558,8 @@ def test_the_command_scores_without_our_solvers(exported, judged, archive, tmp_p
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.startswith("gravity, coarse mesh: RIGHT ON THIS MESH: ")
     assert "'cauchy' is missing: its quantities are not scored" in ended.stdout
-    refused = subprocess.run([sys.executable, "-c", code, *words[:2], "x.vtu"], capture_output=True, text=True)
-    assert refused.returncode == 1 and refused.stderr.count("\n") == 1 and "face-benchmark.zip" in refused.stderr
+    ended = subprocess.run([sys.executable, "-c", code, *words[:2], "x.vtu"], capture_output=True, text=True)
+    assert ended.returncode == 1 and ended.stderr.count("\n") == 1 and "face-benchmark.zip" in ended.stderr
 
 
 def test_the_archives_own_script_needs_numpy_and_meshio_alone(judged, archive, tmp_path):

@@ -48,7 +48,7 @@ PLAN = CorpusPlan(
     kinds={"few": 1.0}, varying=0.0, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 SMALL = Widths(latent=24, expression=32, position=8, gain=8, hidden=8)
-CONFIG = GradientTraining(network=SMALL, steps=400, validate_every=50)
+CONFIG = GradientTraining(network=SMALL, steps=250, validate_every=50)
 QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate": 2e-3, "validate_every": 30}
 """In place of the paper's protocol."""
 

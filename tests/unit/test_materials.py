@@ -13,7 +13,6 @@ from softdeca.reference.materials import (
     NeoHookean,
     StableNeoHookean,
     StVenantKirchhoff,
-    Volumetric,
     tissues,
 )
 
@@ -82,16 +81,6 @@ def test_fibres_are_unit_vectors_one_per_tet():
     for material in (law, Incompressible(law)):
         with pytest.raises(SceneError, match="2 fibres for 1 tets"):
             Scene(CORNERS, TETS, [terms.Hyperelastic(material, tets=[0])])
-
-
-def test_a_volumetric_part_has_the_name_of_its_formula():
-    law = IsochoricNeoHookean(1.0, 2.0, "kappa/4 (J^2-1-2 ln J)")
-    assert law.volumetric is Volumetric.LOGARITHMIC
-    assert law == IsochoricNeoHookean(1.0, 2.0, Volumetric.LOGARITHMIC)
-
-
-def test_the_fibres_of_skin_are_of_unit_length():
-    assert tissues.skin([0, 0, 2.0]).fibres == pytest.approx([0, 0, 1.0])
 
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])

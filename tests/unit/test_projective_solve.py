@@ -12,7 +12,6 @@ from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
 from softdeca.reference.projective import time_local_step
-from softdeca.reference.projective.memory import CAPACITY, Memory
 from softdeca.reference.projective.policy import ProjectivePolicy
 from softdeca.reference.projective.terms.energy import Energy
 from softdeca.reference.projective.unknowns import system
@@ -221,54 +220,3 @@ def test_a_start_near_the_answer_saves_steps(sphere_head):
     near = prepared.solve(scenes[1], absolute=absolute, start=first.positions)
     assert near.iterations < cold.iterations
     np.testing.assert_allclose(near.positions, solve(scenes[1], tolerance=1e-9).positions, atol=1e-4)
-
-
-RNG = np.random.default_rng(0)
-SIZE = 30
-HESSIAN = (lambda m: m @ m.T + np.eye(SIZE))(RNG.normal(size=(SIZE, SIZE)))
-START = np.diag(RNG.uniform(0.5, 2.0, SIZE))  # A⁻¹
-
-
-def filled(count):
-    memory, pairs = Memory(SIZE), []
-    for _ in range(count):
-        step = RNG.normal(size=SIZE)
-        pairs.append((step, HESSIAN @ step))
-        memory.add(*pairs[-1])
-    return memory, pairs
-
-
-def bfgs(pairs):
-    """The inverse after each pair: (1 - ρ s yᵀ) H (1 - ρ y sᵀ) + ρ s sᵀ."""
-    inverse = START
-    for s, y in pairs:
-        keep = np.eye(SIZE) - np.outer(s, y) / (s @ y)
-        inverse = keep @ inverse @ keep.T + np.outer(s, s) / (s @ y)
-    return inverse
-
-
-def assert_like(memory, pairs):
-    gradient = RNG.normal(size=SIZE)
-    direction = memory.direction(gradient, lambda vector: START @ vector)
-    np.testing.assert_allclose(direction, -bfgs(pairs[-CAPACITY:]) @ gradient, rtol=1e-9)
-
-
-def test_directions_are_those_of_bfgs_over_the_last_pairs():
-    for count in (1, 3, CAPACITY, CAPACITY + 5):
-        assert_like(*filled(count))
-
-
-def test_a_cleared_memory_starts_anew():
-    memory, pairs = filled(5)
-    memory.clear()
-    assert len(memory) == 0
-    memory.add(*pairs[2])
-    assert_like(memory, [pairs[2]])
-
-
-def test_a_pair_without_positive_curvature_is_not_taken():
-    memory, pairs = filled(2)
-    memory.add(pairs[0][0], -pairs[0][1])
-    memory.add(np.full(SIZE, np.nan), pairs[0][1])
-    assert len(memory) == 2
-    assert_like(memory, pairs)

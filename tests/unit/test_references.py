@@ -14,7 +14,7 @@ from softdeca.surrogate.corpus.shard import ACCEPTED, FEM_LAWS
 from softdeca.surrogate.corpus.simulator import describe_answer, solve_frame
 from softdeca.surrogate.corpus.spheres import Spheres
 
-PLAN = PRESETS["tiny"]
+PLAN = replace(PRESETS["tiny"], sources={"conversation": 1.0})
 P = Parameters(soft_volume=1.3)
 
 

@@ -68,7 +68,6 @@ def test_prism_split_handles_every_order_of_corners():
     [
         (lambda: terms.Fixed([0, 9]), r"term 0 \(Fixed\): vertex 9 is outside 0..4"),
         (lambda: terms.Strain(1.0, tets=[2]), r"term 0 \(Strain\): tet 2 is outside 0..1"),
-        (lambda: terms.SurfaceStrain([[0, 1, 5]], 1.0), "vertex 5 is outside"),
         (lambda: terms.Target([-1], [[0, 0, 0]], 1.0), "vertex -1 is outside"),
         (lambda: terms.Strain([1.0, 1.0, 1.0]), "3 values for 2 tets"),
         (lambda: "gravity", "str is no term"),
@@ -86,10 +85,8 @@ def test_a_scene_names_the_term_that_does_not_fit(term, message):
         ([[0, 1, 2]], r"columns 0: expected shape \(n, n\), got \(3,\)"),
         ([[[0.0, 1.0]]], "columns 0: expected integers, got float64"),
         ([[[0, 1]], [[0, 9]]], r"columns 1: 9 at \(0, 1\); expected 0..4"),
-        ([[[0, 1], [2, -1]]], r"columns 0: -1 at \(1, 1\); expected 0..4"),
         ([[[0]]], "columns 0: expected at least 2 vertices a row, got 1"),
         ([[[0, 1, 2]], [[3, 1, 4]]], "columns: vertex 1 is inside one row and in another one too"),
-        ([[[0, 1, 2], [1, 3, 4]]], "columns: vertex 1 is inside one row"),
     ],
 )
 def test_a_scene_names_columns_that_do_not_fit(columns, message):
@@ -107,13 +104,8 @@ def masked(values):
     [
         lambda of: Scene(of(CORNERS), TETS, []),
         lambda of: Scene(CORNERS, of(TETS), []),
-        lambda of: Scene(CORNERS, TETS, [], columns=[of([[0, 1, 2]])]),
-        lambda of: terms.Strain(of([1.0, 2.0])),
         lambda of: terms.Strain(1.0, tets=of([0, 1])),
-        lambda of: terms.SurfaceStrain(of([[0, 1, 2]]), 1.0),
         lambda of: terms.Target([1], of([[0.0, 1.0, 2.0]]), 1.0),
-        lambda of: terms.RigidBody([0, 1, 2], of(CORNERS[:3])),
-        lambda of: terms.Gravity(of([0.0, -1.0, 0.0]), 1.0),
         lambda of: terms.Inertia(1.0, 0.1, velocities=of(CORNERS)),
         lambda of: materials.Guccione(1.0, 1.0, 1.0, 1.0, of([1.0, 0.0, 0.0]), 10.0),
         lambda of: prepare(Scene(CORNERS, TETS, [terms.Strain(1.0)])).solve(start=of(CORNERS)),
@@ -127,17 +119,13 @@ def test_numbers_that_numpy_would_lose_are_refused(make, kind):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: terms.Strain(-1.0), "Strain.stiffness: must be finite and at least 0"),
         (lambda: terms.Strain(1.0, limit=0.9), "Strain.limit: must be finite and at least 1"),
-        (lambda: terms.Volume(1.0, target=0.0), "Volume.target: must be finite and above 0"),
         (lambda: terms.Volume([1.0, np.nan], tets=[0, 1]), r"Volume.stiffness.*number 1"),
         (lambda: terms.Gravity((0, -9810), 1e-6), "three finite numbers"),
         (lambda: terms.Target([0, 1], [[0, 0, 0]], 1.0), "expected 2 rows, got 1"),
-        (lambda: terms.Fixed([0], [[0, np.inf, 0]]), "not finite"),
         (lambda: terms.Fixed([0], components=(0, 3)), "Fixed.components"),
         (lambda: terms.Fixed([0, 0]), "appears twice"),
         (lambda: terms.Hyperelastic("rubber"), "expected a material"),
-        (lambda: materials.NeoHookean(mu=0.0, lmbda=1.0), "mu must be positive"),
         (lambda: materials.NeoHookean.from_young(1.0, 0.5), r"\(-1, 0.5\)"),
     ],
 )
@@ -214,10 +202,8 @@ def test_a_scene_of_nothing_to_deform_is_refused():
     "term",
     [
         lambda mask, _: terms.Fixed(mask),
-        lambda mask, _: terms.Target(mask, CORNERS[:2], 1.0),
         lambda mask, _: terms.RigidBody(mask),
         lambda _, mask: terms.Strain(1.0, tets=mask),
-        lambda _, mask: terms.Gravity((0, 0, 1), 1.0, tets=mask),
     ],
 )
 def test_a_mask_of_another_length_is_refused(term):

@@ -248,41 +248,28 @@ def zeros(words):
 GLTF = [
     (changed("bufferViews", 0, byteStride=-4096), "byteStride: -4,096"),
     (changed("bufferViews", 0, byteStride=1), "byteStride: 1, below the 12 bytes"),
-    (changed("accessors", 0, byteOffset=-12), "byteOffset: -12"),
-    (changed("bufferViews", 1, byteOffset=-8), "byteOffset: -8"),
     (changed("bufferViews", 1, byteLength=10**12), "shorter than it says"),
-    (changed("accessors", 0, count=10**6), "reaches beyond its buffer"),
     (changed("accessors", 0, count=10**13), "10,000,000,000,000 vertices; expected at"),
     (zeros, "vertices; expected at most"),
-    (changed("accessors", 0, count=162.5), "expected a whole number, got 162.5"),
     (lambda words: primitive(words).update(indices=-1), "accessors: -1 is none of its 3"),
     (changed("accessors", 0, count=100), "triangles: .*expected 0..99"),
-    (changed("accessors", 0, type="VEC4"), "of type VEC4, expected VEC3"),
     (many_targets, "10,000 morph targets; expected at most 2,000"),
-    (lambda words: primitive(words).update(targets=[{"POSITION": 1}]), "expected VEC3"),
     (doubled_nodes, "its nodes are no tree"),
     (deep_nodes, "levels of nodes; expected at most 100"),
     (changed("nodes", 0, scale=[float("nan")] * 3), "NaN is no finite number"),
-    (changed("nodes", 0, scale=[1e300] * 3), "scale: 1e\\+300 is too large"),
-    (changed("nodes", 0, matrix=[1, 0]), "matrix: expected shape \\(16,\\)"),
     (changed("nodes", 0, matrix=[1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "matrix: its last row is not 0, 0,"),
     (changed("nodes", 0, rotation=[0.9, 0.9, 0.9, 0.9]), "rotation: quaternion 0 has length 1.8; expected 1"),
-    (changed("nodes", 0, rotation=[0, 0, 0, 0]), "rotation: quaternion 0 has length 0; expected 1"),
     (changed("nodes", 0, scale=[1, 1, 0]), "a node's transform flattens its mesh"),
-    (changed("nodes", 0, scale=[0, 0, 0]), "no triangles found"),
     (changed("buffers", 0, uri="data:;base64,!!!!"), "is no base64"),
     (changed("buffers", 0, uri="data:text/plain,abc"), "of the kind 'data:text/plain'; expected base64"),
-    (changed("buffers", 0, uri="data:;base64,AAAA"), "shorter than it says"),
     (changed("buffers", 0, byteLength=10), "shorter than it says"),
     (two_buffers, "its buffers have: 1,2.* bytes; expected at most"),
     (many_instances, "its scene has: 10,002 instances of parts"),
     (three_instances, "its scene has: 24,000,000 vertices"),
     (one_name, "morph target 'jawOpen' stands there twice"),
     (sparse(5, 5), "sparse indices: they do not rise"),
-    (sparse(5, 999), "sparse indices: 999"),
     (no_weights, "WEIGHTS_0: vertex 0 hangs on no joint"),
     (lambda words: words["accessors"][0].pop("bufferView"), "accessor 0: its numbers are not in the file"),
-    (lambda words: words["accessors"][1].pop("bufferView"), "accessor 1: its numbers are not in the file"),
     (changed("accessors", 1, componentType=5126, count=3), "accessor 1: of floats, expected integers"),
     (changed("accessors", 1, count=8), "triangles: 8 corners, no multiple of 3"),
 ]
@@ -316,50 +303,34 @@ FACET = "solid a\nfacet normal 0 0 1\n"
 BAD = [
     *(("a.obj", OBJ + line + "\n", message) for line, message in [
         ("f 1 2 -9999", "line .* is none of an OBJ file"),
-        ("f 1 2 0", "line .* is none of an OBJ file"),
-        ("f 1 2", "line .* is none of an OBJ file"),
-        (f"f 1 2 {'9' * 40}", "line .* is none of an OBJ file: 'f 1 2 9999"),
         (f"f 1 2 {'9' * 5000}", "line .* is none of an OBJ file"),
         ("f 1 2 9999", "outside 0..161"),
         ("v 1 2 nan", "1 rows are not finite"),
         (f"v 1 2 1{'0' * 400}", "1 rows are not finite"),
-        ("v 1 2", "line .* is none of an OBJ file"),
         ("f 1 2 #3", "line .* is none of an OBJ file"),
         ("f 1 2 \x1b[2J", r"line .* is none of an OBJ file: .*x1b\[2J"),
     ]),
     ("a.obj", "v 0 0 0", "no triangles found"),
-    ("a.ply", ply("ascii", vertices=10**12), "cut off"),
     ("a.ply", ply("binary_little_endian", vertices=10**14), "cut off"),
-    ("a.ply", ply("binary_little_endian", faces=2 * 10**3), "cut off"),
     ("a.ply", ply("binary_little_endian", faces=10**17), "no PLY file has"),
-    ("a.ply", ply("ascii", body=b"nothing"), "cut off"),
     ("a.ply", BINARY[:-9], "cut off"),
-    ("a.ply", ASCII[:-9], "cut off"),
-    ("a.ply", ASCII.replace(b"1 3 4 5 6", b"1 -3 4 5 6"), "cut off"),
     ("a.ply", ASCII.replace(b"1 3 4 5 6", b"1 3 4 5.5 6"), "an index is no integer"),
     ("a.ply", ASCII.replace(b"ushort", b"float"), "names no vertices"),
     ("a.ply", ASCII.replace(b"property float x", b"property float q"), "no x, y and z"),
-    ("a.ply", ASCII.replace(b"format ascii", b"format binary"), "no PLY file has"),
     ("a.ply", ASCII.replace(b"end_header", b"end"), "its header has no end"),
     ("a.ply", "", "the file is empty"),
     ("a.ply", ASCII + b"1 3 4 5 6 0\n", "goes on after the elements"),
-    ("a.ply", BINARY + b"more", "goes on after the elements"),
     ("a.ply", ASCII + b"hello\n", "'hello', which is no number"),
-    ("a.ply", ASCII.replace(b"1 3 4 5 6", b"1 3 4 5,5 6"), "'5,5', which is no number"),
     ("a.obj", OBJ + "v 1_0 0 0\n", "line .* is none of an OBJ file"),
-    ("a.obj", OBJ + "f 1 2 1_0\n", "line .* is none of an OBJ file"),
     ("a.stl", FACET + "outer loop\nvertex 1_0 2 3\n", "line 4 is none of an STL file"),
     ("a.gltf", '{"asset": {"version": "2.0"}, "nodes": [], "nodes": []}', "the key 'nodes' stands there twice"),
     ("a.npz", twice_npz(), "it holds two arrays of one name"),
     *(("a.stl", stl_of(count), "its size is not that of the") for count in (10**9, 2**32 - 1, 319, 0)),
-    ("a.stl", FACET + "something else\n", "line 3 is none of an STL file"),
     ("a.stl", FACET + "outer loop\nvertex 1 2 3\n", "cut off within a triangle"),
     ("a.stl", exported("stl_ascii", X, TRIANGLES).rpartition(b"endsolid")[0], "it does not end in 'endsolid'"),
-    ("a.stl", "hello", "no"),
     *(("a.glb", edited_glb(edit), message) for edit, message in GLTF),
     ("a.glb", gltf().glb().replace(b"glTF\2", b"glTF\1"), "a GLB file of version 1; expected 2"),
     ("a.glb", "solid", "does not begin with 'glTF'"),
-    ("a.gltf", "{", "not a glTF file"),
     ("a.gltf", '{"asset": {"version": "1.0"}}', "not a glTF 2.0 file"),
     ("a.gltf", '{"asset": {"version": "2.0"}, "nodes": [{"children": [0]}]}', "no triangles found"),
     ("a.gltf", '{"asset": {"version": "2.0"}, "extensionsRequired": ["X_y"]}', "needs the glTF extension 'X_y'"),
@@ -390,9 +361,8 @@ OUTSIDE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("binary", [False, True])
-@pytest.mark.parametrize("uri", OUTSIDE, ids=range(len(OUTSIDE)))
-def test_a_gltf_opens_no_file_outside_its_folder(tmp_path, uri, binary):
+@pytest.mark.parametrize(("number", "uri"), enumerate(OUTSIDE), ids=range(len(OUTSIDE)))
+def test_a_gltf_opens_no_file_outside_its_folder(tmp_path, number, uri):
     made, outside = gltf(), tmp_path / "outside.bin"
     here = tmp_path / "here"
     (here / "below" / ".hidden").mkdir(parents=True)
@@ -403,7 +373,7 @@ def test_a_gltf_opens_no_file_outside_its_folder(tmp_path, uri, binary):
     (here / "loop.bin").symlink_to(here / "loop.bin")
     os.mkfifo(here / "pipe.bin")
     made.words["buffers"][0]["uri"] = uri.format(outside=outside) if isinstance(uri, str) else uri
-    path = written(here / "a.glb", made.glb()) if binary else written(here / "a.gltf", json.dumps(made.words))
+    path = written(here / "a.glb", made.glb()) if number % 2 else written(here / "a.gltf", json.dumps(made.words))
     assert len(refused(f"{path.name}: ", read_scan, path)) < len(str(path)) + 200
 
 
@@ -473,16 +443,11 @@ def test_counts_of_a_compressed_gltf_are_those_of_what_is_in_it(tmp_path, kind, 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{}", "expected landmarks by name"),
         ("[]", "expected landmarks by name"),
-        ("{", "not JSON"),
         ("[" * 100_000, "levels of brackets"),
-        ('{"chin": ' + "9" * 40 + "}", "40 digits"),
         ('{"chin": [1, 2, ' + "9" * 400 + "]}", "400 digits"),
-        ('{"chin": [1, 2, NaN]}', "NaN is no finite number"),
         ('{"chin": [1, 2, 1e300]}', "landmark 'chin': 1e.300 is too large"),
         ('{"chin": [1, 2]}', r"landmark 'chin': expected shape \(3,\)"),
-        ('{"chin": null}', "landmark 'chin': expected real numbers"),
     ],
 )
 def test_bad_landmarks_are_named(tmp_path, text, message):
@@ -492,17 +457,12 @@ def test_bad_landmarks_are_named(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.json", "{", "not JSON"),
         ("a.json", "[1]", "expected weights by scan"),
-        ("a.json", "[" * 100_000, "levels of brackets"),
         ("a.json", '{"smile.ply": {"jawOpen": ' + "9" * 400 + "}}", "400 digits"),
         ("a.json", '{"' + "a" * 5000 + '": {"jawOpen": 1}}', "no such file"),
-        ("a.json", '{"a\\u0000.obj": {"jawOpen": 1}}', "no such file"),
         ("a.json", '{"\\ud800.obj": {"jawOpen": 1}}', "no such file"),
-        ("a.json", '{"none.ply": {"jawOpen": 1}}', "none.ply: no such file"),
         ("a.json", '{"smile.ply": {"smile": 1}}', "unknown ARKit expression 'smile'"),
         ("a.json", '{"smile.ply": {"jawOpen": 2}}', r"expected a number in \[0, 1\]"),
-        ("a.json", '{"smile.ply": 3}', "smile.ply: weights: expected names"),
         ("a.json", '{"smile.ply": {}}', "no scan shows an expression"),
         ("a.csv", "scan,jawOpen\nsmile.ply,1\n", "not a JSON file of guesses"),
         ("a.json", '{"smile.ply": {"jawOpen": 1}, "./smile.ply": {"jawOpen": 1}}', "stands there twice"),

@@ -79,11 +79,11 @@ def test_a_free_face_swings_at_ps_frequency(rig):
 
 
 @pytest.mark.parametrize("low", [(2.0, 0.1), (8.0, 0.7)], ids=["slow", "quick"])
-def test_ten_thousand_frames_of_random_weights_stay_near(rig, low):
+def test_a_thousand_frames_of_random_weights_stay_near(rig, low):
     swing = replace(rig.swing, frequency=np.full(N, low[0]), damping=np.full(N, low[1]))
     moving, rng = DynamicRig(rig, swing, 1 / 60), np.random.default_rng(0)
     out, largest = np.empty((N, 3), dtype=np.float32), 0.0
-    for _ in range(10_000):
+    for _ in range(1000):
         largest = max(largest, float(np.abs(moving.frame(rng.random(52, dtype=np.float32), out=out)).max()))
     assert largest < 250.0
     for _ in range(600):
@@ -138,16 +138,11 @@ def test_bad_parameters_are_named(head, changes, message):
         (lambda rig: rig.dynamic(0.0), "time_step: expected a number above 0 s"),
         (lambda rig: rig.dynamic(1.0), "frequency = 4 is outside"),
         (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.zeros((3, 3))), "velocity: expected shape"),
-        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=1j * np.zeros((N, 3))), "velocity: .* complex128"),
         (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.full((N, 3), 1e9)), "velocity: 1e.09 is too large"),
-        (lambda rig: rig.dynamic().begin(np.zeros(52), base="x"), "base: expected rotations"),
         (lambda rig: rig.dynamic().frame(np.zeros(52), rig.skin.vertices / 1000), "blended: 0.001 times as large"),
         (lambda rig: rig.dynamic().frame(np.zeros(52), base="x"), "base: expected a rotation"),
-        (lambda rig: rig.bake(4).dynamic("x"), "time_step: expected a number"),
-        (lambda rig: rig.bake(4).target_weights(np.zeros(51)), "weights: expected the 52"),
         (lambda rig: rig.bake(4).frame(np.zeros(52), out=rig.bake(4).neutral), "out: expected a contiguous, writeable"),
         (lambda rig: rig.dynamic().frame(np.zeros(52), base=2 * np.eye(3)), "base: no rotation"),
-        (lambda rig: rig.dynamic().frame(np.zeros(51)), "the 52 of ARKit"),
         (lambda rig: rig.bake(4).dynamic().frame(np.zeros(52), np.zeros((N, 3))), "blended: a baked rig has"),
     ],
 )
