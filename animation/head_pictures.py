@@ -174,13 +174,13 @@ def draw_quality(head: LayeredHead) -> bytes:
 def draw_depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
     """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
     top = float(np.nanquantile(errors, 0.99))
-    return draw_strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turned(skin_wrap), errors, top)])
+    return draw_strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turn(skin_wrap), errors, top)])
 
 
 def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
     """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
     met = np.where(measured.met, measured.depths, np.nan)
-    top, behind = float(np.nanquantile(met, 0.95)), _turned(skin_wrap)
+    top, behind = float(np.nanquantile(met, 0.95)), _turn(skin_wrap)
     return draw_strip(
         [
             Panel("measured depth", skin_wrap, met, top),
@@ -191,7 +191,7 @@ def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: Measu
     )
 
 
-def _turned(surface: Surface) -> Surface:
+def _turn(surface: Surface) -> Surface:
     """The same by half a turn about its vertical axis: panels of a strip share their view."""
     x = surface.vertices
     centre = (x.max(axis=0) + x.min(axis=0)) / 2

@@ -115,7 +115,7 @@ def pack_skin(packed: Packed, skin: Surface) -> dict[str, Any]:
         "triangles": packed.add("triangles", np.asarray(skin.triangles, dtype=np.uint32)),
         "lit": packed.add("lit", light_share(skin).astype(np.float32)),
         "inside": to_linear_light(parse_colour(INSIDE)).tolist(),
-        "within": _within(packed, skin),
+        "within": _pack_inside(packed, skin),
     }
 
 
@@ -160,7 +160,7 @@ def _pose(packed: Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dic
     }
 
 
-def _within(packed: Packed, skin: Surface) -> dict[str, Any] | None:
+def _pack_inside(packed: Packed, skin: Surface) -> dict[str, Any] | None:
     """Eyes and teeth, where the skin's are known."""
     found = find_eyes_and_teeth(skin)
     if found is None:

@@ -172,7 +172,7 @@ def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), le
     width = drawn.width // len(captions)
     size = max(12, width // 18)
     font = ImageFont.load_default(size)
-    lines = [_wrapped(caption, font.getlength, 0.94 * width) for caption in captions]
+    lines = [_wrap(caption, font.getlength, 0.94 * width) for caption in captions]
     above = max(len(each) for each in lines) * round(1.3 * size) + size // 2
     below = 3 * size if any(bars) else 0
     listed = legend.splitlines()
@@ -204,7 +204,7 @@ def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), le
     return buffer.getvalue()
 
 
-def _wrapped(text: str, length: Callable[[str], float], width: float) -> list[str]:
+def _wrap(text: str, length: Callable[[str], float], width: float) -> list[str]:
     """A caption in lines of at most `width` [pixels], where its words allow it."""
     lines: list[str] = []
     for paragraph in text.splitlines() or [""]:

@@ -133,7 +133,7 @@ def _pyplot():
 
 def to_png(figure) -> bytes:
     """A figure as PNG, closed."""
-    return _saved(figure, "png", dpi=120)
+    return _save(figure, "png", dpi=120)
 
 
 def to_svg(figure) -> str:
@@ -142,11 +142,11 @@ def to_svg(figure) -> str:
         _space(axis)
     if _narrow.get():
         _fold(figure)
-    text = _saved(figure, "svg").decode()
+    text = _save(figure, "svg").decode()
     return text[text.index("<svg") :]
 
 
-def _saved(figure, kind: str, **more) -> bytes:
+def _save(figure, kind: str, **more) -> bytes:
     import matplotlib.pyplot as plt
 
     buffer = io.BytesIO()
@@ -174,7 +174,7 @@ def _fold(figure) -> None:
         axis.set_ylabel(fold(axis.get_ylabel(), 36))
         names = [label.get_text() for label in axis.get_yticklabels()]
         if any(len(name) > 12 and "$" not in name for name in names):
-            axis.set_yticks(axis.get_yticks(), [_chopped(name) for name in names], fontsize=7)
+            axis.set_yticks(axis.get_yticks(), [_chop(name) for name in names], fontsize=7)
         _thin(axis)
 
 
@@ -201,7 +201,7 @@ def _thin(axis) -> None:
         axis.set_xticks(axis.get_xticks()[::step], names, rotation=90, fontsize=7)
 
 
-def _chopped(name: str) -> str:
+def _chop(name: str) -> str:
     """A name of a row in lines of about 16 letters, broken after a plus or a comma too."""
     lines = [""]
     for piece in re.findall(r"[^+, ]+[+, ]*", name):

@@ -79,7 +79,7 @@ def render_frames(
             if organs is not None:
                 inner.points = organs.at(moved.vertices, gaze)
         plotter.render()
-        yield _captioned(np.asarray(plotter.screenshot(None, return_img=True)), captions)
+        yield _add_captions(np.asarray(plotter.screenshot(None, return_img=True)), captions)
     plotter.close()
 
 
@@ -103,7 +103,7 @@ def check_preview(kind: Preview) -> None:
         _ffmpeg()
 
 
-def _captioned(picture: Picture, captions: Sequence[str]) -> Picture:
+def _add_captions(picture: Picture, captions: Sequence[str]) -> Picture:
     image = Image.fromarray(picture)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(15)
     for column, caption in enumerate(captions):

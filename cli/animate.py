@@ -103,7 +103,7 @@ class Animate:
         which = HeadChoice(self.head, self.identities, self.seed, self.level)
         take = load_take(self.take, self.fps, self.frames, self.turned)
         parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
-        result = (self._by_rig if self.accuracy is None else self._within)(which, take, parameters)
+        result = (self._animate_by_rig if self.accuracy is None else self._within)(which, take, parameters)
         self._say(result)
         return 1 if result.failed or result.neutral != "CONVERGED" else 0
 
@@ -139,7 +139,7 @@ class Animate:
                 return result
             return self._bake(bind_cheaply(face, network, exact=True, beyond="clamp")[1], take, result)
 
-    def _by_rig(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
+    def _animate_by_rig(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
         """Animate by a rig alone."""
         from ..animation.animate import animate_rig
         from ..animation.play import Output

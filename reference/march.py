@@ -144,21 +144,21 @@ class Motion:
     def scene_at(self, step: int) -> Scene:
         """Return the scene at the end of a step, from 1, or at the start, 0: the given one if values are per step."""
         scene = self.scene if self.scenes is None else self.scenes(step * self.time_step)
-        if (targets := self._at(self.targets, step)) is not None:
+        if (targets := self._evaluate(self.targets, step)) is not None:
             scene = scene.with_targets(targets)
-        if (fixed := self._at(self.fixed, step)) is not None:
+        if (fixed := self._evaluate(self.fixed, step)) is not None:
             scene = scene.with_fixed(fixed)
         return scene
 
     def acceleration_at(self, step: int) -> Floats:
         """Return the frame's acceleration [mm/s²], shape (3,); values per step start with the first step's."""
-        value = self._at(self.acceleration, step if callable(self.acceleration) else max(step, 1))
+        value = self._evaluate(self.acceleration, step if callable(self.acceleration) else max(step, 1))
         vector = np.zeros(3) if value is None else np.asarray(value, dtype=np.float64)
         if vector.shape != (3,) or not np.isfinite(vector).all():
             raise SceneError(f"acceleration: expected three finite numbers, got {value!r}")
         return vector
 
-    def _at(self, course: Course | None, step: int) -> Floats | None:
+    def _evaluate(self, course: Course | None, step: int) -> Floats | None:
         if course is None:
             return None
         if callable(course):

@@ -101,14 +101,14 @@ def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how:
 
         def solve(weights: Floats) -> Floats:
             solution = prepared.solve(live.scene(weights, law), tolerance=tolerance)
-            return live.skin_after(weights, _converged(solver, solution).positions, law)
+            return live.skin_after(weights, _check_converged(solver, solution).positions, law)
 
         return SolvedRig(live.skin, solve)
 
     return bind
 
 
-def _converged(method: str, solution: Solution) -> Solution:
+def _check_converged(method: str, solution: Solution) -> Solution:
     if not solution.converged:
         raise InputError(f"{method}: {solution.reason}")
     return solution
@@ -175,7 +175,7 @@ def start_at_first_order(face: AnyFace) -> SolvedRig:
         scene = live.scene(weights)
         stop = FRAME_ACCURACY * spring_norm(scene)
         solution = prepared.solve(scene, start=predict(live, weights), absolute=stop, untangle=False)
-        return live.skin_after(weights, _converged(PD_FIRST_ORDER, solution).positions)
+        return live.skin_after(weights, _check_converged(PD_FIRST_ORDER, solution).positions)
 
     return SolvedRig(live.skin, solve)
 

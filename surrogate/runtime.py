@@ -111,7 +111,7 @@ class Surrogate:
             chosen = chosen if isinstance(chosen, Parameters) else _from_array(chosen, skin)
             whole = Face(self._head(skin, head), shapes.astype(np.float64), chosen, code=code)
             return self.bind_face(whole, exact=True, beyond=beyond)
-        at_vertices = _within_seen(_at_vertices(chosen, skin), self.weights.note.seen, beyond)
+        at_vertices = _check_seen(_map_to_vertices(chosen, skin), self.weights.note.seen, beyond)
         swinging = chosen if isinstance(chosen, Parameters) else Parameters()
         oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
         return self._bind(skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation))
@@ -135,7 +135,7 @@ class Surrogate:
     def _describe(self, face: Face, beyond: Beyond, exact: bool) -> Described:
         self._check_skin(face.skin)
         given = np.stack([face.at_vertices(name) for name in STATIC], axis=1)
-        at_vertices = _within_seen(given, self.weights.note.seen, beyond)
+        at_vertices = _check_seen(given, self.weights.note.seen, beyond)
         code = self._code_of(face)
         swing: Swings | None = Swing.from_face(face) if exact else None
         if swing is None:
@@ -254,7 +254,7 @@ def _load_shipped() -> Surrogate:
     return Surrogate(Weights.load(SHIPPED))
 
 
-def _at_vertices(parameters: Parameters | Floats, skin: Surface) -> Floats:
+def _map_to_vertices(parameters: Parameters | Floats, skin: Surface) -> Floats:
     """STATIC mapped to [-1, 1] at the vertices, shape (n, P)."""
     if isinstance(parameters, Parameters):
         columns = [getattr(parameters, name) for name in STATIC]
@@ -278,7 +278,7 @@ def _check_finite(modes: FaceModes) -> FaceModes:
     return modes
 
 
-def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:
+def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:
     """Return parameters within what training saw of each."""
     if beyond not in ("refuse", "clamp"):
         raise InputError(f"beyond: expected 'refuse' or 'clamp', got {beyond!r}")

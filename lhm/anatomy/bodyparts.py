@@ -101,7 +101,7 @@ def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[
         raise InputError(f"{path}: not BodyParts3D's data ({error})") from None
 
 
-def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _check(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays, each of its shape and range; InputError names one that is not."""
     vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
     faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
@@ -114,7 +114,7 @@ def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
-    data = _checked(given)
+    data = _check(given)
     names, groups = data["part_name"], data["part_group"]
     lower_case = np.char.lower(names)
 
@@ -160,7 +160,7 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     folder = Path(path)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    wanted = [(group, f"FMA{number}", name) for group in FMA_PARTS for number, name in _named(FMA_PARTS[group])]
+    wanted = [(group, f"FMA{number}", name) for group in FMA_PARTS for number, name in _list_names(FMA_PARTS[group])]
     files = _files(folder, {concept for _, concept, _ in wanted})
     if not files:
         raise InputError(f"{folder}: no OBJ file of a head's part in it; expected BodyParts3D's, such as FMA52748.obj")
@@ -168,7 +168,7 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     vertices, faces = [], []
     for number, (_, concept, _) in enumerate(parts):
         progress("BodyParts3D's parts", number / len(parts))
-        points, triangles = _merged(files[concept])
+        points, triangles = _merge(files[concept])
         vertices.append(points[:, [0, 2, 1]] * [1, 1, -1] - SHIFT)
         faces.append(triangles)
     progress("BodyParts3D's parts", 1.0)
@@ -187,12 +187,12 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
 def missing_parts(arrays: Mapping[str, np.ndarray]) -> list[str]:
     """Name the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
     there = set(arrays["part_name"].tolist())
-    names = [name for text in FMA_PARTS.values() for _, name in _named(text)]
+    names = [name for text in FMA_PARTS.values() for _, name in _list_names(text)]
     eyes = [name for name in names if "eyeball" in name]
     return [name for name in names if name not in there and not (name in eyes and there & set(eyes))]
 
 
-def _named(text: str) -> list[tuple[str, str]]:
+def _list_names(text: str) -> list[tuple[str, str]]:
     """FMA numbers and names: "1 vomer, 2 3 maxilla" is the vomer and the right and left maxilla."""
     parts = []
     for entry in text.split(","):
@@ -218,7 +218,7 @@ def _concept(file: Path) -> str | None:
     return match.group(1) if match else None
 
 
-def _merged(files: list[Path]) -> tuple[Floats, Ints]:
+def _merge(files: list[Path]) -> tuple[Floats, Ints]:
     """The pieces of one part as one, each once: the archives have some files twice, under other names."""
     vertices: list[Floats] = []
     triangles: list[Ints] = []

@@ -133,7 +133,7 @@ def closed_envelope(
     if not (field < 0).any():
         raise InputError(f"closed_envelope: nothing is left at a spacing of {spacing:g} mm")
     surface = simplify(smooth(zero_surface(field, grid.origin, spacing)), MOST_TRIANGLES)
-    return surface if within is None else _kept_inside(surface, within, clearance)
+    return surface if within is None else _keep_inside(surface, within, clearance)
 
 
 class _Grid:
@@ -191,7 +191,7 @@ class _Grid:
         return np.where(np.append(False, inner)[pieces], -field, field)
 
 
-def _kept_inside(surface: Surface, within: Surface, clearance: float) -> Surface:
+def _keep_inside(surface: Surface, within: Surface, clearance: float) -> Surface:
     """What smoothing has brought closer than `clearance` to the skin goes back."""
     phi = SignedDistance(within)
     x = surface.vertices.copy()

@@ -85,17 +85,17 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints, policy: PlacementPolicy 
     outside = closed_envelope(
         [anatomy.cranium, anatomy.mandible], closing=ENVELOPE.skull_closing, spacing=policy.coarse
     )
-    exposed = _on_bone(anatomy, outside, policy.on_bone)
+    exposed = _find_on_bone(anatomy, outside, policy.on_bone)
     normals = outside.vertex_normals[exposed]
     held = _places(anatomy)
     goals = _goals(outer, marks, policy)
-    similar = _aligned(tissue, outside.vertices[exposed], normals, held, goals)
+    similar = _align(tissue, outside.vertices[exposed], normals, held, goals)
     start, normals = similar(outside.vertices[exposed]), normals @ similar.rotation.T
     chosen = farthest_points(start, policy.centres, np.array([0]))
     held = similar(held)
     near = np.exp(-((cdist(start[chosen], held) / policy.landmark_reach) ** 2))
     guided = start[chosen] + near @ (goals - held) / np.maximum(near.sum(axis=1, keepdims=True), 1.0)
-    moved = _pulled(tissue, start[chosen], guided, normals[chosen])
+    moved = _pull(tissue, start[chosen], guided, normals[chosen])
     # The chin's places are led by the landmarks, but as depth there is known they are not held to a point.
     centres = np.vstack([held[:3], start[chosen]])
     warp = TriharmonicWarp(centres)
@@ -161,7 +161,7 @@ class _Tissue:
         return np.where(tissue.near_skin, wrong, 0.0)[:, None] * outward
 
 
-def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
+def _pull(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
     """Where control points (k, 3) go from `x`: corrections of depth, spread over fewer and fewer neighbours."""
     apart = cdist(start, start)
     for spread in np.repeat(tissue.policy.spreads, tissue.policy.rounds):
@@ -170,7 +170,7 @@ def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Float
     return x
 
 
-def _aligned(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goals: Floats) -> Similarity:
+def _align(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goals: Floats) -> Similarity:
     """Bring landmarks to their goals and the vault to its depth under the scalp."""
     fit = fit_similarity(held, goals)
     vault = exposed[:, 1] > held[0, 1] + 15.0
@@ -215,7 +215,7 @@ def _places(anatomy: Anatomy) -> Floats:
     return np.vstack([anatomy.eyes, bite, tips])
 
 
-def _on_bone(anatomy: Anatomy, outside: Surface, near: float) -> Ints:
+def _find_on_bone(anatomy: Anatomy, outside: Surface, near: float) -> Ints:
     trees = [TriangleTree(bone.vertices, bone.triangles) for bone in (anatomy.cranium, anatomy.mandible)]
     distance = np.min([tree.closest(outside.vertices)[2] for tree in trees], axis=0)
     return np.flatnonzero(distance < near)

@@ -435,12 +435,12 @@ def head_motion(rng: np.random.Generator, frames: int, *, rate: float = 60.0) ->
     if frames < 1:
         raise InputError(f"frames: {frames}, expected 1 or more")
     check_rate(rate)
-    return _swayed(rng, frames, TALKER.slow * rate) * np.radians(TALKER.posture) + _swayed(
+    return _sway(rng, frames, TALKER.slow * rate) * np.radians(TALKER.posture) + _sway(
         rng, frames, TALKER.quick * rate
     ) * np.radians(TALKER.beats)
 
 
-def _swayed(rng: np.random.Generator, frames: int, constant: float) -> Floats:
+def _sway(rng: np.random.Generator, frames: int, constant: float) -> Floats:
     """Noise through equal low passes of a time constant in frames: variance 1 from the first on, shape (frames, 3)."""
     pole = float(np.exp(-1.0 / constant))
     poles = np.poly([pole] * TALKER.passes)

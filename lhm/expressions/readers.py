@@ -299,7 +299,7 @@ def read_json_take(text: str) -> Take:
     if isinstance(frames[0], dict) and "weights" not in frames[0]:
         names, values = _values_by_name(frames)
     else:
-        names = _listed_names(content.get("names"))
+        names = _list_names(content.get("names"))
         for number, frame in enumerate(frames):
             beside = [name for name in frame if name.lower() in BY_LOWER] if isinstance(frame, dict) else []
             if beside:
@@ -329,7 +329,7 @@ def _values_by_name(frames: list[Any]) -> tuple[list[str], Floats]:
             raise InputError(f"frame {number}: expected an object of names and weights, as in frame 0")
         here: set[str] = set()
         for name, value in frame.items():
-            known = _known_name(name, f"frame {number}")
+            known = _find_name(name, f"frame {number}")
             if known in here:
                 raise InputError(f"frame {number}: {known} stands there twice")
             here.add(known)
@@ -351,17 +351,17 @@ def _values_in_order(frames: list[Any], names: list[str]) -> Floats:
     )
 
 
-def _listed_names(listed: Any) -> list[str]:
+def _list_names(listed: Any) -> list[str]:
     if not isinstance(listed, list) or not listed:
         raise InputError('"names": expected the list of the expressions that each frame lists')
-    names = [_known_name(name, "names") for name in listed]
+    names = [_find_name(name, "names") for name in listed]
     twice = [name for name in ARKIT if names.count(name) > 1]
     if twice:
         raise InputError(f'"names": {twice[0]} stands there {names.count(twice[0])} times')
     return names
 
 
-def _known_name(name: Any, where: str) -> str:
+def _find_name(name: Any, where: str) -> str:
     known = BY_LOWER.get(str(name).lower())
     if known is not None:
         return known

@@ -47,7 +47,7 @@ class Recording:
 
     def take(self) -> Take:
         """Make the take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
-        take = _made(self.kind, self.origin, self.frames, self.rate, self.pace)
+        take = _make(self.kind, self.origin, self.frames, self.rate, self.pace)
         if len(take.times) != self.frames:
             raise InputError(
                 f"recording {self.name!r}: {len(take.times)} frames at {self.rate:g} Hz, not {self.frames}"
@@ -82,7 +82,7 @@ def recordings(
     spoken = shipped_sentences() if spoken is None else spoken
     RECORDINGS.check("spoken", len(spoken))
     for number, text in enumerate(spoken):
-        count = len(_made("speech", text, 0, rate, pace).times)
+        count = len(_make("speech", text, 0, rate, pace).times)
         pool.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
     pool += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
     pool += [Recording(f"random/{k}", "random", frames, rate, str(k)) for k in range(random)]
@@ -92,12 +92,12 @@ def recordings(
 
 def starts(take: Take, length: int) -> Ints:
     """Find where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
-    real = _recorded(take)
+    real = _find_recorded(take)
     before = np.concatenate([[0], np.cumsum(real)])
     return np.flatnonzero(before[length:] - before[:-length] == length) if length <= len(real) else np.zeros(0, int)
 
 
-def _recorded(take: Take) -> NDArray[np.bool_]:
+def _find_recorded(take: Take) -> NDArray[np.bool_]:
     """Which frames are not made up across a gap, shape (frames,)."""
     inside = np.zeros(len(take.times), dtype=bool)
     for begin, end in take.gaps:
@@ -125,7 +125,7 @@ def _real(folder: Path, rate: float) -> list[Recording]:
     return takes
 
 
-def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Take:
+def _make(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Take:
     if kind == "real":
         return resample(read_take(origin), rate)
     if kind == "speech":

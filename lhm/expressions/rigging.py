@@ -60,7 +60,7 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = RO
     """
     generic = check_deltas("deltas", deltas, neutral)
     check_areas("neutral", neutral.vertices, neutral.triangles)
-    motions = _checked_examples(examples, neutral) - neutral.vertices
+    motions = _check_examples(examples, neutral) - neutral.vertices
     start = np.atleast_2d(check_weights(weights))
     if len(start) != len(motions):
         raise InputError(f"weights: {len(start)} rows for {len(motions)} examples")
@@ -75,7 +75,7 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = RO
     areas = neutral.vertex_areas / neutral.vertex_areas.sum()
     shapes, history = generic, list[float]()
     for beta, gamma in zip(np.geomspace(*SHAPE_TRUST, rounds), np.geomspace(*WEIGHT_TRUST, rounds), strict=True):
-        fitted = _fitted_weights(shapes, motions, start, areas, gamma)
+        fitted = _fit_weights(shapes, motions, start, areas, gamma)
         if not history:
             history.append(_distance(shapes, motions, fitted))
         correction = system.displacements(edges.corrections(fitted, beta))
@@ -120,7 +120,7 @@ def _edges(motions: Floats, triangles: Ints) -> Floats:
     return (corners[:, :, 1:] - corners[:, :, :1]).reshape(len(motions), -1, 6)
 
 
-def _fitted_weights(shapes: Floats, motions: Floats, start: Floats, areas: Floats, gamma: float) -> Floats:
+def _fit_weights(shapes: Floats, motions: Floats, start: Floats, areas: Floats, gamma: float) -> Floats:
     """Weights in [0, 1] of each example, shape (k, 52), drawn to `start`; unused shapes keep weight 0."""
     used = np.flatnonzero(start.any(axis=0))
     fitted = np.zeros_like(start)
@@ -141,7 +141,7 @@ def _distance(shapes: Floats, motions: Floats, weights: Floats) -> float:
     return float(np.sqrt((difference**2).sum(axis=2).mean()))
 
 
-def _checked_examples(examples, neutral: Surface) -> Floats:
+def _check_examples(examples, neutral: Surface) -> Floats:
     try:
         values = np.asarray(examples, dtype=np.float64)
     except (TypeError, ValueError):

@@ -168,8 +168,8 @@ def resample(take: Take, rate: float) -> Take:
     check_frames(1 + (end - start) * rate, rate)
     times = start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate
     times = np.minimum(times, end)
-    weights = _at(take, take.weights, times, rate)
-    head = None if take.head is None else _at(take, take.head, times, rate)
+    weights = _sample(take, take.weights, times, rate)
+    head = None if take.head is None else _sample(take, take.head, times, rate)
     return replace(take, weights=np.clip(weights, 0.0, 1.0), rate=float(rate), times=times, head=head, gaps=_gaps(take))
 
 
@@ -178,7 +178,7 @@ def _gaps(take: Take) -> Floats:
     return np.concatenate([take.gaps, np.stack([take.times[wide], take.times[wide + 1]], axis=1)])
 
 
-def _at(take: Take, values: Floats, times: Floats, rate: float) -> Floats:
+def _sample(take: Take, values: Floats, times: Floats, rate: float) -> Floats:
     """Values of the take's frames, shape (frames, k), at other times."""
     if rate >= take.rate * (1.0 - 1e-6) or len(take.times) == 1:
         return np.stack([np.interp(times, take.times, column) for column in values.T], axis=1)

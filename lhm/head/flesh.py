@@ -56,12 +56,12 @@ def expressive_share(head: LayeredHead) -> Floats:
     names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
     inside = np.any([head.regions.get(name, none) for name in names], axis=0)
     share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / FADE)
-    return np.minimum(share, 1.0 - _within(head, "mouth", "lips", THROAT))
+    return np.minimum(share, 1.0 - _fade_within(head, "mouth", "lips", THROAT))
 
 
 def socket_share(head: LayeredHead) -> Floats:
     """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from FADE mm within."""
-    return _within(head, "eyes", "lids", (0.0, FADE))
+    return _fade_within(head, "eyes", "lids", (0.0, FADE))
 
 
 def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
@@ -69,7 +69,7 @@ def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
     return share[head.skin_wrap.triangles].mean(axis=1)
 
 
-def _within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
+def _fade_within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
     """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
     share, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
     inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)

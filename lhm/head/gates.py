@@ -269,8 +269,8 @@ def check_layers(
         lip_path=lip_path(wraps[0].vertices, triangles, regions),
         lid_path=lids,
         lid_detour=detour,
-        **_parted(skin, rigged, regions),
-        **_moved_sideways(skin, rigged, wraps[0].vertices, regions),
+        **_measure_parting(skin, rigged, regions),
+        **_measure_sideways(skin, rigged, wraps[0].vertices, regions),
         **_off(wraps[0].vertices, regions),
         **measure_face(wraps[0].vertices, wraps[2].vertices, bone, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
@@ -391,7 +391,7 @@ def _spread(distance: Floats) -> dict[str, Any]:
     return {"mean": float(distance.mean()), "95": float(np.quantile(distance, 0.95)), "max": float(distance.max())}
 
 
-def _parted(
+def _measure_parting(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
 ) -> dict[str, Any]:
     """Skin torn and folded where lips and lids part; None where the head has no rig, or not these shapes or regions."""
@@ -412,7 +412,7 @@ SIDEWAYS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
 SIDED = tuple(name for name in ARKIT if name.endswith(("Left", "Right")) and name not in SIDEWAYS)
 
 
-def _moved_sideways(
+def _measure_sideways(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]
 ) -> dict[str, Any]:
     """Where the rig moves lips and face; None where the head lacks rig, regions or shapes, or these do nothing."""

@@ -70,13 +70,13 @@ class LayeredHead:
             if np.shape(mask) != (n,):
                 raise MeshError(f"regions: {name!r} has shape {np.shape(mask)}, expected ({n},)")
         try:
-            soft, muscle = self.sub_layers(1, 1) if self.volume is None else self._checked(*self.volume)
+            soft, muscle = self.sub_layers(1, 1) if self.volume is None else self._check_tets(*self.volume)
         except MeshError as error:
             raise MeshError(f"layers {error}") from None
         object.__setattr__(self, "soft", soft)
         object.__setattr__(self, "muscle", muscle)
 
-    def _checked(self, soft: TetMesh, muscle: TetMesh) -> tuple[TetMesh, TetMesh]:
+    def _check_tets(self, soft: TetMesh, muscle: TetMesh) -> tuple[TetMesh, TetMesh]:
         stack = np.vstack([self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices])
         if not np.array_equal(soft.vertices, muscle.vertices) or not np.array_equal(soft.vertices[: len(stack)], stack):
             raise MeshError(f"volume: its first {len(stack)} vertices, shared by both meshes, must be the wraps'")
@@ -108,7 +108,7 @@ class LayeredHead:
     @check_arguments
     def wrap_targets(self, expression: Floats) -> Floats:
         """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""
-        moved = _of_shape("expression", expression, self.skin.vertices) - self.skin.vertices
+        moved = _check_shape("expression", expression, self.skin.vertices) - self.skin.vertices
         return self.skin_wrap.vertices + self.wrap_from_skin @ moved
 
     @check_arguments
@@ -117,11 +117,11 @@ class LayeredHead:
 
         The wrap's deviation from its target is added to the expression, so detail finer than the wrap is kept.
         """
-        moved = _of_shape("wrap", wrap, self.skin_wrap.vertices) - self.wrap_targets(expression)
+        moved = _check_shape("wrap", wrap, self.skin_wrap.vertices) - self.wrap_targets(expression)
         return expression + self.skin_from_wrap @ moved
 
 
-def _of_shape(name: str, values: Floats, like: Floats) -> Floats:
+def _check_shape(name: str, values: Floats, like: Floats) -> Floats:
     if np.shape(values) != like.shape:
         raise MeshError(f"{name}: expected shape {like.shape}, got {np.shape(values)}")
     return np.asarray(values, dtype=np.float64)

@@ -130,15 +130,15 @@ def triangles_at(
 
 def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
     """Measure the area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
-    return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
+    return torn_area(skin.vertices, _move(skin, rig, names), triangles)
 
 
 def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
     """Measure the length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
-    return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
+    return folded_length(skin.vertices, _move(skin, rig, names), triangles)
 
 
-def _moved(skin: Surface, rig: Rig, names: Sequence[str]) -> Floats:
+def _move(skin: Surface, rig: Rig, names: Sequence[str]) -> Floats:
     weights = np.zeros(len(ARKIT))
     weights[[ARKIT.index(name) for name in names]] = 1.0
     return skin.vertices + rig.moved(weights)

@@ -64,7 +64,7 @@ def refine_head(head: LayeredHead) -> LayeredHead:
     carry = vstack([sparse_identity(n, format="csr"), mean]).tocsr()
 
     def surface(wrap: Surface) -> Surface:
-        return Surface(_carried(carry, wrap.vertices), finer)
+        return Surface(_carry(carry, wrap.vertices), finer)
 
     bone = np.where(head.bone[ends[:, 0]] == head.bone[ends[:, 1]], head.bone[ends[:, 0]], 0)
     return LayeredHead(
@@ -78,11 +78,11 @@ def refine_head(head: LayeredHead) -> LayeredHead:
         regions={name: np.concatenate([mask, mask[ends].all(axis=1)]) for name, mask in head.regions.items()},
         muscles=head.muscles,
         skull=head.skull,
-        volume=_refined_volume(head, ends),
+        volume=_refine_volume(head, ends),
     )
 
 
-def _refined_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
+def _refine_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
     """Soft tissue and muscle split into eight, the finer wraps' vertices first; `ends` (e, 2) of a wrap's edges."""
     old, n = len(head.vertices), len(head.bone)
     finer, parent = refine_tets(TetMesh(head.vertices, head.tets))
@@ -100,7 +100,7 @@ def _refined_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
     return TetMesh(vertices, tets[soft]), TetMesh(vertices, tets[~soft])
 
 
-def _carried(carry: csr_matrix, vertices: Floats) -> Floats:
+def _carry(carry: csr_matrix, vertices: Floats) -> Floats:
     return np.asarray(carry @ vertices)
 
 
@@ -117,7 +117,7 @@ def remesh(head: LayeredHead, size: float) -> LayeredHead:
         raise InputError(f"size: expected {SMALLEST_SIZE:g} to 1000 mm, got {size:g}")
     stack = np.vstack([wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)])
     with _gmsh() as gmsh:
-        vertices, layers = _generated(gmsh, stack, head.skin_wrap.triangles, size)
+        vertices, layers = _generate(gmsh, stack, head.skin_wrap.triangles, size)
     for name, tets, first in zip(("soft tissue", "muscle"), layers, (0, len(head.bone)), strict=True):
         if not _fills(tets, head.skin_wrap.triangles, first, first + len(head.bone)):
             raise MeshError(f"{name}: gmsh changed the triangles of a wrap; its layers may all but touch there")
@@ -141,7 +141,7 @@ def _gmsh() -> Iterator[ModuleType]:
         gmsh.finalize()
 
 
-def _generated(gmsh: ModuleType, stack: Floats, triangles: Ints, size: float) -> tuple[Floats, list[Ints]]:
+def _generate(gmsh: ModuleType, stack: Floats, triangles: Ints, size: float) -> tuple[Floats, list[Ints]]:
     n = len(stack) // 3
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
     for wrap in range(3):

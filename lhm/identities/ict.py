@@ -80,7 +80,7 @@ def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[st
         raise InputError(f"{path}: not ICT-FaceKit's data ({error})") from None
 
 
-def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _check(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays, each of its shape and range; InputError names one that is not."""
     vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
     n = VERTICES.check("it has", len(vertices))
@@ -107,7 +107,7 @@ def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
-    data = _checked(given)
+    data = _check(given)
     names = data["part_names"].tolist()
     part_of = np.array([_SKIN.get(name, -1) for name in names])[data["triangle_part"]]
     if not (part_of >= 0).any():

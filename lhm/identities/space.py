@@ -93,7 +93,7 @@ class LinearSpace:
 
     def skin(self, code) -> Surface:
         """Make the neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
-        return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
+        return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._check_code(code), self.identity, axes=1))
 
     @check_arguments
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
@@ -103,7 +103,7 @@ class LinearSpace:
 
     def expression_deltas(self, code) -> Floats:
         """The displacements [mm] of the 52 expressions, shape (52, n, 3); in a linear space the same for each code."""
-        self._checked(code)
+        self._check_code(code)
         return self.expressions
 
     def shapes_on(self, skin: Surface) -> Floats:
@@ -124,7 +124,7 @@ class LinearSpace:
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:16]
 
-    def _checked(self, code) -> Floats:
+    def _check_code(self, code) -> Floats:
         values = np.asarray(array_of_kind("identity code", code, "fiub", f"{self.code_size} numbers"), dtype=np.float64)
         if values.shape != (self.code_size,):
             raise InputError(

@@ -104,7 +104,7 @@ def place_scan(
     if isinstance(scan, Surface):
         return _place(template, Scan(scan.vertices, scan.triangles), hints, repair, progress)
     read = read_scan(scan)
-    with _naming(scan):
+    with _name_scan(scan):
         return _place(template, read, hints, repair, progress)
 
 
@@ -122,7 +122,7 @@ def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgr
 
 
 @contextmanager
-def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
+def _name_scan(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except SoftdecaError as error:

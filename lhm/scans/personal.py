@@ -103,10 +103,10 @@ class _Laying:
         scan = read_scan(path)
         places, face = find_face(self.template.skin, self.template.parts)
         if has_triangles_of(self.template, scan):
-            return self._aligned(scan.vertices, face)
-        return self._laid(repair_scan(scan).scan.surface, weights, places, face)
+            return self._align(scan.vertices, face)
+        return self._lay(repair_scan(scan).scan.surface, weights, places, face)
 
-    def _aligned(self, points: Floats, face: np.ndarray) -> tuple[Floats, str]:
+    def _align(self, points: Floats, face: np.ndarray) -> tuple[Floats, str]:
         """Points of the skin's own triangles, in any unit and place, where the expressions move the skin least."""
         skin = self.skin
         calm = _calm(self.deltas[self.used], face)
@@ -120,7 +120,7 @@ class _Laying:
             raise FitError(f"it has the head's triangles, but is {off:.1f} mm off where the expressions are calm")
         return aligned, f"the head's own triangles; {off:.2f} mm off where the expressions are calm"
 
-    def _laid(self, scan: Surface, weights: Floats, places: Landmarks, face: np.ndarray) -> tuple[Floats, str]:
+    def _lay(self, scan: Surface, weights: Floats, places: Landmarks, face: np.ndarray) -> tuple[Floats, str]:
         """The skin, laid upon the scan from the guessed expression."""
         start = self.skin.with_vertices(self.skin.vertices + np.tensordot(weights, self.deltas, axes=1))
         shape, normals = start.vertices, start.vertex_normals
@@ -132,7 +132,7 @@ class _Laying:
         size = motion.scale if abs(motion.scale - 1) > SAME_SIZE else 1.0
         moved = (upright.vertices - motion.shift) @ motion.rotation / size
         calm = _calm(self.deltas[self.used], face)
-        target = Target(Surface(_settled(moved, upright, shape[calm], normals[calm]), upright.triangles))
+        target = Target(Surface(_settle(moved, upright, shape[calm], normals[calm]), upright.triangles))
         x, _ = lay_onto(start, self.template.parts, places, target, None, silent)
         off = float(target.tree.closest(x[face])[2].mean())
         if off > WORST_FACE:
@@ -146,7 +146,7 @@ def _calm(deltas: Floats, face: np.ndarray) -> np.ndarray:
     return face & (most <= np.quantile(most[face], CALM))
 
 
-def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Floats:
+def _settle(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Floats:
     """A scan's points [mm] after the rigid motions that bring it closest to the calm points of a face."""
     for limit in np.geomspace(10.0, 2.0, STEPS):
         closest, distance, weight = Target(Surface(points, skin.triangles)).match(calm, normals)

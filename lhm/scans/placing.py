@@ -76,7 +76,7 @@ def find_placement(
         motion = fit_similarity(*landmarks)
         off = float(np.linalg.norm(motion(landmarks[0]) - landmarks[1], axis=1).mean() / motion.scale)
     else:
-        motion, off = _searched(skin, used, face, given, rotations, progress)
+        motion, off = _search(skin, used, face, given, rotations, progress)
         if off > FOUND:
             raise FitError(
                 f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most {FOUND:g}); "
@@ -125,7 +125,7 @@ def _axis(direction: Floats) -> str:
     return ("-" if direction[k] < 0 else "") + "xyz"[k]
 
 
-def _searched(
+def _search(
     skin: Surface,
     used: Floats,
     face: tuple[Floats, Floats],

@@ -38,12 +38,12 @@ def repair_scan(scan: Scan) -> Repaired:
     that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if nothing is left.
     """
     done = Repaired(scan)
-    for step in (_merged, _sound, _manifold, _oriented, _one_piece, _outwards):
+    for step in (_merge, _sound, _manifold, _orient, _one_piece, _outwards):
         done = step(done)
     return done
 
 
-def _merged(given: Repaired) -> Repaired:
+def _merge(given: Repaired) -> Repaired:
     scan = given.scan
     rim = np.unique(open_edges(scan.triangles))
     if not len(rim):
@@ -109,7 +109,7 @@ def _manifold(given: Repaired) -> Repaired:
     return _over(given, vertex[order], place[fan].reshape(-1, 3), note)
 
 
-def _oriented(given: Repaired) -> Repaired:
+def _orient(given: Repaired) -> Repaired:
     triangles = given.scan.triangles
     m = len(triangles)
     left, right, ends = _neighbours(triangles)
@@ -142,7 +142,7 @@ def _one_piece(given: Repaired) -> Repaired:
     of_triangle = part[scan.triangles[:, 0]]
     pieces = len(np.unique(of_triangle))
     if pieces == 1:
-        return given if count == 1 else _used(given)
+        return given if count == 1 else _keep_used(given)
     a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
     weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     how = "largest"
@@ -154,7 +154,7 @@ def _one_piece(given: Repaired) -> Repaired:
     note = (
         f"of {pieces} separate pieces the {how} was kept; {np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?)"
     )
-    return _used(_with(given, scan.triangles[kept], note + " are left out"))
+    return _keep_used(_with(given, scan.triangles[kept], note + " are left out"))
 
 
 def _outwards(given: Repaired) -> Repaired:
@@ -165,7 +165,7 @@ def _outwards(given: Repaired) -> Repaired:
     return _with(given, scan.triangles[:, ::-1], "its triangles faced inwards and were turned round")
 
 
-def _used(given: Repaired) -> Repaired:
+def _keep_used(given: Repaired) -> Repaired:
     used = np.unique(given.scan.triangles)
     number = np.full(len(given.scan.vertices), -1)
     number[used] = np.arange(len(used))

@@ -152,12 +152,12 @@ def build_template(
     try:
         closed = wrap.vertices - wrap_from_skin @ ((1 - policy.rest_opening) * jaw + lids)
         rest = inner.smooth_creases(columns, closed, policy.layers)
-        wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull, policy)
+        wanted = _find_wanted(columns, rest, parts[nearest], marks, muscles, skull, policy)
         stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors), policy.layers)
         for _ in range(policy.pulls):
             if skull is None:
                 break
-            stack = inner.make_valid(columns, _pulled(columns, stack, wanted, skull, policy.pull), policy.layers)
+            stack = inner.make_valid(columns, _pull(columns, stack, wanted, skull, policy.pull), policy.layers)
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
@@ -224,7 +224,7 @@ class _Wanted:
         return np.vstack([skin, skin + self.share[:, None] * (skull - skin), skull])
 
 
-def _wanted(
+def _find_wanted(
     columns: Columns,
     wrap: Floats,
     parts: Ints,
@@ -266,7 +266,7 @@ def _wanted(
     return _Wanted(connectors, share, wanted, room, on_skull)
 
 
-def _pulled(columns: Columns, stack: Floats, wanted: _Wanted, skull: Surface, share: float) -> Floats:
+def _pull(columns: Columns, stack: Floats, wanted: _Wanted, skull: Surface, share: float) -> Floats:
     """The wraps with the skull wrap a share of the way to the closest point of the skull, where it is to lie on it."""
     x = stack[2 * columns.n :]
     triangle, weights, _ = TriangleTree(skull.vertices, skull.triangles).closest(x)

@@ -109,7 +109,7 @@ def fit_head(
     """
     if mapping is None and has_triangles_of(template, skin):
         _check_place(template.skin, skin, policy)
-        return replace(_fitted(template, skin, regressor, policy), rig=_rig(template.space, skin, own or {}))
+        return replace(_fit(template, skin, regressor, policy), rig=_rig(template.space, skin, own or {}))
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, stiff_lids=True, progress=progress)
     else:
@@ -120,7 +120,7 @@ def fit_head(
     rig = _rig(template.space, laid.surface, carried, laid=True)
     off = laid.residual
     note = f"registered: the face lies {off.mean:.2f} mm off the scan on average, 95 % of it within {off.p95:.2f} mm"
-    return replace(_fitted(template, laid.surface, regressor, policy), rig=rig, notes=(note,))
+    return replace(_fit(template, laid.surface, regressor, policy), rig=rig, notes=(note,))
 
 
 def has_triangles_of(template: Template, skin: Surface | Scan) -> bool:
@@ -187,7 +187,7 @@ def _check_place(template: Surface, skin: Surface, policy: FitPolicy) -> None:
         )
 
 
-def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None, policy: FitPolicy) -> LayeredHead:
+def _fit(template: Template, skin: Surface, regressor: DepthRegressor | None, policy: FitPolicy) -> LayeredHead:
     by_policy = _prepared.setdefault(template, {})
     if policy not in by_policy:
         by_policy[policy] = _Prepared(template, policy)

@@ -44,11 +44,11 @@ class Correction:
         )
         self._coordinates = prepared.system.coordinates
         self._memory = Memory(self._coordinates.size)
-        self._problem = Problem(self._at, self._coordinates.move, self._solve_matrix, bounded=False)
-        self._newton = Problem(self._at, self._coordinates.move, self._solve_tangent, bounded=False)
+        self._problem = Problem(self._evaluate, self._coordinates.move, self._solve_matrix, bounded=False)
+        self._newton = Problem(self._evaluate, self._coordinates.move, self._solve_tangent, bounded=False)
         self.solves = 0
         start = predict(face, weights) if start is None else start
-        self.point = self._at(self._coordinates.start(start - prepared.scene.vertices))
+        self.point = self._evaluate(self._coordinates.start(start - prepared.scene.vertices))
 
     @property
     def expression(self) -> Floats:
@@ -100,7 +100,7 @@ class Correction:
         """Return the skin [mm], shape (skin vertices, 3)."""
         return self._linear.face.skin_after(self.expression, self.positions)
 
-    def _at(self, place) -> Point:
+    def _evaluate(self, place) -> Point:
         energy, gradient = self._energy.evaluate(place.u)
         return Point(place, energy, self._coordinates.pull(gradient, place))
 

@@ -142,7 +142,7 @@ def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndar
     if stack.counts is None:
         _check_uniform(p, inside)
 
-    def kept(tets: Ints) -> np.ndarray:
+    def keep_terms(tets: Ints) -> np.ndarray:
         mask = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(layer, len(tets) // len(layer))
         return mask if stack.sound is None else mask & stack.sound
 
@@ -152,11 +152,11 @@ def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndar
     tissue = _Tissue()
     strain = value("soft_stiffness")
     volume = value("volume_ratio") * strain
-    tissue.add(stack.soft, kept(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"))
+    tissue.add(stack.soft, keep_terms(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"))
     soft: terms.Strain = tissue.terms[0]  # type: ignore[assignment]
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
-        tissue.add(stack.muscle, kept(stack.muscle), strain, 1.0, volume, value("muscle_volume"))
+        tissue.add(stack.muscle, keep_terms(stack.muscle), strain, 1.0, volume, value("muscle_volume"))
     if (guarding := guard(stack.vertices, tissue.tets[0], soft.stiffness)) is not None:
         tissue.terms.append(guarding)
     return tissue

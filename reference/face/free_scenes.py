@@ -118,11 +118,11 @@ def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) ->
     none = np.zeros(len(bone), dtype=bool)
     lining = np.any([head.regions.get(name, none) for name in LINING], axis=0) & ~head.regions.get("lips", none)
 
-    def changed(term: terms.Term) -> terms.Term:
+    def change_term(term: terms.Term) -> terms.Term:
         if isinstance(term, terms.Fixed):
             return replace(term, values=skull[bone])
         if isinstance(term, terms.Target):
             return replace(term, positions=carried, stiffness=term.stiffness * lining)
         return term
 
-    return replace(scene, terms=tuple(changed(term) for term in scene.terms))
+    return replace(scene, terms=tuple(change_term(term) for term in scene.terms))

@@ -68,7 +68,7 @@ if not cache.is_writable(Path(_DEFAULTS["cache_dir"][0])):
 
 
 @contextmanager
-def _compiling(comm) -> Iterator[None]:
+def _serialise_compilation(comm) -> Iterator[None]:
     """One program at a time, and without the compiler's progress, which it logs under the root's name.
 
     Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
@@ -162,7 +162,7 @@ def cell_tets(domain) -> Ints:
 
 
 def _space(domain, family: str, degree: int, *, vectors: bool):
-    with _compiling(communicator(domain)):
+    with _serialise_compilation(communicator(domain)):
         if VERSION < (0, 6):
             make = _fem.VectorFunctionSpace if vectors else _fem.FunctionSpace
             return make(domain, (family, degree))
@@ -208,7 +208,7 @@ def shapes(degree: int, points: Floats, cell: str = "tetrahedron") -> tuple[Floa
 
 def compile_form(form: ufl.Form):
     """Compile a form, or take it from dolfinx's cache on disk."""
-    with _compiling(communicator(form.ufl_domain())):
+    with _serialise_compilation(communicator(form.ufl_domain())):
         return _fem.form(form, **_COMPILER)
 
 

@@ -35,25 +35,28 @@ class Fields:
 class Sampling:
     """Shape functions of a numbering's nodes at the points of a rule, on all cells of this rank."""
 
-    def __init__(self, order: Numbering, degree: int):
+    def __init__(self, numbering: Numbering, degree: int):
         points, _ = seam.quadrature_rule(degree)
-        self._order, self._quadrature = order, Quadrature(order, np.arange(len(order.cell_dofs)), degree)
-        self._linear, self._values = (seam.shapes(of, points)[0] for of in (1, order.degree))
-        self.X = (self._linear @ order.X[order.dof[order.cell_vertices]]).reshape(-1, 3)
+        self._numbering, self._quadrature = (
+            numbering,
+            Quadrature(numbering, np.arange(len(numbering.cell_dofs)), degree),
+        )
+        self._linear, self._values = (seam.shapes(of, points)[0] for of in (1, numbering.degree))
+        self.X = (self._linear @ numbering.X[numbering.dof[numbering.cell_vertices]]).reshape(-1, 3)
 
     def load(self, density: Floats) -> Floats:
         """Integrate a force per volume at the points here, shape (q, 3), to nodal forces, a vector (owned, 3)."""
-        nodes = self._order.cell_dofs
+        nodes = self._numbering.cell_dofs
         weighted = (density * self._quadrature.volume[:, None]).reshape(len(nodes), -1, 3)
-        result = np.zeros(self._order.X.shape)
+        result = np.zeros(self._numbering.X.shape)
         add_forces(nodes, np.einsum("qk,mqc->mkc", self._values, weighted), result)
-        return self._order.nodes.sum_up(result)
+        return self._numbering.nodes.sum_up(result)
 
     def fields(self, u: Floats, pressure: Floats | None) -> Fields:
         """Evaluate nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all ranks."""
-        displacement = (self._values @ u[self._order.cell_dofs]).reshape(-1, 3)
+        displacement = (self._values @ u[self._numbering.cell_dofs]).reshape(-1, 3)
         gradient = self._quadrature.deformation_gradient(u) - np.eye(3)
-        comm = self._order.comm
+        comm = self._numbering.comm
         return Fields(
             X=gather(comm, self.X),
             weights=gather(comm, self._quadrature.volume),
@@ -79,14 +82,14 @@ class NodalAnswer:
     @classmethod
     def collect(cls, problem: Problem, end: Attempt, force: Floats | None) -> NodalAnswer:
         """Collect where an attempt at a problem ended, and a force beside loads [mN], a vector, if there is one."""
-        order = problem.numbering
+        numbering = problem.numbering
         pressure = None
         if end.pressure is not None:
             mine = problem.pressures.owned
-            pressure = np.zeros(len(order.dof))
-            vertices = gather(order.comm, problem.pressure_vertex[:mine])
-            pressure[vertices] = gather(order.comm, end.pressure[:mine])
-        return cls(*order.all_nodes(end.u), None if force is None else order.all_nodes(force), pressure)
+            pressure = np.zeros(len(numbering.dof))
+            vertices = gather(numbering.comm, problem.pressure_vertex[:mine])
+            pressure[vertices] = gather(numbering.comm, end.pressure[:mine])
+        return cls(*numbering.all_nodes(end.u), None if force is None else numbering.all_nodes(force), pressure)
 
 
 def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:

@@ -181,7 +181,7 @@ ENERGIES: dict[str, tuple[Sequence[Term], Law, tuple[str, ...]]] = {
 }
 
 
-def _pulled(label: str, stretch: float) -> HardCase:
+def _pull(label: str, stretch: float) -> HardCase:
     energies, law, solvers = ENERGIES[label]
     bound = 2e-3 if law is strain_and_volume_law and stretch > FLAT else 1e-3
     return HardCase(
@@ -209,7 +209,7 @@ def _from_rest(stretch: float) -> HardCase:
 
 
 PULLED = (
-    *(_pulled(label, stretch) for label in ENERGIES for stretch in STRETCHES),
+    *(_pull(label, stretch) for label in ENERGIES for stretch in STRETCHES),
     *(_from_rest(stretch) for stretch in STRETCHES),
 )
 

@@ -240,7 +240,7 @@ def twisted_cylinder(C10: float, C01: float, stretch: float, cells: int) -> Scen
     return Scene(X, tets, (Hyperelastic(Incompressible(law)), Fixed(ends, twist(X, stretch)[ends])))
 
 
-def _twisted(cells: int, bound: float) -> tuple[Problem, ...]:
+def _list_twists(cells: int, bound: float) -> tuple[Problem, ...]:
     return tuple(
         mixed_problem(
             f"twisted cylinder, {label}, stretch {stretch:.3f}, P2P1, {cells} cells: energy",
@@ -255,8 +255,8 @@ def _twisted(cells: int, bound: float) -> tuple[Problem, ...]:
     )
 
 
-TWISTED = (*_twisted(2, 1e-2), *_twisted(3, 5e-3))
-FINE_TWISTED = _twisted(4, 3e-3)
+TWISTED = (*_list_twists(2, 1e-2), *_list_twists(3, 5e-3))
+FINE_TWISTED = _list_twists(4, 3e-3)
 
 
 SHEAR, BULK = 1.0, 1e3

@@ -192,7 +192,7 @@ def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Re
         residual = -problem.precondition(point.gradient, point)
         if last is not None:
             residuals.append(residual - last)
-        mixed = _mixed(residual, steps, residuals) if steps else None
+        mixed = _mix(residual, steps, residuals) if steps else None
         ahead = None if mixed is None else problem.after(point, mixed)
         if mixed is None or ahead is None or not ahead.energy <= point.energy:
             steps, residuals = [], []
@@ -203,7 +203,7 @@ def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Re
     return point, reason
 
 
-def _mixed(residual: Floats, steps: list[Floats], residuals: list[Floats]) -> Floats:
+def _mix(residual: Floats, steps: list[Floats], residuals: list[Floats]) -> Floats:
     """The step f - Σ γ (s + Δf) whose γ makes |f - Σ γ Δf| least (Walker and Ni 2011, Eq. 2.2)."""
     changes = np.array(residuals)
     normal = changes @ changes.T

@@ -44,8 +44,8 @@ class Barrier:
     end of the reach alone, where Newton's method hardly finds it.
     """
 
-    def __init__(self, term: terms.Contact, scene: Scene, at: Discretisation):
-        if at.element != "P1":
+    def __init__(self, term: terms.Contact, scene: Scene, discretisation: Discretisation):
+        if discretisation.element != "P1":
             raise SceneError("Contact: solver 'skfem' models it on linear tets only, by element 'P1'")
         self._ipctk = load_ipctk()
         ids, places = np.unique(term.triangles, return_inverse=True)
@@ -54,12 +54,12 @@ class Barrier:
         self._mesh = self._ipctk.CollisionMesh(rest, self._ipctk.edges(triangles), triangles)
         self._stiffness, self._reach = term.stiffness, REACH
         self._potential = self._ipctk.BarrierPotential(REACH, term.stiffness * REACH, True)
-        self._dofs, self._size, self._gap = at.dofs[ids].ravel(), at.size, term.thickness
+        self._dofs, self._size, self._gap = discretisation.dofs[ids].ravel(), discretisation.size, term.thickness
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Barrier]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Barrier]:
         """See Part."""
-        return [cls(term, scene, at) for term in scene.of(terms.Contact)]
+        return [cls(term, scene, discretisation) for term in scene.of(terms.Contact)]
 
     def widen(self) -> Barrier:
         """The same barrier with a WIDE reach."""

@@ -29,7 +29,7 @@ class Descent:
     """One solve: an energy, its unknowns, and the recorder, which is told of every iteration once."""
 
     scene: Scene
-    at: Discretisation
+    discretisation: Discretisation
     energy: Energy
     unknowns: Unknowns
     scales: Scales
@@ -47,7 +47,7 @@ class Descent:
             self._tell(x, np.inf, np.inf)
             return x, Reason.NOT_FINITE, 0
         iterations, policy = 0, self.policy.descent
-        if is_tangled(self.scene, self.at, x):
+        if is_tangled(self.scene, self.discretisation, x):
             forces = max(forces, self._norm(x))
             eased = replace(self.scene, terms=tuple(term.eased(policy.volume_share) for term in self.scene.terms))
             x, reason, iterations = self._minimise(
@@ -97,14 +97,14 @@ class Descent:
     def _tell(self, x: Floats, value: float, norm: float) -> bool:
         """Record an iteration; that which ends one descent begins the next, and is told once."""
         if x is not self._told:
-            self._told, self._stop = x, self.recorder.record(x[self.at.vertex_dofs], value, norm)
+            self._told, self._stop = x, self.recorder.record(x[self.discretisation.vertex_dofs], value, norm)
         return self._stop
 
 
-def is_tangled(scene: Scene, at: Discretisation, x: Floats) -> bool:
+def is_tangled(scene: Scene, discretisation: Discretisation, x: Floats) -> bool:
     """Whether a scene that minds has tets that are inside out or flat anywhere, at positions by dof [mm]."""
     minds = any(term.may_tangle for term in scene.terms)
-    return minds and bool((np.linalg.det(at.tets.deformation_gradients(x)) <= 0).any())
+    return minds and bool((np.linalg.det(discretisation.tets.deformation_gradients(x)) <= 0).any())
 
 
 def carry(

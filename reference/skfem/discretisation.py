@@ -93,7 +93,7 @@ class Elements:
         """The integral of P : grad v by degree of freedom, shape (size,), from P at the points (m q, 3, d)."""
         k, d = self.gradients.shape[2:]
         weighted = (self.weights.reshape(-1, 1, 1) * stress).reshape(len(self.dofs), -1, 3, d)
-        forces = self._by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
+        forces = self._sum_by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
         return self._gather(forces.reshape(-1, 3 * k))
 
     def stiffness(self, tangent: Floats) -> csr_matrix:
@@ -103,7 +103,7 @@ class Elements:
         weighted = (self.weights.reshape(-1, 1, 1) * tangent.reshape(m * q, -1, d)).reshape(m, q, -1, d)
         # Axes: element, point, component and direction of v, component and node of u.
         of_u = (weighted @ self.gradients.transpose(0, 1, 3, 2)).reshape(m, q, 3, d, 3 * k)
-        blocks = self._by_node() @ of_u.transpose(0, 1, 3, 2, 4).reshape(m, q * d, -1)
+        blocks = self._sum_by_node() @ of_u.transpose(0, 1, 3, 2, 4).reshape(m, q * d, -1)
         blocks = blocks.reshape(m, 3 * k, 3, k).transpose(0, 1, 3, 2)
         rows = np.broadcast_to(self.dofs.reshape(m, 3 * k, 1, 1), blocks.shape)
         columns = np.broadcast_to(self.dofs[:, None], blocks.shape)
@@ -119,7 +119,7 @@ class Elements:
         """The sum over the elements by degree of freedom, shape (size,), of parts (m, k, 3)."""
         return np.bincount(self.dofs.ravel(), parts.ravel(), minlength=len(self.rest)).astype(np.float64, copy=False)
 
-    def _by_node(self) -> Floats:
+    def _sum_by_node(self) -> Floats:
         """Gradients, shape (m, k, q d)."""
         m, q, k, d = self.gradients.shape
         return self.gradients.transpose(0, 2, 1, 3).reshape(m, k, q * d)

@@ -26,7 +26,7 @@ class Part(Protocol):
     """One part of the energy; see the module."""
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> Sequence[Part]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> Sequence[Part]:
         """Make the parts of all terms of one kind."""
         ...
 
@@ -46,19 +46,21 @@ class Part(Protocol):
 class Springs:
     """Springs that pull vertices (k,) to positions [mm], shape (k, 3), with stiffness [mN/mm], one or (k,)."""
 
-    def __init__(self, vertices: Ints, positions: Floats, stiffness, at: Discretisation):
-        self._dofs = at.dofs[vertices]
+    def __init__(self, vertices: Ints, positions: Floats, stiffness, discretisation: Discretisation):
+        self._dofs = discretisation.dofs[vertices]
         self._positions = positions
-        self._stiffness = np.zeros(at.size)
+        self._stiffness = np.zeros(discretisation.size)
         self._stiffness[self._dofs] = np.broadcast_to(stiffness, (len(vertices),))[:, None]
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Springs]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Springs]:
         """Make those of each Target, and of all inertia together."""
-        springs = [cls(term.vertices, term.positions, term.stiffness, at) for term in scene.of(terms.Target)]
+        springs = [
+            cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)
+        ]
         if scene.of(terms.Inertia):
             stiffness, places = scene.inertia()
-            springs.append(cls(np.arange(len(places)), places, stiffness, at))
+            springs.append(cls(np.arange(len(places)), places, stiffness, discretisation))
         return springs
 
     def _stretch(self, x: Floats) -> Floats:
@@ -82,22 +84,22 @@ class Springs:
 class DeadLoads:
     """The potential of all Gravity and Traction terms, zero at rest."""
 
-    def __init__(self, scene: Scene, at: Discretisation):
-        self._forces = np.zeros(at.size)
+    def __init__(self, scene: Scene, discretisation: Discretisation):
+        self._forces = np.zeros(discretisation.size)
         for term in scene.of(terms.Gravity):
             tets = scene.tets_of(term)
             force = np.zeros(scene.tets.shape[:1])
             force[tets] = term.density
-            self._forces += at.tets.loads(force[:, None] * term.acceleration)
+            self._forces += discretisation.tets.loads(force[:, None] * term.acceleration)
         for term in scene.of(terms.Traction):
-            faces = at.triangles(term.name, term.triangles)
+            faces = discretisation.triangles(term.name, term.triangles)
             self._forces += faces.loads(np.broadcast_to(term.vector, (len(term.triangles), 3)))
-        self._rest = at.by_dof(scene.vertices)
+        self._rest = discretisation.by_dof(scene.vertices)
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[DeadLoads]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[DeadLoads]:
         """See Part."""
-        return [cls(scene, at)]
+        return [cls(scene, discretisation)]
 
     def value(self, x: Floats) -> float:
         """See Part."""
@@ -132,8 +134,10 @@ TERMS = (*PARTS, terms.Fixed, terms.RigidBody)
 class Energy:
     """The energy [µJ] that a scene's positions minimise; x holds positions [mm] by degree of freedom, shape (size,)."""
 
-    def __init__(self, scene: Scene, at: Discretisation):
-        self._parts = [part for kind in dict.fromkeys(PARTS.values()) for part in kind.from_scene(scene, at)]
+    def __init__(self, scene: Scene, discretisation: Discretisation):
+        self._parts = [
+            part for kind in dict.fromkeys(PARTS.values()) for part in kind.from_scene(scene, discretisation)
+        ]
 
     def widen(self) -> Energy | None:
         """The energy with wide barriers, which lead to the narrow ones' answer; None without contact."""

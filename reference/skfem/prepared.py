@@ -58,16 +58,16 @@ class Prepared:
         self.scene.check_prepared_for(scene)
         limits = Limits(tolerance, absolute, max_iterations)
         limit = self.policy.max_iterations if max_iterations is None else max_iterations
-        at = self.discretisation
-        energy, size = Energy(scene, at), float(np.ptp(scene.vertices, axis=0).max())
+        discretisation = self.discretisation
+        energy, size = Energy(scene, discretisation), float(np.ptp(scene.vertices, axis=0).max())
         scales = Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin, at_rest = first_positions(scene, start), start is None
-        free = ~at.held_dofs(held)
-        x = at.by_dof(begin)
-        goal = np.where(free, x, at.by_dof(positions))
-        bodies = Body.from_scene(scene, at)
+        free = ~discretisation.held_dofs(held)
+        x = discretisation.by_dof(begin)
+        goal = np.where(free, x, discretisation.by_dof(positions))
+        bodies = Body.from_scene(scene, discretisation)
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
@@ -75,11 +75,11 @@ class Prepared:
         if np.isfinite(energy.value(x)):
             carried = carry(energy, x, goal, free=free, scales=scales, policy=self.policy)
         x, forces = (goal, 0.0) if carried is None else carried
-        unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
-        descent = Descent(scene, at, energy, unknowns, scales, recorder, self.policy)
+        unknowns = Unknowns(np.flatnonzero(free), discretisation.size, bodies)
+        descent = Descent(scene, discretisation, energy, unknowns, scales, recorder, self.policy)
         x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
         history = recorder.history()
-        answer = x[at.vertex_dofs]
+        answer = x[discretisation.vertex_dofs]
         return Solution(
             answer,
             reason,
@@ -87,7 +87,7 @@ class Prepared:
             float(history.energy[-1]),
             history,
             volume_ratio(scene, answer),
-            recovery=partial(recover, scene, at.element, x),
+            recovery=partial(recover, scene, discretisation.element, x),
             times=recorder.times(self.spent),
         )
 
@@ -115,11 +115,13 @@ def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) 
 
 def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     """The stresses at scikit-fem's points and the reactions of positions by degree of freedom [mm], shape (size,)."""
-    at = Discretisation(scene, element)
-    F, P = Tets(scene, at).stress(x)
-    volume = at.tets.weights
-    forces = np.where(at.held_dofs(scene.dirichlet()[0]), Energy(scene, at).gradient(x), 0.0)[at.dofs]
+    discretisation = Discretisation(scene, element)
+    F, P = Tets(scene, discretisation).stress(x)
+    volume = discretisation.tets.weights
+    forces = np.where(discretisation.held_dofs(scene.dirichlet()[0]), Energy(scene, discretisation).gradient(x), 0.0)[
+        discretisation.dofs
+    ]
     reactions = np.zeros(scene.vertices.shape)
-    for end in at.ends.T:  # an edge's node gives half to each of its ends
+    for end in discretisation.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)
     return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)

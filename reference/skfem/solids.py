@@ -37,17 +37,19 @@ Treatment = Callable[[Floats], Floats]
 class Tets:
     """All tet terms together, so that the tangents are projected once per point and not once per term."""
 
-    def __init__(self, scene: Scene, at: Discretisation):
-        self._elements = at.tets
+    def __init__(self, scene: Scene, discretisation: Discretisation):
+        self._elements = discretisation.tets
         self._laws: list[tuple[Law, Ints]] = []
         for term in scene.of(terms.Solid):
             tets = scene.tets_of(term)
-            self._laws.append((_law(term, len(tets), at.tets.weights.shape[1]), at.tets.points(tets)))
+            self._laws.append(
+                (_law(term, len(tets), discretisation.tets.weights.shape[1]), discretisation.tets.points(tets))
+            )
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Tets]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Tets]:
         """See Part."""
-        return [cls(scene, at)]
+        return [cls(scene, discretisation)]
 
     def value(self, x: Floats) -> float:
         """See Part."""
@@ -167,25 +169,25 @@ class ByRotation:
 
     law: HasRotation
 
-    def _by_rotation(self, F: Floats, R: Floats) -> tuple[Floats, Floats, Floats]:
+    def _differentiate_by_rotation(self, F: Floats, R: Floats) -> tuple[Floats, Floats, Floats]:
         return self.law.by_rotation(np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3)
 
     def psi(self, F: Floats) -> Floats:
         """See Law."""
         U, _, Vt = signed_svd(F)
-        return self._by_rotation(F, U @ Vt)[0]
+        return self._differentiate_by_rotation(F, U @ Vt)[0]
 
     def stress(self, F: Floats) -> Floats:
         """See Law; d changes by 2 (F - R), t by R."""
         U, _, Vt = signed_svd(F)
         R = U @ Vt
-        return np.einsum("ma,maij->mij", self._by_rotation(F, R)[1], np.stack([2 * (F - R), R], axis=1))
+        return np.einsum("ma,maij->mij", self._differentiate_by_rotation(F, R)[1], np.stack([2 * (F - R), R], axis=1))
 
     def tangent(self, F: Floats) -> Floats:
         """See Law."""
         U, sigma, Vt = signed_svd(F)
         R = U @ Vt
-        _, gradient, hessian = self._by_rotation(F, R)
+        _, gradient, hessian = self._differentiate_by_rotation(F, R)
         turning = projection_derivative(U, sigma, Vt, np.ones_like(sigma), np.zeros_like(F))
         by_d, by_t = (gradient[:, a, None, None, None, None] for a in range(2))
         tangent = _chain(np.stack([2 * (F - R), R], axis=1), hessian)
@@ -311,7 +313,7 @@ def nearest_of_determinant(sigma: Floats, target: Floats) -> tuple[Floats, Float
     s3 = np.empty(len(sigma))
     s3[grow] = _root(sigma[grow], target[grow], edge[grow], edge[grow] + np.cbrt(target[grow]))
     s3[~grow] = _nearest_root(sigma[~grow], target[~grow])
-    s = _on_curve(sigma, s3)
+    s = _project_on_curve(sigma, s3)
     return s, _slope(sigma, s)
 
 
@@ -338,7 +340,7 @@ def projection_derivative(U: Floats, sigma: Floats, Vt: Floats, nearest: Floats,
     return (Q @ D.reshape(-1, 9, 9) @ Q.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
 
 
-def _on_curve(sigma: Floats, s3: Floats) -> Floats:
+def _project_on_curve(sigma: Floats, s3: Floats) -> Floats:
     """The stationary stretches whose smallest is s3, shape (m, 3)."""
     c = s3 * (s3 - sigma[:, 2])
     root = np.sqrt(np.maximum(sigma[:, :2] ** 2 + 4 * c[:, None], 0))
@@ -354,7 +356,7 @@ def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
     s3 = (low + high) / 2
     step = high - low
     for _ in range(ROOT_ITERATIONS):
-        s = _on_curve(sigma, s3)
+        s = _project_on_curve(sigma, s3)
         product = np.prod(s, axis=1)
         below = product < target
         low[below], high[~below] = s3[below], s3[~below]
@@ -376,14 +378,14 @@ def _nearest_root(sigma: Floats, target: Floats) -> Floats:
     if not len(sigma):
         return np.zeros(0)
     fractions = np.linspace(0, 1, 33)
-    excess = np.stack([np.prod(_on_curve(sigma, f * sigma[:, 2]), axis=1) - target for f in fractions])
+    excess = np.stack([np.prod(_project_on_curve(sigma, f * sigma[:, 2]), axis=1) - target for f in fractions])
     first = np.argmax(excess > 0, axis=0)
     last = len(fractions) - 1 - np.argmax(excess[::-1] <= 0, axis=0)
     roots = []
     for lower in (first - 1, last):
         low, high = fractions[lower] * sigma[:, 2], fractions[lower + 1] * sigma[:, 2]
         roots.append(_root(sigma, target, low, high))
-    distance = [np.sum((_on_curve(sigma, root) - sigma) ** 2, axis=1) for root in roots]
+    distance = [np.sum((_project_on_curve(sigma, root) - sigma) ** 2, axis=1) for root in roots]
     return np.where(distance[0] < distance[1], roots[0], roots[1])
 
 

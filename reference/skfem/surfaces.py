@@ -36,14 +36,14 @@ GAP = 1e-9  # of the largest eigenvalue: below it a ring does not determine its 
 class Membranes:
     """One SurfaceStrain term."""
 
-    def __init__(self, scene: Scene, term: terms.SurfaceStrain, at: Discretisation):
-        self._elements = at.triangles(term.name, term.triangles, term.rest)
+    def __init__(self, scene: Scene, term: terms.SurfaceStrain, discretisation: Discretisation):
+        self._elements = discretisation.triangles(term.name, term.triangles, term.rest)
         self._law = Membrane(self._elements.at_points(term.stiffness), self._elements.at_points(term.growth))
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Membranes]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Membranes]:
         """See Part."""
-        return [cls(scene, term, at) for term in scene.of(terms.SurfaceStrain)]
+        return [cls(scene, term, discretisation) for term in scene.of(terms.SurfaceStrain)]
 
     def value(self, x: Floats) -> float:
         """See Part."""
@@ -134,7 +134,7 @@ HORN = _horn()
 class Bends:
     """One Bending term."""
 
-    def __init__(self, scene: Scene, term: terms.Bending, at: Discretisation):
+    def __init__(self, scene: Scene, term: terms.Bending, discretisation: Discretisation):
         X = scene.vertices if term.rest is None else term.rest
         n, triangles = len(X), term.triangles
         gradients, areas = rest_gradients(X, triangles)
@@ -156,15 +156,17 @@ class Bends:
         rows = 4 * ring[:, None] + np.arange(4)
         edge = coo_matrix((coefficients.ravel(), (rows.ravel(), np.repeat(j, 4))), (4 * len(inner), n))
         edge -= coo_matrix((coefficients.ravel(), (rows.ravel(), np.repeat(i, 4))), (4 * len(inner), n))
-        place = coo_matrix((np.ones(3 * n), (np.arange(3 * n), at.vertex_dofs.ravel())), (3 * n, at.size))
+        place = coo_matrix(
+            (np.ones(3 * n), (np.arange(3 * n), discretisation.vertex_dofs.ravel())), (3 * n, discretisation.size)
+        )
         self._variables: csr_matrix = (kron(edge, np.eye(3)) @ place).tocsr()
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Bends]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Bends]:
         """See Part."""
-        return [cls(scene, term, at) for term in scene.of(terms.Bending)]
+        return [cls(scene, term, discretisation) for term in scene.of(terms.Bending)]
 
-    def _at(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def _evaluate(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Laplacians l (m, 3); T and P (m, 4, 4); K q for K of each unit of S (m, 9, 4); and q (m, 4)."""
         variables = (self._variables @ x).reshape(-1, 4, 3)
         laplacian = variables[:, 0]
@@ -180,13 +182,13 @@ class Bends:
 
     def value(self, x: Floats) -> float:
         """See Part."""
-        laplacian, T, _, _, q = self._at(x)
+        laplacian, T, _, _, q = self._evaluate(x)
         turned = np.einsum("ma,mab,mb->m", q, T, q)
         return float(self._weight @ (np.sum(laplacian**2 + self._rest**2, axis=1) / 2 - turned))
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
-        laplacian, T, P, Kq, q = self._at(x)
+        laplacian, T, P, Kq, q = self._evaluate(x)
         s = np.einsum("mab,mbc,mc->ma", P, T, q, optimize=True)
         by_l = laplacian - np.einsum("mj,mjca,ma->mc", self._rest, Kq.reshape(-1, 3, 3, 4), q, optimize=True)
         by_S = -2 * np.einsum("mva,ma->mv", Kq, s)
@@ -194,7 +196,7 @@ class Bends:
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; the tangent treated is that of a vertex' twelve variables."""
-        _, T, P, Kq, q = self._at(x)
+        _, T, P, Kq, q = self._evaluate(x)
         turn = np.einsum("mab,mvb->mva", P, Kq)  # dq by S
         Tq = np.einsum("mab,mb->ma", T, q)
         s = np.einsum("mab,mb->ma", P, Tq)

@@ -32,16 +32,16 @@ class Body:
     vertices: int
 
     @classmethod
-    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Body]:
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Body]:
         """A scene's bodies."""
         bodies = []
         for term in scene.of(terms.RigidBody):
             places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
             places[term.vertices], member[term.vertices] = scene.body_rest(term), True
-            held = at.held_dofs(member)[at.dofs[:, 0]]
+            held = discretisation.held_dofs(member)[discretisation.dofs[:, 0]]
             held[: len(places)] = False
-            dofs = np.concatenate([at.dofs[term.vertices], at.dofs[held]])
-            bodies.append(cls(dofs, at.by_dof(places)[dofs], len(term.vertices)))
+            dofs = np.concatenate([discretisation.dofs[term.vertices], discretisation.dofs[held]])
+            bodies.append(cls(dofs, discretisation.by_dof(places)[dofs], len(term.vertices)))
         return bodies
 
     @property
@@ -88,13 +88,13 @@ class Unknowns:
 
     def hessian(self, x: Floats, forces: Floats, matrix: csc_matrix) -> csc_matrix:
         """The exact Hessian [mN/mm] from the one by degree of freedom."""
-        return self._reduce(x, matrix, [self._turning(body, x, forces) for body in self._bodies])
+        return self._reduce(x, matrix, [self._differentiate_turn(body, x, forces) for body in self._bodies])
 
     def projected_hessian(self, x: Floats, forces: Floats, matrix: csc_matrix) -> csc_matrix:
         """The same from a positive semi-definite one, with the curvature by turning made so too."""
         turning = []
         for body in self._bodies:
-            values, vectors = np.linalg.eigh(self._turning(body, x, forces))
+            values, vectors = np.linalg.eigh(self._differentiate_turn(body, x, forces))
             turning.append((vectors * np.maximum(values, 0)) @ vectors.T)
         return self._reduce(x, matrix, turning)
 
@@ -106,7 +106,7 @@ class Unknowns:
             reduced += block_diag([none, *(block_diag([np.zeros((3, 3)), turn]) for turn in turning)])
         return reduced.tocsc()
 
-    def _turning(self, body: Body, x: Floats, forces: Floats) -> Floats:
+    def _differentiate_turn(self, body: Body, x: Floats, forces: Floats) -> Floats:
         """Half the second derivative of Σ g · (w x (w x y)) by w over ρ²: sym(Σ y gᵀ) - Σ y·g I, shape (3, 3)."""
         moment = body.levers(x).T @ forces[body.dofs] / body.radius**2
         return (moment + moment.T) / 2 - np.trace(moment) * np.eye(3)

@@ -81,7 +81,7 @@ class External:
         """Draw somebody of the other space, rigged from scans of random expressions."""
         code, skin = self.other.sample(rng)
         neutral = self.mean.with_vertices(self.laid + self.weights @ (skin.vertices - self.other.mean.vertices))
-        expressed = np.stack([self._seen(sample_weights(rng)) for _ in range(SCANS)])
+        expressed = np.stack([self._keep_seen(sample_weights(rng)) for _ in range(SCANS)])
         shapes = np.tensordot(expressed, self.other.expression_deltas(code), axes=1)
         scans = neutral.vertices + np.stack([self.weights @ motion for motion in shapes])
         generic = transfer_expressions(self.mean, self.own.expressions, neutral)
@@ -92,6 +92,6 @@ class External:
         """Fit the head of a person."""
         return self.fit(person.skin)  # type: ignore[operator]
 
-    def _seen(self, weights: Floats) -> Floats:
+    def _keep_seen(self, weights: Floats) -> Floats:
         """Return weights without the shapes that the other space lacks."""
         return np.where([name in self.other.missing for name in ARKIT], 0.0, weights)

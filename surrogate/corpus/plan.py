@@ -215,7 +215,7 @@ class CorpusPlan:
     def static(self, identity: int, index: int) -> Static:
         """Draw a person's static frame; those of group g are numbered from g * frames."""
         rng = self.rng(STATIC, identity, index)
-        name = self._recording(rng, identity)
+        name = self._draw_recording(rng, identity)
         return Static(name, int(rng.integers(self.recordings[name].frames)))
 
     def statics(self, identity: int, group: int) -> list[Static]:
@@ -226,12 +226,12 @@ class CorpusPlan:
         """Draw a person's sequence: the recording's name and its first frame; no gap of a take is in it."""
         rng = self.rng(DYNAMIC, identity, index)
         while True:
-            name = self._recording(rng, identity, STILL)
+            name = self._draw_recording(rng, identity, STILL)
             begins = starts(self.take(name), LENGTH)
             if len(begins):
                 return name, int(rng.choice(begins))
 
-    def _recording(self, rng: np.random.Generator, identity: int, without: Sequence[str] = ()) -> str:
+    def _draw_recording(self, rng: np.random.Generator, identity: int, without: Sequence[str] = ()) -> str:
         pool = {name: rows for name, rows in self.pools[self.split(identity)].items() if name not in without}
         share = np.array([self.sources[source] for source in pool])
         names = pool[list(pool)[rng.choice(len(pool), p=share / share.sum())]]

@@ -88,7 +88,7 @@ class Table:
             )
         chosen = there[: round(share * len(there))]
         self._people = {k: self._person(k) for k in chosen}
-        rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
+        rows = [(k, row) for k, person in self._people.items() for row in _find_accepted(person.small)]
         if not rows:
             raise InputError(
                 f"corpus {folder}: nothing of {table} in the {split or 'whole'} split was accepted; see its status"
@@ -168,7 +168,7 @@ class Table:
         return person.shapes.row(person.path, 0)
 
 
-def _accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
+def _find_accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
     if "status" not in small:
         return np.arange(len(next(iter(small.values()))))
     return np.flatnonzero(small["status"] == ACCEPTED.encode())

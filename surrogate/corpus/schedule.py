@@ -95,16 +95,16 @@ def run_items(
             yield from map(work, items)
         return
     with _client(on, len(items)) as client:
-        yield from _scheduled(client, work, items, name)
+        yield from _schedule(client, work, items, name)
 
 
-def _scheduled(client: Client, work: Callable[[Item], Result], items: Sequence[Item], name: str) -> Iterator[Result]:
+def _schedule(client: Client, work: Callable[[Item], Result], items: Sequence[Item], name: str) -> Iterator[Result]:
     from distributed import KilledWorker, as_completed
 
     # A task's result, unlike scattered data, is made again where the workers that had it died.
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sending large graph")  # once, and some megabytes
-        shared = client.submit(_given, work, pure=False)
+        shared = client.submit(_give, work, pure=False)
     waiting = iter(items)
 
     def submit(count: int) -> list[Any]:
@@ -122,7 +122,7 @@ def _scheduled(client: Client, work: Callable[[Item], Result], items: Sequence[I
         yield result
 
 
-def _given(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
+def _give(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
     return work
 
 

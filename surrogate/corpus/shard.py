@@ -422,7 +422,7 @@ class _opened:
             SHARD_BYTES.check(f"shard {self.path}", self.path.stat().st_size)
             self.file = h5py.File(self.path, "r")
         except OSError as error:
-            raise self._damaged(error) from None
+            raise self._describe_damage(error) from None
         return self.file
 
     def __exit__(self, kind, error, trace):
@@ -430,9 +430,9 @@ class _opened:
         if isinstance(error, (OSError, KeyError, RuntimeError, ValueError, TypeError)) and not isinstance(
             error, InputError
         ):
-            raise self._damaged(error) from None
+            raise self._describe_damage(error) from None
 
-    def _damaged(self, error: Exception) -> InputError:
+    def _describe_damage(self, error: Exception) -> InputError:
         cause = str(error).splitlines()[0][:60] if str(error) else type(error).__name__
         return InputError(f"shard {self.path}: truncated or damaged ({cause}); {_REMEDY}")
 

@@ -59,9 +59,9 @@ class _PersonRows:
         self.plan, self.people, self.identity, self._velocities = plan, people, identity, velocities
         self.seconds: dict[str, float] = {}
         self.rows: dict[str, list[dict[str, Any]]] = {table: [] for table in TABLES}
-        with self._timed("shapes"):
+        with self._time_phase("shapes"):
             self.person: Person = people.person(plan.rng(IDENTITY, identity))
-        with self._timed("fit"):
+        with self._time_phase("fit"):
             self._head: LayeredHead | None = None
             self._no_head = ACCEPTED
             try:
@@ -88,12 +88,12 @@ class _PersonRows:
         )
         answers = self._add_statics(group, face, status)
         if group < plan.sequences:
-            with self._timed("sequences"):
+            with self._time_phase("sequences"):
                 self._add_sequence(group, face, status)
         if face is not None:
-            with self._timed("derivatives"):
+            with self._time_phase("derivatives"):
                 self._add_derivatives(group, face, parameters, *plan.has_responses(number))
-            with self._timed("references"):
+            with self._time_phase("references"):
                 self._add_references(group, face, answers, references_wanted)
 
     def _settle(self, group: int, number: int, parameters: ParameterSet) -> tuple[str, np.ndarray, Face | None]:
@@ -102,7 +102,7 @@ class _PersonRows:
         if self._head is None:
             return self._no_head, still, None
         try:
-            with self._timed("settling"):
+            with self._time_phase("settling"):
                 face = make_face(self.people, self.person, self._head, parameters)
                 if self.plan.settles_only(group, number):
                     return ACCEPTED, settle_neutral(face).displacement, None
@@ -113,7 +113,7 @@ class _PersonRows:
 
     def _add_statics(self, group: int, face: Face | None, status: str) -> list[Answer]:
         answers = []
-        with self._timed("statics"):
+        with self._time_phase("statics"):
             for static in self.plan.statics(self.identity, group):
                 weights = self.plan.weights(static)
                 failed = Answer.failed(status, self.person.skin)
@@ -159,7 +159,7 @@ class _PersonRows:
                 self.rows["references"].append({"static": static, "law": law} | vars(reference))
 
     @contextmanager
-    def _timed(self, phase: str) -> Iterator[None]:
+    def _time_phase(self, phase: str) -> Iterator[None]:
         begin = time.process_time()
         yield
         self.seconds[phase] = self.seconds.get(phase, 0.0) + time.process_time() - begin

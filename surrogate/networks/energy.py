@@ -186,7 +186,7 @@ class EnergyTrained:
         head = face.live.head
         still, active = face.displacement.astype(np.float32), skin_activation(head, face.live.on_wraps)
         summary = ((self._inputs.summary_of(face) - self._mean) / self._scale).astype(np.float32)
-        modes = self._on_skin(head) * self._size
+        modes = self._weigh_on_skin(head) * self._size
         held = None if active is None else ((active - 1.0) * face.shapes).astype(np.float32)
 
         def correct(weights: Floats32) -> Floats32:
@@ -196,7 +196,7 @@ class EnergyTrained:
 
         return CorrectedRig(face.skin, face.shapes, correct)
 
-    def _on_skin(self, head: LayeredHead) -> Floats32:
+    def _weigh_on_skin(self, head: LayeredHead) -> Floats32:
         wrap = self._modes.reshape(len(self._modes), -1, 3)[:, : len(head.bone)]
         return np.stack([head.skin_from_wrap @ mode for mode in wrap]).astype(np.float32)
 

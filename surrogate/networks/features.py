@@ -113,7 +113,7 @@ class Features:
 
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""
-        gravity = np.broadcast_to(_added_gravity(at_vertices[0]), (len(at_vertices), 3))
+        gravity = np.broadcast_to(_add_gravity(at_vertices[0]), (len(at_vertices), 3))
         give = self.give(at_vertices)[:, None]
         parts = at_vertices, 0.5 * gravity, 0.5 * gravity / _softness(at_vertices[:, [_SOFT]]), give
         return np.hstack(parts).astype(np.float32)
@@ -121,7 +121,7 @@ class Features:
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
         """Features of the whole, shape (c + summary_size,): the normalised code (c,) first, as it is."""
         level = at_vertices.mean(axis=0)
-        gravity = _added_gravity(level)
+        gravity = _add_gravity(level)
         waves = (at_vertices[self.points] - level)[:, list(_LOCAL)].T.ravel()
         left, give = self._left, self.give(at_vertices)
         halves = np.array([np.average(give, weights=left), np.average(give, weights=1.0 - left)])
@@ -149,16 +149,16 @@ class Features:
         bones = change[:, list(_BONES)]
         apart = skin - self.mean.vertices
         likeness = np.tile((apart - apart.mean(axis=0)) / LIKENESS, len(_BONES) // 3)
-        gravity = _added_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
+        gravity = _add_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
         return np.hstack([change[:, list(_THERE)], bones, bones * likeness, gravity]).astype(np.float32)
 
     def unmoved(self, at_vertices: Floats) -> Floats:
         """The same materials with nothing that moves a neutral face."""
-        return _by_default(at_vertices, _MOVING)
+        return _subtract_default(at_vertices, _MOVING)
 
     def without_palsy(self, at_vertices: Floats) -> Floats:
         """The same face with both halves at work, as it settles: a palsy takes no part in that."""
-        return _by_default(at_vertices, _PARALYSES)
+        return _subtract_default(at_vertices, _PARALYSES)
 
 
 def normalise_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
@@ -216,7 +216,7 @@ def seen_ranges(faces: Faces, chosen: Ints, features: Features) -> dict[str, tup
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}
 
 
-def _by_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:
+def _subtract_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:
     changed = np.array(at_vertices)
     changed[:, list(columns)] = _DEFAULTS[list(columns)]
     return changed
@@ -228,7 +228,7 @@ def _softness(normalised):
     return (info.high / info.low) ** (0.5 * np.asarray(normalised))
 
 
-def _added_gravity(normalised: Floats) -> Floats:
+def _add_gravity(normalised: Floats) -> Floats:
     """The acceleration beyond the 1 g downward under which a head is made [g], shape (3,)."""
     size, *direction = (_INFOS[STATIC[k]].denormalise(normalised[k]) for k in _GRAVITY)
     length = float(np.linalg.norm(direction))

@@ -47,7 +47,7 @@ class PrintedHypernetwork(GradientForm):
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`: z meets the last layer before the faces do, 9 outputs per face instead of 288."""
         latent = perceptron(network, "expression", weights, elu)
-        hidden = _printed_features(network, code[:, None], parameters[:, None])
+        hidden = _list_printed_features(network, code[:, None], parameters[:, None])
         last = network["last.weight"].reshape(latent.shape[-1], 9, -1)
         contracted = einsum("gml,lch->gmhc", latent, last)
         still = latent @ network["last.bias"].reshape(-1, 9)
@@ -55,13 +55,13 @@ class PrintedHypernetwork(GradientForm):
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
         """See `GradientForm`: L is all of it."""
-        hidden = _printed_features(network, code, parameters)
+        hidden = _list_printed_features(network, code, parameters)
         local = linear(network, "last", hidden).reshape(len(hidden), -1, 9)
         latents = np.ascontiguousarray(local.transpose(0, 2, 1))
         return lambda weights: (latents, perceptron(network, "expression", weights, elu))
 
 
-def _printed_features(network: Arrays, code, parameters):
+def _list_printed_features(network: Arrays, code, parameters):
     """Return f_ph's last hidden layer at all faces, shape (..., faces, hidden)."""
     first = network["position"] @ network["from_position.weight"].T
     first = first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))

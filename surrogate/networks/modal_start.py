@@ -71,7 +71,7 @@ def draw_network(
     for face, number in zip(faces, numbers, strict=True):
         frames = data.corpus.frames(int(number), rng.permutation(len(data.corpus.frames_of[number]))[: policy.frames])
         remainders.append(frames.remainder(face).reshape(-1, 3 * n))
-    summaries = [_moved_summaries(settling_faces, settled, data.inputs), _moved_summaries(faces, relaxed, data.inputs)]
+    summaries = [_summarise_moved(settling_faces, settled, data.inputs), _summarise_moved(faces, relaxed, data.inputs)]
     learned = *unexplained, np.vstack(remainders)
     parts = [find_components(rows, count, rng) for rows, count in zip(learned, config.modes, strict=True)]
     arrays: dict[str, np.ndarray] = {"effects": effects}
@@ -96,7 +96,7 @@ def _subtract_effects(motions: Sequence[NeutralMotion], features: Features, tabl
     return np.stack([(motion.displacement - part).ravel() for motion, part in zip(motions, explained, strict=True)])
 
 
-def _moved_summaries(faces: Sequence[KeptFace], motions: Sequence[NeutralMotion], inputs: Inputs) -> Floats32:
+def _summarise_moved(faces: Sequence[KeptFace], motions: Sequence[NeutralMotion], inputs: Inputs) -> Floats32:
     """Return how far each face's summary is from that of nothing moved, a row each."""
     rows = []
     for face, motion in zip(faces, motions, strict=True):

@@ -152,7 +152,7 @@ class ModalLesson:
     def loss_of(self, numbers: Sequence[int] | Ints, rng: np.random.Generator, vertices: Ints) -> torch.Tensor:
         """Return the loss of some faces at some vertices."""
         faces = self.data.faces(numbers)
-        settled_loss = self._settled_loss(faces, rng, vertices) if self.learns_neutral else 0.0
+        settled_loss = self._measure_settled_loss(faces, rng, vertices) if self.learns_neutral else 0.0
         parameters = [self.data.features.at_vertices(face.coefficients) for face in faces]
         inputs = self.tensors.inputs_of(faces, parameters, vertices)
         code = inputs.summary[..., : self.data.code_size]
@@ -161,12 +161,12 @@ class ModalLesson:
         )
         loss = settled_loss
         if self.learns_neutral:
-            loss = loss + self._relaxed_loss(batch, parameters)
+            loss = loss + self._measure_relaxed_loss(batch, parameters)
         exact = self.tensors.stack([face.responses[:, vertices] for face in faces])
         loss = loss + self._response_loss(batch, exact)
         return loss + self.policy.frames * self._frame_loss(batch, exact, rng)
 
-    def _settled_loss(self, faces: list[KeptFace], rng: np.random.Generator, vertices: Ints) -> torch.Tensor:
+    def _measure_settled_loss(self, faces: list[KeptFace], rng: np.random.Generator, vertices: Ints) -> torch.Tensor:
         """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
 
         What is learned of one cheek is so of the other. Shapes, and the tets in lids and lips, are not symmetric enough
@@ -182,17 +182,17 @@ class ModalLesson:
         hidden = hidden_features(network, local, summary[..., : self.data.code_size], vertices)
         effects = self.tensors.effects_of(parameters, skins, vertices)
         predicted = neutral(network, 0, hidden, summary, unmoved, effects, vertices)
-        scales = [self._settled_scale(displacement) for displacement in displacements]
+        scales = [self._scale_settled(displacement) for displacement in displacements]
         exact = self.tensors.stack([displacement[vertices] for displacement in displacements])
         return self._mean_distance(predicted - exact, scales)
 
-    def _relaxed_loss(self, batch: _Batch, parameters: Sequence[np.ndarray]) -> torch.Tensor:
+    def _measure_relaxed_loss(self, batch: _Batch, parameters: Sequence[np.ndarray]) -> torch.Tensor:
         """Of what neutral faces relax to among their targets."""
         effects = self.tensors.effects_of(parameters, [face.skin.vertices for face in batch.faces], batch.vertices)
         _, summary, unmoved = batch.inputs
         predicted = neutral(self.network, 1, batch.hidden, summary, unmoved, effects, batch.vertices)
         exact = self.tensors.stack([face.relaxed[batch.vertices] for face in batch.faces])
-        return self._mean_distance(predicted - exact, [self._settled_scale(face.displacement) for face in batch.faces])
+        return self._mean_distance(predicted - exact, [self._scale_settled(face.displacement) for face in batch.faces])
 
     def _response_loss(self, batch: _Batch, exact: torch.Tensor) -> torch.Tensor:
         """Of responses; exact ones (b, 52, v, 3)."""
@@ -231,7 +231,7 @@ class ModalLesson:
         """Return how large a face's responses are [mm], by which errors of them count: stiff and soft tissue alike."""
         return self.policy.response_floor + float(np.linalg.norm(face.responses.astype(np.float32), axis=2).mean())
 
-    def _settled_scale(self, displacement: np.ndarray) -> float:
+    def _scale_settled(self, displacement: np.ndarray) -> float:
         """How far a neutral face settles [mm], by which errors of it count: scaled bones move it farthest."""
         mean = float(np.linalg.norm(displacement.astype(np.float32), axis=1).mean())
         return self.policy.settled_floor + self.policy.settled_share * mean

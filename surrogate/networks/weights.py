@@ -100,7 +100,7 @@ class Weights:
             "note": asdict(self.note),
         }
         arrays: dict[str, np.ndarray] = {
-            f"network.{name}": np.ascontiguousarray(value, dtype=_stored_type(name, value))
+            f"network.{name}": np.ascontiguousarray(value, dtype=_choose_type(name, value))
             for name, value in self.network.items()
         }
         arrays |= {
@@ -170,7 +170,7 @@ def _format(kind: str) -> str:
     return f"softdeca-{kind.replace(' ', '-')}-4"
 
 
-def _stored_type(name: str, value: np.ndarray) -> type:
+def _choose_type(name: str, value: np.ndarray) -> type:
     if name == "response_table":
         return np.int8
     return np.float16 if np.ndim(value) > 1 else np.float32

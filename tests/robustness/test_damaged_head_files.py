@@ -132,9 +132,6 @@ TOLD = {
 }
 
 
-BONES = ("bones exchanged", "cranium for free")
-
-
 @pytest.mark.parametrize("name", TOLD)
 def test_a_head_that_is_odd_is_told_by_check(tmp_path, whole, command, name):
     edit, words = TOLD[name]

@@ -415,5 +415,5 @@ def test_a_shaken_shell_whose_thin_tets_invert_takes_few_iterations(spheres):
     def shaken(t):
         return np.array([-60.0 * pace**2 * np.sin(pace * t), 0.0, 0.0])
 
-    run = release.by_elements("Newmark", 8, 2, shaken=shaken)
+    run = release.play_elements("Newmark", 8, 2, shaken=shaken)
     assert run.converged and run.iterations.max() <= 10

@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 from softdeca.lhm import FitError, InputError, Surface, identities, load_template
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
-from softdeca.lhm.template.depths.depths import DepthErrors, DepthPairs, DepthRegressor, _left_out, leave_one_out
+from softdeca.lhm.template.depths.depths import DepthErrors, DepthPairs, DepthRegressor, _leave_one_out, leave_one_out
 from softdeca.lhm.template.depths.pairs import inward_normals, measure_depths, move_wrap, read_pairs
 from softdeca.lhm.template.depths.prior import default_regressor, prior_pairs
 from softdeca.lhm.template.registration import Registration, Residual
@@ -113,7 +113,9 @@ def test_the_closed_form_of_leave_one_out_is_that_of_refitting():
             (x - centre).T @ (x - centre) + ridge * np.eye(4), (x - centre).T @ (y - y.mean(axis=0))
         )
         total += ((y.mean(axis=0) + ((u * size)[i] - centre) @ slope - wanted[i]) ** 2).sum()
-    assert _left_out(u, size**2 / (size**2 + ridge), wanted - wanted.mean(axis=0)) == pytest.approx(total, rel=1e-9)
+    assert _leave_one_out(u, size**2 / (size**2 + ridge), wanted - wanted.mean(axis=0)) == pytest.approx(
+        total, rel=1e-9
+    )
 
 
 def test_what_follows_from_the_shape_is_learned_and_what_does_not_is_left():

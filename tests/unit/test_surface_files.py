@@ -408,8 +408,8 @@ def test_views_of_a_gltf_are_not_copied_and_its_meshes_are_decoded_once(tmp_path
 
     made, read = gltf(), []
     made.words["nodes"] = [{"mesh": 0}] * 300
-    whole = gltf_file._strided
-    monkeypatch.setattr(gltf_file, "_strided", lambda *given: read.append(1) or whole(*given))
+    whole = gltf_file._read_strided
+    monkeypatch.setattr(gltf_file, "_read_strided", lambda *given: read.append(1) or whole(*given))
     assert len(mesh_of(written(tmp_path / "nodes.glb", made.glb()))[0]) == 600 * len(X)
     assert len(read) == 4  # twice the vertices, and once each half's corners
 

@@ -15,7 +15,7 @@ from softdeca.reference.materials import Material
 
 def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
     """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with seam._compiling(seam.communicator(domain)):
+    with seam._serialise_compilation(seam.communicator(domain)):
         compiled = seam.fem.Expression(expression, points, **seam._COMPILER)
     first = () if seam.VERSION < (0, 7) else (domain,)
     shape = (len(points), int(np.prod(expression.ufl_shape)))

@@ -138,11 +138,11 @@ def let_go(release: Release, frames: int) -> dict:
         "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
         EQUATION_AS_EULER: Recurrence.from_implicit_euler(p.frequency, FRAME),
     }
-    frames_of = {name: release.by_recurrence(recurrence, frames) for name, recurrence in equation.items()}
+    frames_of = {name: release.play_recurrence(recurrence, frames) for name, recurrence in equation.items()}
     frames_of[PROJECTIVE] = release.by_projective_dynamics(frames)
-    runs = {EULER: release.by_elements("implicit Euler", frames, tolerance=TIGHT)}
+    runs = {EULER: release.play_elements("implicit Euler", frames, tolerance=TIGHT)}
     runs |= {
-        _name_march(scheme, count): release.by_elements(scheme, frames, count)
+        _name_march(scheme, count): release.play_elements(scheme, frames, count)
         for scheme in SCHEMES
         for count in PER_FRAME
     }
@@ -214,9 +214,9 @@ def shake(release: Release, frames: int) -> dict:
 
     rest = release.scene.vertices[: len(release.head.bone)]
     runs: dict[str, Trajectory | Frames] = {PROJECTIVE: release.by_projective_dynamics(frames, shaken)}
-    runs[EULER] = release.by_elements("implicit Euler", frames, tolerance=TIGHT, shaken=shaken)
-    runs |= {f"FEM, {scheme}": release.by_elements(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
-    fine = release.by_elements("Newmark", frames, PER_FRAME[-1], shaken=shaken)
+    runs[EULER] = release.play_elements("implicit Euler", frames, tolerance=TIGHT, shaken=shaken)
+    runs |= {f"FEM, {scheme}": release.play_elements(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
+    fine = release.play_elements("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
     found = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
     rows = []

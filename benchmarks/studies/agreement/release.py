@@ -111,7 +111,7 @@ class Release:
         first = (self.start - self.scene.vertices)[:n]
         return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
 
-    def by_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
+    def play_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
         """March frames of Eq. 9 through projective dynamics, the start first."""
         neutral = self.head.skin.vertices
         sequence = Sequence(
@@ -143,7 +143,7 @@ class Release:
 
         return _collect_frames(start, steps())
 
-    def by_elements(
+    def play_elements(
         self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
     ) -> Trajectory:
         """March the motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].

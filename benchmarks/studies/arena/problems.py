@@ -78,7 +78,7 @@ class Problem:
         )  # fmt: skip
 
 
-def _of(vertices, tets, held, places, loads, young, poisson, skin, **more) -> Problem:
+def _make_problem(vertices, tets, held, places, loads, young, poisson, skin, **more) -> Problem:
     """Make a problem of one material."""
     mu, lmbda = materials.material.lame(young, poisson)
     full = np.ones(len(tets))
@@ -123,7 +123,7 @@ def bar() -> Problem:
         x[:, 2] -= drop[np.searchsorted(heights, X[:, 2] - 1e-9)]
         return x
 
-    return _of(X, tets, top, X[top], loads, BAR_YOUNG, 0.0, np.arange(len(X)), closed=closed)
+    return _make_problem(X, tets, top, X[top], loads, BAR_YOUNG, 0.0, np.arange(len(X)), closed=closed)
 
 
 def cube(poisson: float, contrast: float = 1.0) -> Problem:
@@ -134,7 +134,7 @@ def cube(poisson: float, contrast: float = 1.0) -> Problem:
     centre = np.array([20.0, 20.0, 0.0])
     held = np.concatenate([low, high])
     places = np.concatenate([X[low], (X[high] - centre) @ turn.T + centre])
-    problem = _of(X, tets, held, places, [], FLESH_YOUNG, poisson, np.arange(len(X)))
+    problem = _make_problem(X, tets, held, places, [], FLESH_YOUNG, poisson, np.arange(len(X)))
     factor = np.where(X[tets].mean(axis=1)[:, 0] < 20.0, contrast, 1.0)
     return replace(problem, mu=problem.mu * factor, lmbda=problem.lmbda * factor)
 
@@ -158,7 +158,7 @@ def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float 
         inner, places = inner[of.bone != FREE], places[of.bone != FREE]
     else:
         raise InputError(f"head: gravity, cheek or jaw, got {what!r}")
-    problem = _of(X, scene.tets, inner, places, loads, FLESH_YOUNG, poisson, np.arange(count))
+    problem = _make_problem(X, scene.tets, inner, places, loads, FLESH_YOUNG, poisson, np.arange(count))
     factor = np.ones(len(scene.tets))
     factor[scene.tets_of(scene.of(terms.Strain)[-1])] = contrast
     return replace(problem, mu=problem.mu * factor, lmbda=problem.lmbda * factor)

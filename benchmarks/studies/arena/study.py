@@ -130,7 +130,7 @@ class Arena(Study):
         budget = self.budget or (find_budget(size) if self.whole else QUICK_BUDGET)
         if title in files:
             file = files[title]
-            name = next(name for name, other in self._named().items() if other is file)
+            name = next(name for name, other in self._name_solvers().items() if other is file)
             lines = run_outside(name, problem.arrays(begin), answers, file.SETTINGS[setting], budget)
             check(lines, title, file.PACKAGES)
             about = {"law": file.LAW or "its own, not given to FEniCSx", "dtype": file.DTYPE}
@@ -211,13 +211,13 @@ class Arena(Study):
         figure = plot_curves(Panel.by_case([(row.case, row.values) for row in _without_seeds(rows)]))
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
-    def _named(self) -> Mapping[str, SolverFile]:
+    def _name_solvers(self) -> Mapping[str, SolverFile]:
         """Load the solvers' files, by what a run is asked for."""
         return {name: load_file(name) for name in (*NAMES, *self.files)}
 
     def _files(self) -> Mapping[str, SolverFile]:
         """Load the solvers' files, by title."""
-        return {file.TITLE: file for file in self._named().values()}
+        return {file.TITLE: file for file in self._name_solvers().values()}
 
     def _rivals(self) -> Mapping[str, Sequence[str]]:
         """Give settings by title: those of files, then ours and those that `add_solver` added."""

@@ -96,9 +96,9 @@ def _collect_lines(rows: Sequence[Row]) -> list[Values]:
     return [line for row in rows for line in row.values["rows"]]
 
 
-def simulate_shapes(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
+def simulate_shapes(person: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
     """Simulate a row per shape (numbers in ARKit's order) that a person's space has."""
-    head, deltas = of.head, of.space.expression_deltas(of.code)
+    head, deltas = person.head, person.space.expression_deltas(person.code)
     skin, rows = head.skin, []
     prepared: Prepared | None = None
     for shape in chosen:

@@ -141,18 +141,18 @@ def solve_linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple
     return find_answer(head, shape, scene, solver="fenicsx", tolerance=LINEAR_TOLERANCE)
 
 
-def compare_mirrored_loads(of: Person, size: float) -> list[dict]:
+def compare_mirrored_loads(person: Person, size: float) -> list[dict]:
     """Compare a one-sided smile with its mirror image, on split prisms and free tets of a symmetric skin.
 
     SoftdecaError for a skin that is not its own mirror image.
     """
-    rest = of.head.skin.vertices
-    moved = of.shape(ONE_SIDED) - rest
+    rest = person.head.skin.vertices
+    moved = person.shape(ONE_SIDED) - rest
     distance, partner = cKDTree(rest).query(rest * MIRROR)
     if distance.max() > PAIRED:
         raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
     rows = []
-    for what, head in ((SPLIT_PRISMS, of.head), (FREE_TETS, remesh(of.head, size))):
+    for what, head in ((SPLIT_PRISMS, person.head), (FREE_TETS, remesh(person.head, size))):
         shapes = [rest + moved, rest + moved[partner] * MIRROR]
         left, right = (solve_linear(head, shape, SOFT) for shape in shapes)
         motion = distances(right.skin, shapes[1])

@@ -131,7 +131,7 @@ class Table1(Study):
         }
         if task.method in (SOFTSMPL_GRU, SNP):
             return about | self._play(task.method, tested)
-        method, seconds, said = self._fitted(task.method, contest)
+        method, seconds, said = self._fit(task.method, contest)
         rows = [replace(score, method=task.method, fit_seconds=seconds) for score in self._scores(method, contest)]
         return about | said | {"rows": [asdict(row) for row in rows]}
 
@@ -149,7 +149,7 @@ class Table1(Study):
         score = evaluate_played(name, method, tested)
         return {"steps": method.steps, "rows": [asdict(score)]}
 
-    def _fitted(self, name: str, contest: Contest) -> tuple[Method, float | None, dict[str, Any]]:
+    def _fit(self, name: str, contest: Contest) -> tuple[Method, float | None, dict[str, Any]]:
         """Return a method that is ready, the processor seconds of its training, and what is said of that."""
         if name in contest.methods:
             return contest.methods[name], None, {}

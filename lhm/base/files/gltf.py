@@ -97,7 +97,7 @@ class _Document:
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        placed = self._placed()
+        placed = self._place_meshes()
         read: dict[int, list[_Primitive]] = {}
         first = 0
         for node, matrix in placed:
@@ -152,7 +152,7 @@ class _Document:
             raise InputError(f"{kind}: {quote(number)} is none of its {len(listed)}")
         return listed[number]
 
-    def _placed(self) -> list[tuple[dict, Floats]]:
+    def _place_meshes(self) -> list[tuple[dict, Floats]]:
         """Return nodes that have a mesh, with their global transform (4, 4)."""
         nodes = self._json.get("nodes", [])
         GLTF_NODES.check("it has", len(nodes))
@@ -281,7 +281,7 @@ class _Document:
             values = np.zeros((count, width))
         else:
             stride = self._item("bufferViews", view).get("byteStride", width * kind.itemsize)
-            values = _strided(self._view(view), offset, kind, count, width, stride).astype(np.float64)
+            values = _read_strided(self._view(view), offset, kind, count, width, stride).astype(np.float64)
         if "sparse" in accessor:
             sparse = accessor["sparse"]
             ids = self._sparse(sparse, "indices", np.dtype(_TYPES[sparse["indices"]["componentType"]]), 1)[:, 0]
@@ -296,7 +296,7 @@ class _Document:
     def _sparse(self, sparse: dict, which: str, kind: np.dtype, width: int) -> np.ndarray:
         offset = sparse[which].get("byteOffset", 0)
         count = VERTICES.check("sparse", sparse["count"])
-        return _strided(self._view(sparse[which]["bufferView"]), offset, kind, count, width, width * kind.itemsize)
+        return _read_strided(self._view(sparse[which]["bufferView"]), offset, kind, count, width, width * kind.itemsize)
 
     def _view(self, number: int) -> memoryview:
         view = self._item("bufferViews", number)
@@ -367,7 +367,7 @@ def _bytes(name: str, number: Any, most: int = FILE_BYTES.most) -> int:
     return number
 
 
-def _strided(content: memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
+def _read_strided(content: memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
     size = width * kind.itemsize
     if not size <= _bytes("byteStride", stride, LONGEST_STRIDE):
         raise InputError(f"byteStride: {stride}, below the {size} bytes of an element")

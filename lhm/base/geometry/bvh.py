@@ -236,7 +236,7 @@ def _six_volumes(a, b, c, d):
 
 
 @njit(cache=True)
-def _containing(points, besides, ids, corners, order, start, stop, left, box):
+def _find_containing(points, besides, ids, corners, order, start, stop, left, box):
     """Return pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
     pairs, weights = [], []
     stack = np.empty(128, np.int64)
@@ -295,5 +295,5 @@ class TetTree:
 
         Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
         """
-        pairs, weights = _containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self.nodes)
+        pairs, weights = _find_containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self.nodes)
         return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(weights, dtype=np.float64).reshape(-1, 4)

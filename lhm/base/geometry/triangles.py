@@ -140,7 +140,7 @@ def _cross(u, v):
 
 
 @njit(cache=True)
-def _parting(first, second):
+def _find_parting(first, second):
     shifts = np.empty(len(first))
     for k in range(len(first)):
         a, b = first[k], second[k]
@@ -154,7 +154,7 @@ def _parting(first, second):
 
 
 @njit(cache=True)
-def _crossed_edges(first, second):
+def _find_crossed_edges(first, second):
     crossings = []
     for k in range(len(first)):
         a, b = first[k], second[k]
@@ -173,7 +173,7 @@ def parting_shifts(first: Floats, second: Floats) -> Floats:
     It is 0 for triangles apart. The least overlap over both normals and the nine cross products of edges: separating
     axes, as in Gottschalk, Lin and Manocha 1996.
     """
-    return _parting(np.ascontiguousarray(first), np.ascontiguousarray(second))
+    return _find_parting(np.ascontiguousarray(first), np.ascontiguousarray(second))
 
 
 def crossed_edges(first: Floats, second: Floats) -> Ints:
@@ -181,7 +181,7 @@ def crossed_edges(first: Floats, second: Floats) -> Ints:
 
     For pairs of corners (k, 3, 3); edge i goes from corner i to the next.
     """
-    crossings = _crossed_edges(np.ascontiguousarray(first), np.ascontiguousarray(second))
+    crossings = _find_crossed_edges(np.ascontiguousarray(first), np.ascontiguousarray(second))
     return np.array(crossings, dtype=np.int64).reshape(-1, 3)
 
 

@@ -111,7 +111,7 @@ class DepthRegressor:
         size = np.linalg.norm(scores, axis=0)
         unit = scores / size
         ridges = RIDGES * size[0] ** 2 if size.size else np.zeros(1)
-        errors = [_left_out(unit, size**2 / (size**2 + ridge), wanted) for ridge in ridges]
+        errors = [_leave_one_out(unit, size**2 / (size**2 + ridge), wanted) for ridge in ridges]
         ridge = ridges[int(np.argmin(errors))]
         deviations = size / np.sqrt(count - 1)
         shrunk = (size**2 / (size**2 + ridge) * deviations / size)[:, None]
@@ -231,7 +231,7 @@ def _principal(rows: Floats, most: int) -> tuple[Floats, Floats]:
     return scores, (vectors[:, largest] / np.sqrt(squares[largest])).T @ rows
 
 
-def _left_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
+def _leave_one_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
     """Sum of squared errors of each row of `wanted` (N, q) predicted without it, with a mean of its own."""
     left = wanted - (unit * shrink) @ (unit.T @ wanted)
     hat = 1 / len(unit) + (unit**2) @ shrink

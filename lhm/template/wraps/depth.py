@@ -63,12 +63,12 @@ def mean_depth(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
     `eyes` (2, 3): the eyes' centres, the subject's left first; `mouth` (3,): the mouth's centre [mm].
     """
     rest = SCALP + (NECK - SCALP) * np.clip((-0.7 - _frame(points, eyes, mouth)[1]) / 0.6, 0.0, 1.0)
-    return _blended(points, eyes, mouth, np.array([mark.depth for mark in LANDMARKS]), rest)
+    return _blend(points, eyes, mouth, np.array([mark.depth for mark in LANDMARKS]), rest)
 
 
 def depth_spread(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
     """Standard deviation over the mean of the depth at points of the skin, shape (k,); see `mean_depth`."""
-    spread = _blended(points, eyes, mouth, np.array([mark.spread for mark in LANDMARKS]), np.full(len(points), SPREAD))
+    spread = _blend(points, eyes, mouth, np.array([mark.spread for mark in LANDMARKS]), np.full(len(points), SPREAD))
     return np.maximum(spread, LEAST_DEVIATION / mean_depth(points, eyes, mouth))
 
 
@@ -78,7 +78,7 @@ def _frame(points: Floats, eyes: Floats, mouth: Floats) -> tuple[Floats, Floats]
     return np.abs(points[:, 0] - origin[0]) / half, (points[:, 1] - origin[1]) / drop
 
 
-def _blended(points: Floats, eyes: Floats, mouth: Floats, at_marks: Floats, rest: Floats) -> Floats:
+def _blend(points: Floats, eyes: Floats, mouth: Floats, at_marks: Floats, rest: Floats) -> Floats:
     """The landmarks' values near them in front, `rest` away from them and behind."""
     x, y = _frame(points, eyes, mouth)
     half, origin = 0.5 * np.linalg.norm(eyes[0] - eyes[1]), eyes.mean(axis=0)

@@ -41,7 +41,7 @@ POLICY = SkullPolicy()
 
 
 @njit(cache=True)
-def _turned(x, rest, indptr, indices, weights, rotations):
+def _turn(x, rest, indptr, indices, weights, rotations):
     """Rotations (n, 3, 3) of the one-rings from `rest` to x, improved in place (Müller et al., MIG 2016)."""
     for i in range(len(x)):
         r = rotations[i]
@@ -135,7 +135,7 @@ class SkullFit:
                 pull = (self.share * lean)[:, None] * along_edge
                 for c in range(3):
                     sheared[:, c] += np.bincount(ends, pull[:, c], self.columns.n)
-            _turned(x, self.skull, graph.indptr, graph.indices, graph.data, rotations)
+            _turn(x, self.skull, graph.indptr, graph.indices, graph.data, rotations)
             unbent = self.rows @ x - np.einsum("nij,nj->ni", rotations, bent)
             gradient = self.areas[:, None] * to_depth + policy.rectangle * sheared
             gradient += policy.curvature * (self.rows.T @ (self.areas[:, None] * unbent))

@@ -36,13 +36,13 @@ class Stiffness:
         self.local.setBlockSize(3)
         blocks = PETSc.LGMap().create(np.arange(nodes.count, dtype=PETSc.IntType), bsize=3, comm=ALONE)
         self.local.setLGMap(blocks, blocks)
-        self.matrix = self.local if nodes.comm.size == 1 else self._distributed()
+        self.matrix = self.local if nodes.comm.size == 1 else self._distribute()
         for matrix in (self.local, self.matrix):
             matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
             matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
-    def _distributed(self) -> PETSc.Mat:
+    def _distribute(self) -> PETSc.Mat:
         """The sum of all ranks' `local`, which PETSc keeps as one matrix of parts."""
         nodes, order = self.nodes, self.nodes.local_map()
         sizes = ((3 * nodes.owned, 3 * nodes.total),) * 2

@@ -43,30 +43,30 @@ class Rings(NodalEnergy):
     stiffness: Floats
 
     @classmethod
-    def from_scene(cls, scene: Scene, order: Numbering) -> list[Rings]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Rings]:
         """See NodalEnergy; of each term there is one for every number of neighbours."""
-        return [rings for term in scene.of(Bending) for rings in cls._from_term(scene, term, order)]
+        return [rings for term in scene.of(Bending) for rings in cls._from_term(scene, term, numbering)]
 
     @classmethod
-    def _from_term(cls, scene: Scene, term: Bending, order: Numbering) -> Iterator[Rings]:
-        order.dofs_of(term.name, term.triangles)
+    def _from_term(cls, scene: Scene, term: Bending, numbering: Numbering) -> Iterator[Rings]:
+        numbering.dofs_of(term.name, term.triangles)
         X = scene.vertices if term.rest is None else term.rest
         cotangents, area, stiffness = _weights(term, X)
         edges, triangles = np.unique(
             np.sort(term.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
         )
         inner = np.setdiff1d(term.triangles, edges[triangles == 1])
-        inner = inner[(order.dof[inner] >= 0) & (order.dof[inner] < order.nodes.owned)]
+        inner = inner[(numbering.dof[inner] >= 0) & (numbering.dof[inner] < numbering.nodes.owned)]
         count = np.diff(cotangents.indptr)
         for k in np.unique(count[inner]):
             centre = inner[count[inner] == k]
             slots = cotangents.indptr[centre][:, None] + np.arange(k)
             ring, w = cotangents.indices[slots], cotangents.data[slots]
             s = stiffness[centre] * area[centre]
-            nodes = order.dof[np.column_stack([centre, ring])]
+            nodes = numbering.dof[np.column_stack([centre, ring])]
             yield cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s)
 
-    def _turned(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _turn(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """R, Y, Rᵀl and b at positions x."""
         e = x[self.nodes[:, 1:]] - x[self.nodes[:, :1]]
         U, sigma, Vt = np.linalg.svd((self.w[:, :, None] * e).transpose(0, 2, 1) @ self.E)
@@ -80,13 +80,13 @@ class Rings(NodalEnergy):
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        _, _, p, b = self._turned(x)
+        _, _, p, b = self._turn(x)
         return 0.5 * float(self.stiffness @ np.sum((p - b) ** 2, axis=1))
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
-        R, Y, p, b = self._turned(x)
-        z = np.einsum("mik,mk->mi", _turning(Y), np.cross(b, p))
+        R, Y, p, b = self._turn(x)
+        z = np.einsum("mik,mk->mi", _differentiate_turn(Y), np.cross(b, p))
         turned = self.a[:, :, None] * (p - b)[:, None, :] - self.w[:, :, None] * np.cross(z[:, None, :], self.E)
         force = (self.stiffness[:, None, None] * turned) @ R.transpose(0, 2, 1)
         force = np.concatenate([-force.sum(axis=1, keepdims=True), force], axis=1)
@@ -94,17 +94,17 @@ class Rings(NodalEnergy):
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """See NodalEnergy."""
-        R, Y, p, b = self._turned(x)
+        R, Y, p, b = self._turn(x)
         m, k = self.a.shape
-        G = _turning(Y)
+        G = _differentiate_turn(Y)
         z = np.einsum("mik,mk->mi", G, np.cross(b, p))
         spin = np.einsum("mik,mj,mjkc->mijc", G, self.w, skew(self.E), optimize=True)  # ω = Σ spin q
         slope = np.einsum("mj,ic->mijc", self.a, np.eye(3))  # Rᵀdl = Σ slope q
         pull = self.w[:, :, None] * self.E
-        dz = _after(skew(b), slope + _after(skew(p), spin))
+        dz = _compose(skew(b), slope + _compose(skew(p), spin))
         dz += np.einsum("mj,ic->mijc", np.einsum("mjc,mc->mj", pull, z), np.eye(3)) - np.einsum("mi,mjc->mijc", z, pull)
-        dz = _after(G, dz + _after(skew(np.einsum("mik,mk->mi", Y, z)), spin))
-        rows = np.einsum("mh,mijc->mhijc", self.a, slope + _after(skew(b), spin))
+        dz = _compose(G, dz + _compose(skew(np.einsum("mik,mk->mi", Y, z)), spin))
+        rows = np.einsum("mh,mijc->mhijc", self.a, slope + _compose(skew(b), spin))
         rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, skew(np.cross(z[:, None, :], self.E)), spin, optimize=True)
         rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, skew(self.E), dz, optimize=True)
         local = rows.reshape(m, 3 * k, 3 * k)
@@ -118,12 +118,12 @@ class Rings(NodalEnergy):
         return np.concatenate([-blocks.sum(axis=2, keepdims=True), blocks], axis=2)
 
 
-def _after(A: Floats, maps: Floats) -> Floats:
+def _compose(A: Floats, maps: Floats) -> Floats:
     """A (m, 3, 3) after maps (m, 3, k, 3) from all q."""
     return np.einsum("mih,mhjc->mijc", A, maps)
 
 
-def _turning(Y: Floats) -> Floats:
+def _differentiate_turn(Y: Floats) -> Floats:
     """G = (tr(Y) I - Y)⁻¹, shape (m, 3, 3), with a floor under its divisors."""
     sigma, V = np.linalg.eigh(Y)
     divisors = sigma.sum(axis=1, keepdims=True) - sigma

@@ -65,21 +65,21 @@ class Kernel:
     """
 
     def __init__(
-        self, order: Numbering, cells: Ints, degree: int, laws: Sequence[Law], pressure_dofs: Ints | None = None
+        self, numbering: Numbering, cells: Ints, degree: int, laws: Sequence[Law], pressure_dofs: Ints | None = None
     ):
         self.cells = cells
         points, weights = seam.quadrature_rule(degree)
         self._per_cell = len(points)
-        shapes, corner_shapes = seam.shapes(order.degree, points)[1], seam.shapes(1, points)[0]
+        shapes, corner_shapes = seam.shapes(numbering.degree, points)[1], seam.shapes(1, points)[0]
         with count_compilation():
             self._library = load_library(_header(shapes, weights / weights.sum(), corner_shapes, laws))
         self._width = ctypes.c_int64.in_dll(self._library, "width").value
         self._rows = np.minimum(np.arange(-(-len(cells) // self._width) * self._width), len(cells) - 1)
         padded = cells[self._rows]
-        corners = order.X[order.dof[order.cell_vertices[padded]]]
+        corners = numbering.X[numbering.dof[numbering.cell_vertices[padded]]]
         inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
-        self._volume = np.where(np.arange(len(padded)) < len(cells), order.cell_volumes[padded], 0.0)
-        self._nodes = np.ascontiguousarray(order.cell_dofs[padded], dtype=np.int64)
+        self._volume = np.where(np.arange(len(padded)) < len(cells), numbering.cell_volumes[padded], 0.0)
+        self._nodes = np.ascontiguousarray(numbering.cell_dofs[padded], dtype=np.int64)
         self._inverse = self._by_block(inverse.reshape(-1, 9))
         self._slots: Ints | None = None
         self._pressure_dofs: Ints | None = None

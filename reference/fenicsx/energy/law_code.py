@@ -112,7 +112,7 @@ class Graph:
         """Return the derivatives of a node by inputs."""
         zero = self.number(0.0)
         by = {of: self.number(1.0)}
-        for a in sorted(self._needed([of]), reverse=True):
+        for a in sorted(self._find_needed([of]), reverse=True):
             if a in by:
                 for operand, slope in self._slopes(a, inputs):
                     by[operand] = self.add(by.get(operand, zero), self.multiply(by[a], slope))
@@ -136,7 +136,7 @@ class Graph:
         elif operation in SLOPES:
             yield operands[0], SLOPES[operation](self, a, *operands)
 
-    def _needed(self, nodes: Sequence[int]) -> set[int]:
+    def _find_needed(self, nodes: Sequence[int]) -> set[int]:
         """Find all nodes that some nodes are computed from, themselves included."""
         needed, open_nodes = set(nodes), list(nodes)
         while open_nodes:
@@ -149,7 +149,7 @@ class Graph:
     def write(self, results: Mapping[str, int]) -> str:
         """Write C that computes results by the texts that they are assigned to."""
         lines = []
-        for a in sorted(self._needed(list(results.values()))):
+        for a in sorted(self._find_needed(list(results.values()))):
             operation, *operands = self._nodes[a]
             if operation not in ("number", "input"):
                 kind = "mask" if operation in MASKS else "vec"

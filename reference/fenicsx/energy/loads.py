@@ -24,23 +24,23 @@ PRESSURE_DEGREES = {3: 2, 6: 6}
 """Degree of the rule that is exact, by the nodes of a triangle."""
 
 
-def dead_loads(scene: Scene, order: Numbering) -> Floats:
+def dead_loads(scene: Scene, numbering: Numbering) -> Floats:
     """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
-    forces = np.zeros(order.X.shape)
+    forces = np.zeros(numbering.X.shape)
     for term in scene.of(Gravity):
         tets = scene.tets_of(term)
         weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
-        cells = order.cell[tets]
-        nodes = order.cell_dofs[cells[cells >= 0]]
-        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
+        cells = numbering.cell[tets]
+        nodes = numbering.cell_dofs[cells[cells >= 0]]
+        shares = np.outer(weight[cells >= 0], CELL_SHARES[numbering.degree])
         forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
     for term in scene.of(Traction):
         if not term.triangles.size:
             continue
-        here, nodes = order.faces(term.name, term.triangles)
-        shares = np.outer(term.areas(scene.vertices)[here], FACE_SHARES[order.degree])
+        here, nodes = numbering.faces(term.name, term.triangles)
+        shares = np.outer(term.areas(scene.vertices)[here], FACE_SHARES[numbering.degree])
         forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.sum_up(forces)
+    return numbering.nodes.sum_up(forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class FollowerPressure(NodalEnergy):
     derivatives: Floats
 
     @classmethod
-    def from_scene(cls, scene: Scene, order: Numbering) -> list[FollowerPressure]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[FollowerPressure]:
         """See NodalEnergy."""
-        faces = [(term, *order.faces(term.name, term.triangles)) for term in scene.of(Pressure)]
+        faces = [(term, *numbering.faces(term.name, term.triangles)) for term in scene.of(Pressure)]
         return [cls.from_term(term, nodes, here) for term, here, nodes in faces]
 
     @classmethod
@@ -108,14 +108,14 @@ class Springs(NodalEnergy):
     stiffness: Floats
 
     @classmethod
-    def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Springs]:
         """Make the springs of each target, and of all inertia together."""
         springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)
         owned = []
         for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
-            mine, dofs = order.own_dofs(name, vertices)
+            mine, dofs = numbering.own_dofs(name, vertices)
             owned.append(cls(dofs[:, None], positions[mine], np.broadcast_to(values, len(vertices))[mine]))
         return owned
 

@@ -22,7 +22,7 @@ class NodalEnergy(ABC):
 
     @classmethod
     @abstractmethod
-    def from_scene(cls, scene: Scene, order: Numbering) -> Sequence[Self]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> Sequence[Self]:
         """Make the elements of all terms of one kind; SceneError for those that the mesh has no nodes for."""
 
     @abstractmethod

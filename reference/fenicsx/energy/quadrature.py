@@ -19,14 +19,14 @@ class Quadrature:
     `volume` [mm³], shape (k q,), is what each stands for.
     """
 
-    def __init__(self, order: Numbering, cells: Ints, degree: int):
+    def __init__(self, numbering: Numbering, cells: Ints, degree: int):
         points, weights = seam.quadrature_rule(degree)
         self.cells = cells
         self.per_cell = len(points)
-        self.volume = np.outer(order.cell_volumes[cells], weights / weights.sum()).ravel()
-        self._nodes = order.cell_dofs[cells]
-        self._derivatives = np.ascontiguousarray(seam.shapes(order.degree, points)[1])
-        x = order.X[order.dof[order.cell_vertices[cells]]]
+        self.volume = np.outer(numbering.cell_volumes[cells], weights / weights.sum()).ravel()
+        self._nodes = numbering.cell_dofs[cells]
+        self._derivatives = np.ascontiguousarray(seam.shapes(numbering.degree, points)[1])
+        x = numbering.X[numbering.dof[numbering.cell_vertices[cells]]]
         self._inverse = np.ascontiguousarray(np.linalg.inv((x[:, 1:] - x[:, :1]).transpose(0, 2, 1)))
 
     def deformation_gradient(self, u: Floats) -> Floats:

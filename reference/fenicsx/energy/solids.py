@@ -117,10 +117,10 @@ class Solid:
     mixed: bool
 
     @classmethod
-    def from_term(cls, scene: Scene, term: SolidTerm, order: Numbering, *, mixed: bool) -> Solid:
+    def from_term(cls, scene: Scene, term: SolidTerm, numbering: Numbering, *, mixed: bool) -> Solid:
         """The part of a scene's term on the cells of this process."""
         mixed = mixed and isinstance(term, Hyperelastic)
-        cells = order.cell[scene.tets_of(term)]
+        cells = numbering.cell[scene.tets_of(term)]
         mine = cells >= 0
         if mine.all():
             return cls(term, cells, mixed)
@@ -170,11 +170,11 @@ class Solids:
     of these laws. `pressure` is a function of linear elements and `pressure_dofs` its nodes by cell, (cells, 4).
     """
 
-    def __init__(self, scene: Scene, order: Numbering, pressure, pressure_dofs: Ints | None = None):
-        self._order, self._pressure = order, pressure
-        self._displacement = seam.function(order.space)
-        self.softness = np.zeros(len(order.cell_dofs))
-        degree = DEGREES[order.degree]
+    def __init__(self, scene: Scene, numbering: Numbering, pressure, pressure_dofs: Ints | None = None):
+        self._order, self._pressure = numbering, pressure
+        self._displacement = seam.function(numbering.space)
+        self.softness = np.zeros(len(numbering.cell_dofs))
+        degree = DEGREES[numbering.degree]
         solids = self._solids(scene)
         self.mixed_forms: list[MixedForms] = []
         for solid in solids:
@@ -184,9 +184,9 @@ class Solids:
                 law, growth = solid.term.material, solid.term.growth
                 self.mixed_forms.append(MixedForms(self._displacement, solid.cells, law, degree, growth, pressure))
                 self.softness[solid.cells] += 1.0 / law.shear_modulus
-        self.kernels = [Kernel(order, cells, degree, laws, pressure_dofs) for cells, laws in self._laws(solids)]
+        self.kernels = [Kernel(numbering, cells, degree, laws, pressure_dofs) for cells, laws in self._laws(solids)]
         cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
-        self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
+        self.cells, self.quadrature = cells, Quadrature(numbering, cells, degree)
 
     def set(self, scene: Scene):
         """Take a scene's numbers."""

@@ -35,13 +35,13 @@ class Membrane(NodalEnergy):
     stretch: Floats
 
     @classmethod
-    def from_scene(cls, scene: Scene, order: Numbering) -> list[Membrane]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Membrane]:
         """See NodalEnergy."""
-        return [cls._from_term(scene, term, order) for term in scene.of(SurfaceStrain)]
+        return [cls._from_term(scene, term, numbering) for term in scene.of(SurfaceStrain)]
 
     @classmethod
-    def _from_term(cls, scene: Scene, term: SurfaceStrain, order: Numbering) -> Membrane:
-        here, nodes = order.faces(term.name, term.triangles)
+    def _from_term(cls, scene: Scene, term: SurfaceStrain, numbering: Numbering) -> Membrane:
+        here, nodes = numbering.faces(term.name, term.triangles)
         triangles = term.triangles[here]
         _, area = _plane(scene.vertices, triangles)
         inverse, _ = _plane(scene.vertices if term.rest is None else term.rest, triangles)

@@ -112,18 +112,18 @@ class Problem:
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
-        order, owned = self.numbering, self.numbering.own_corners
+        numbering, owned = self.numbering, self.numbering.own_corners
         supported = np.zeros(len(scene.vertices), dtype=bool)
-        supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
-        if order.comm.size > 1:
+        supported[numbering.vertex[np.searchsorted(numbering.corners, owned)][~self.unsupported[owned]]] = True
+        if numbering.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, supported, op=MPI.LOR)
         bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:
             raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
-        self.loads = dead_loads(scene, order)
+        self.loads = dead_loads(scene, numbering)
         self.solids.set(scene)
         self._parts = self._take_nodal(scene)
-        sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
+        sizes = self.comm.allreduce(float(np.cbrt(numbering.cell_volumes).sum()))
         self.energy_scale = scene.force_scale() * sizes
 
     def held_dofs(self, held: np.ndarray) -> Ints:

@@ -59,10 +59,10 @@ class RigidProblem:
     Each rank has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
     """
 
-    def __init__(self, scene: Scene, order: Numbering, problem: Problem):
+    def __init__(self, scene: Scene, numbering: Numbering, problem: Problem):
         self.problem, self.comm = problem, problem.comm
-        self._order = order
-        self._n = order.nodes.owned
+        self._numbering = numbering
+        self._n = numbering.nodes.owned
         self.set(scene)
         self.nodes: Ints = np.concatenate([body.nodes for body in self._bodies])
         self.free: Ints = np.setdiff1d(np.arange(self._n), self.nodes)
@@ -73,7 +73,7 @@ class RigidProblem:
         rest = [Pose(centre, Rotation.identity()) for centre in self._centres]
         P = self._projection(rest)
         indptr, indices = (part.astype(PETSc.IntType) for part in (P.indptr, P.indices))
-        sizes = (3 * self._n, 3 * order.nodes.total), (3 * self.count, 3 * self._total)
+        sizes = (3 * self._n, 3 * numbering.nodes.total), (3 * self.count, 3 * self._total)
         self._P = PETSc.Mat().createAIJ(sizes, bsize=3, csr=(indptr, indices, P.data), comm=self.comm)
         self.matrix = problem.matrix.ptap(self._P)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -82,17 +82,17 @@ class RigidProblem:
 
     def set(self, scene: Scene):
         """Take a scene's bodies, of the same vertices."""
-        order = self._order
+        numbering = self._numbering
         self._bodies, self._centres = [], []
         for term in scene.of(RigidBody):
-            order.dofs_of(term.name, term.vertices)
+            numbering.dofs_of(term.name, term.vertices)
             places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
             places[term.vertices] = scene.body_rest(term)
             member[term.vertices] = True
-            nodes = np.flatnonzero(order.held(member)[: self._n].all(axis=1))
+            nodes = np.flatnonzero(numbering.held(member)[: self._n].all(axis=1))
             centre = places[term.vertices].mean(axis=0)
             radius = float(np.sqrt(np.mean(np.sum((places[term.vertices] - centre) ** 2, axis=1))))
-            self._bodies.append(Body(nodes, order.to_dofs(places)[nodes] - centre, radius))
+            self._bodies.append(Body(nodes, numbering.to_dofs(places)[nodes] - centre, radius))
             self._centres.append(centre)
 
     @property
@@ -137,10 +137,10 @@ class RigidProblem:
     def at(self, u: Floats, poses: list[Pose]) -> RigidState:
         """The problem at a displacement [mm], shape (owned or more, 3), of the free nodes, and poses of the bodies."""
         u = np.array(u[: self._n])
-        x = self._order.X[: self._n] + u
+        x = self._numbering.X[: self._n] + u
         self.place(poses, x)
-        u[self.nodes] = (x - self._order.X[: self._n])[self.nodes]
-        return RigidState(self, self.problem.at(self._order.nodes.spread(u)), poses)
+        u[self.nodes] = (x - self._numbering.X[: self._n])[self.nodes]
+        return RigidState(self, self.problem.at(self._numbering.nodes.spread(u)), poses)
 
     def moved(self, state: RigidState, step: Floats) -> RigidState:
         """The problem after a step of the unknowns [mm], a vector (3 count,)."""
@@ -203,7 +203,7 @@ class RigidProblem:
 
     def _rigid_motions(self) -> PETSc.NullSpace:
         """Rigid motions of everything, in the unknowns at rest."""
-        free = self._order.X[self.free]
+        free = self._numbering.X[self.free]
         basis = np.zeros((6, self.count, 3))
         for c, axis in enumerate(np.eye(3)):
             basis[c, : len(free), c] = 1.0

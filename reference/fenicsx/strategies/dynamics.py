@@ -129,7 +129,7 @@ class Chord:
             if not fell:
                 self._has_factors = False
                 if fresh and not norm_after < norm:
-                    return self._by_newton(state, threshold, iteration, factored)
+                    return self._solve_by_newton(state, threshold, iteration, factored)
             if after is not None and norm_after < norm:
                 state, gradient, norm, fresh = after, gradient_after, norm_after, False
         return Minimum(state, Reason.CONVERGED if norm <= threshold else Reason.MAX_ITERATIONS, self._limit, factored)
@@ -153,7 +153,7 @@ class Chord:
                 return after, *self._gradient(after)
         return None, gradient, np.inf
 
-    def _by_newton(self, state: MovingState, threshold: float, made: int, factored: int) -> Minimum:
+    def _solve_by_newton(self, state: MovingState, threshold: float, made: int, factored: int) -> Minimum:
         before = self._newton.work.linear_solves
         end, reason, iterations = self._newton.minimise(
             state,
@@ -198,13 +198,13 @@ class March:
             problem = Problem(scene, Numbering(scene, problem.numbering.degree, comm=self.comm, skin=motion.skin))
         else:
             problem.set(scene)
-        self.problem, self.order = problem, problem.numbering
+        self.problem, self.numbering = problem, problem.numbering
         self.set_scene, self.dead_loads = scene, self.problem.loads
-        self.mass = mass_matrix(motion, self.order, self.problem.stiffness)
-        owned = self.order.nodes.owned
+        self.mass = mass_matrix(motion, self.numbering, self.problem.stiffness)
+        owned = self.numbering.nodes.owned
         self.frame_mass = times(self.mass, np.ones((owned, 3)))[:, 0]
         self.damper = self._damper()
-        self.fixed = self.order.held(scene.dirichlet()[0])[:owned]
+        self.fixed = self.numbering.held(scene.dirichlet()[0])[:owned]
         massless = (self.mass.getDiagonal().array_r == 0.0).reshape(owned, 3)
         self.held = self.fixed | (self.problem.unsupported[:owned, None] & massless)
         beta, gamma = self.rule.by_acceleration[1], self.rule.to_velocity[1]
@@ -214,7 +214,7 @@ class March:
             added.axpy(gamma / (beta * self.h), self.damper, structure=SAME)
         self.moving = MovingProblem(self.problem, added, float(np.cbrt(scene.volumes).sum()))
         self.chord = Chord(self.moving, np.flatnonzero(self.held), policy)
-        total = self.order.nodes.total
+        total = self.numbering.nodes.total
         stiffness = float(added.getDiagonal().norm(PETSc.NormType.NORM_1)) / (3 * total)
         self.floor = 1e-14 * (scene.force_scale() + stiffness) * total**0.5
 
@@ -226,7 +226,7 @@ class March:
         damper = self.mass.copy()
         damper.scale(by_mass)
         if by_stiffness:
-            tangent = self.problem.at(np.zeros_like(self.order.X)).hessian()
+            tangent = self.problem.at(np.zeros_like(self.numbering.X)).hessian()
             damper.axpy(by_stiffness, tangent, structure=SAME)
         return damper
 
@@ -250,13 +250,13 @@ class March:
 
     def start(self) -> Moment:
         """Make the first moment, its acceleration by the balance of forces; held vertices are where they are held."""
-        motion, order = self.motion, self.order
+        motion, numbering = self.motion, self.numbering
         scene = self._scene_at(0)
         frame_forces = self._set(scene, 0)
         held, places = scene.dirichlet()
-        u = order.to_dofs(np.where(held, places, motion.positions)) - order.X
+        u = numbering.to_dofs(np.where(held, places, motion.positions)) - numbering.X
         moves = motion.fixed is not None or motion.scenes is not None
-        v = np.where(self.held & (not moves), 0.0, order.to_dofs(motion.velocities)[: order.nodes.owned])
+        v = np.where(self.held & (not moves), 0.0, numbering.to_dofs(motion.velocities)[: numbering.nodes.owned])
         state = self.problem.at(u)
         if not np.isfinite(state.energy):
             raise SceneError("march: the energy is not finite at the start; some tet is flat or inverted")
@@ -306,15 +306,15 @@ class March:
 
     def _begin(self, now: Moment, before: Moment, scene: Scene) -> MovingState | None:
         """The best of some starts: going on, only held nodes moving, and held nodes that take the others along."""
-        places = self.order.to_dofs(scene.dirichlet()[1]) - self.order.X
-        fixed = self.order.held(scene.dirichlet()[0])
-        on = 2.0 * now.u - before.u if before is not now else now.u + self.h * self.order.nodes.spread(now.v)
+        places = self.numbering.to_dofs(scene.dirichlet()[1]) - self.numbering.X
+        fixed = self.numbering.held(scene.dirichlet()[0])
+        on = 2.0 * now.u - before.u if before is not now else now.u + self.h * self.numbering.nodes.spread(now.v)
         starts = [self.moving.at(np.where(fixed, places, u)) for u in (on, now.u)]
         starts = [state for state in starts if np.isfinite(state.energy)]
         if starts:
             return min(starts, key=lambda state: state.energy)
-        jump = np.where(fixed, places - now.u, 0.0)[: self.order.nodes.owned]
-        spread = self.order.nodes.spread(self.chord.spread(self.moving.at(now.u), jump))
+        jump = np.where(fixed, places - now.u, 0.0)[: self.numbering.nodes.owned]
+        spread = self.numbering.nodes.spread(self.chord.spread(self.moving.at(now.u), jump))
         state = self.moving.at(now.u + spread)
         return state if np.isfinite(state.energy) else None
 
@@ -331,7 +331,7 @@ class March:
 
     def _own(self, u: Floats) -> Floats:
         """The vector of a field."""
-        return u[: self.order.nodes.owned]
+        return u[: self.numbering.nodes.owned]
 
     def _work(self, forces: Floats, u: Floats) -> float:
         """The work [µJ] of forces, a vector, on a field of displacements."""
@@ -354,9 +354,9 @@ class March:
         work += float((reactions * moved)[self.held].sum())
         for old, new in zip(before.scene.of(Target), now.scene.of(Target), strict=True):
             if new is not old:
-                mine, dofs = self.order.own_dofs(new.name, new.vertices)
+                mine, dofs = self.numbering.own_dofs(new.name, new.vertices)
                 places = 0.5 * (old.positions + new.positions)[mine]
-                away = self.order.X[dofs] + 0.5 * (before.u + now.u)[dofs] - places
+                away = self.numbering.X[dofs] + 0.5 * (before.u + now.u)[dofs] - places
                 stiffness = np.broadcast_to(new.stiffness, len(new.vertices))[mine]
                 work -= float((stiffness[:, None] * away * (new.positions - old.positions)[mine]).sum())
         return self.comm.allreduce(work)
@@ -388,9 +388,9 @@ class _Record:
         self._rows.append((owner.kinetic(now), now.potential, dissipated, put_in))
         self._last = now
         held, places = now.scene.dirichlet()
-        x = owner.order.to_scene(owner.order.X + now.u, places)
+        x = owner.numbering.to_scene(owner.numbering.X + now.u, places)
         x[held] = places[held]
-        v = owner.order.to_scene(now.v, np.zeros_like(x))
+        v = owner.numbering.to_scene(now.v, np.zeros_like(x))
         self._places.append(x[motion.vertices])
         self._speeds.append(v[motion.vertices])
         step = len(self._counts)

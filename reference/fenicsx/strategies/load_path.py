@@ -153,7 +153,7 @@ class Continuation:
         if unstable.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS) or unstable.stable:
             return unstable
         begin = self._aside(unstable.point) if unstable.converged else guess.copy()
-        begin[equations.held] = self._at_share(share)[equations.held]
+        begin[equations.held] = self._evaluate_share(share)[equations.held]
         assert self._descent is not None
         m = equations.displacements
         u, p, reason, made = self._descent(equations.fields(begin)[0], begin[m:], share)
@@ -177,7 +177,7 @@ class Continuation:
         guess = here.z + (share - here.share) / (here.share - before.share) * (here.z - before.z)
         return guess if self.equations.at(guess, share).finite else here.z
 
-    def _at_share(self, share: float) -> Floats:
+    def _evaluate_share(self, share: float) -> Floats:
         return self.start + share * (self.goal - self.start)
 
     def _rate(self, point: Point) -> float:
@@ -213,7 +213,7 @@ class Continuation:
         """Newton's method from z at a share of load and motion."""
         equations = self.equations
         held = equations.held
-        target = self._at_share(share)[held]
+        target = self._evaluate_share(share)[held]
         point = equations.at(z, share)
         damping, last = 1.0, 0.0
         for iteration in range(self._policy.step_iterations + 1):

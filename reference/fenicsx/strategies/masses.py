@@ -19,27 +19,27 @@ from ..mesh.numbering import Numbering
 from ..mesh.parallel import anywhere
 
 
-def mass_matrix(motion: Motion, order: Numbering, stiffness: Stiffness) -> PETSc.Mat:
+def mass_matrix(motion: Motion, numbering: Numbering, stiffness: Stiffness) -> PETSc.Mat:
     """The masses of a march [kg] between nodes, the same for each component, in the pattern of a stiffness matrix.
 
     Raises SceneError for skin whose consistent mass lies on a triangle that is no face of a tet.
     """
     scene = motion.scene
-    volume_mass = (motion.density * scene.volumes)[order.tet]
-    parts = [(order.cell_dofs, volume_mass[:, None, None] * _shares(order.degree, "tetrahedron"))]
+    volume_mass = (motion.density * scene.volumes)[numbering.tet]
+    parts = [(numbering.cell_dofs, volume_mass[:, None, None] * _shares(numbering.degree, "tetrahedron"))]
     if motion.skin_density.any():
-        here, nodes = order.faces("skin", motion.skin)
+        here, nodes = numbering.faces("skin", motion.skin)
         a, b, c = (scene.vertices[motion.skin[here, k]] for k in range(3))
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
         mass = motion.skin_density[here] * area
-        parts.append((nodes, mass[:, None, None] * _shares(order.degree, "triangle")))
+        parts.append((nodes, mass[:, None, None] * _shares(numbering.degree, "triangle")))
     stiffness.clear()
     for nodes, blocks in parts:
         if motion.mass == "lumped":
             own = np.einsum("mkk->mk", blocks)
             own = own * (blocks.sum(axis=(1, 2)) / np.maximum(own.sum(axis=1), 1e-300))[:, None]
             nodes, blocks = nodes.reshape(-1, 1), own.reshape(-1, 1, 1)
-        elif anywhere(order.comm, ~stiffness.has_room(nodes)):
+        elif anywhere(numbering.comm, ~stiffness.has_room(nodes)):
             raise SceneError("skin: a triangle is no face of a tet; consistent mass needs its edges")
         stiffness.add(nodes, stiffness.slots(nodes), blocks[..., None, None] * np.eye(3))
     return stiffness.assemble().copy()

@@ -68,7 +68,7 @@ class Minimisation:
             return loose.threshold(run.scene, max(first, force))
 
         state, force, reason, iterations = self._newton.approach(
-            self._at(run.u), self._goal, self._nodes, self._at, threshold=end_step, max_iterations=left
+            self._evaluate(run.u), self._goal, self._nodes, self._evaluate, threshold=end_step, max_iterations=left
         )
         if reason is None:
             newton = self._newton
@@ -81,14 +81,14 @@ class Minimisation:
         sound, doubtful = reason is Reason.CONVERGED, False
         if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
             drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
-            sound = self._newton.is_stable(self._at(state.u), drift)
+            sound = self._newton.is_stable(self._evaluate(state.u), drift)
             doubtful = iterations > self._policy.minimise.straight_iterations or not sound
         run.record.add(iterations, **vars(self._work))
         return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `load_path.Descent`: what is held stays where it is."""
-        state = self._at(u, share)
+        state = self._evaluate(u, share)
         if not np.isfinite(state.energy):
             return u, p, Reason.NOT_FINITE, 0
         end, reason, made = self._newton.minimise(
@@ -98,7 +98,7 @@ class Minimisation:
         )
         return end.u, p, reason, made
 
-    def _at(self, u: Floats, share: float = 1.0) -> State:
+    def _evaluate(self, u: Floats, share: float = 1.0) -> State:
         self._work.energies += 1
         return self._problem.at(u, share=share)
 

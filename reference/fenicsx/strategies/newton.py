@@ -112,7 +112,7 @@ class Newton:
         def set_up(shift: float) -> Floats:
             nonlocal forces
             forces = np.zeros(jump.size)
-            matrix = self._shifted(state.hessian(0.0), shift)
+            matrix = self._shift(state.hessian(0.0), shift)
             hold(matrix, self.held, values, forces)
             return forces
 
@@ -196,14 +196,14 @@ class Newton:
                 return state, after, iteration
             gradient = self.free_gradient(after)
             norm_after = self.norm(gradient)
-            if state.energy - after.energy <= self._rounding(state) and norm_after >= norm:
+            if state.energy - after.energy <= self._find_rounding(state) and norm_after >= norm:
                 return state, Reason.STAGNATED, iteration
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
 
     def is_stable(self, state: AnyState, shift: float = 0.0) -> bool:
         """Whether the exact Hessian, with a share of its largest diagonal entry added, is positive definite."""
-        matrix = self._shifted(state.hessian(), shift)
+        matrix = self._shift(state.hessian(), shift)
         b = np.zeros(matrix.getLocalSize()[0])
         hold(matrix, self.held, np.zeros(len(self.held)), b)
         return self._try(self.fallback, b, 0.0) is not None
@@ -229,7 +229,7 @@ class Newton:
 
         def set_up(shift: float) -> Floats:
             b = -gradient
-            hold(self._shifted(state.hessian(kept), shift), self.held, np.zeros(len(self.held)), b)
+            hold(self._shift(state.hessian(kept), shift), self.held, np.zeros(len(self.held)), b)
             return b
 
         if kept == 0.0:
@@ -239,7 +239,7 @@ class Newton:
         if direction is None:
             return Reason.LINEAR_SOLVER
         after, slope = self._search(state, gradient, direction)
-        if after is None and abs(slope) <= self._rounding(state):
+        if after is None and abs(slope) <= self._find_rounding(state):
             return Reason.STAGNATED
         for shift in self.policy.dampings if kept == 0.0 else ():
             if after is not None:
@@ -265,12 +265,12 @@ class Newton:
         self.work.linear_iterations += answer.iterations
         return answer.x if answer.converged else None
 
-    def _shifted(self, matrix: PETSc.Mat, shift: float) -> PETSc.Mat:
+    def _shift(self, matrix: PETSc.Mat, shift: float) -> PETSc.Mat:
         if shift > 0.0:
             matrix.shift(shift * matrix.getDiagonal().norm(PETSc.NormType.INFINITY))
         return matrix
 
-    def _rounding(self, state: AnyState) -> float:
+    def _find_rounding(self, state: AnyState) -> float:
         """The energy [µJ] below which differences are rounding."""
         return 1e-14 * (self.problem.energy_scale + abs(state.energy))
 
@@ -280,7 +280,7 @@ class Newton:
         slope = dot(self.problem.comm, gradient, direction)
         if slope >= 0.0:
             return None, slope
-        step, rounding = 1.0, self._rounding(state)
+        step, rounding = 1.0, self._find_rounding(state)
         while step >= self.policy.smallest_step:
             self.work.energies += 1
             after = self.problem.moved(state, step * direction)

@@ -119,7 +119,7 @@ class Elasticity:
     def compliance(self, constraints: Constraints, place: Place) -> tuple[csr_matrix, Floats]:
         """The gaps' gradients over the unknowns C, shape (r, size), and C A⁻¹ Cᵀ [mm/mN], shape (r, r), at a place."""
         gradients = _gradients(self.system.coordinates, constraints, place)
-        return gradients, self._between_vertices(constraints) + self._by_bodies(gradients, place)
+        return gradients, self._between_vertices(constraints) + self._sum_by_bodies(gradients, place)
 
     def with_constraints(self, constraints: Constraints, place: Place) -> ContactMatrix:
         """The matrix A with the constraints' own, linearised at a place."""
@@ -141,7 +141,7 @@ class Elasticity:
             total += (weights @ (weights @ block[np.ix_(at, at)]).T) * (along @ along.T)
         return total
 
-    def _by_bodies(self, gradients: csr_matrix, place: Place) -> Floats | float:
+    def _sum_by_bodies(self, gradients: csr_matrix, place: Place) -> Floats | float:
         """The part that bodies have by giving way."""
         first, size = len(self.system.coordinates.index), self.system.coordinates.size
         if first == size:

@@ -73,14 +73,14 @@ def _check_faces(scene: Scene, term: Contact):
     faces = scene.tets[:, FACES].reshape(-1, 3)
     faces = faces[touched[faces].all(axis=1)]
     _, which, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
-    border = {_rotated(face) for face in faces[count[which.ravel()] == 1].tolist()}
+    border = {_rotate(face) for face in faces[count[which.ravel()] == 1].tolist()}
     for number, triangle in enumerate(term.triangles.tolist()):
-        if _rotated(triangle) not in border:
-            how = "is seen from inside" if _rotated(triangle[::-1]) in border else "is no face of the tets' surface"
+        if _rotate(triangle) not in border:
+            how = "is seen from inside" if _rotate(triangle[::-1]) in border else "is no face of the tets' surface"
             raise SceneError(f"Contact: triangle {number} {triangle} {how}")
 
 
-def _rotated(triangle: list[int]) -> tuple[int, ...]:
+def _rotate(triangle: list[int]) -> tuple[int, ...]:
     """The same triangle from its least vertex on."""
     first = triangle.index(min(triangle))
     return (*triangle[first:], *triangle[:first])
@@ -123,7 +123,9 @@ def detect(contact: ContactSurface, x: Floats, earlier: Constraints | None = Non
     along = np.where(length > touching, gap / np.maximum(length, touching), faces[facing[outer]])
     pairs = tree.self_crossings()
     first, second = (tree.corners[pairs[:, k]] for k in range(2))
-    edges = np.vstack([_crossing_edges(contact, pairs, crossed_edges(first, second)), _pushing_edges(contact, earlier)])
+    edges = np.vstack(
+        [_find_crossing_edges(contact, pairs, crossed_edges(first, second)), _find_pushing_edges(contact, earlier)]
+    )
     parts = [
         _vertex_rows(contact, inner, partner, at, faces[partner]),
         _vertex_rows(contact, outer, facing[outer], on[outer], along),
@@ -194,7 +196,7 @@ def _outer_vertices(
     return outer[~_is_near(contact, outer, facing[outer])]
 
 
-def _pushing_edges(contact: ContactSurface, earlier: Constraints | None) -> Ints:
+def _find_pushing_edges(contact: ContactSurface, earlier: Constraints | None) -> Ints:
     """The edges of earlier constraints on this surface that push, shape (r, 4)."""
     if earlier is None:
         return np.zeros((0, 4), dtype=np.int64)
@@ -223,7 +225,7 @@ def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: F
     return _rows(contact, ids, weights, normals, contact.areas[vertices])
 
 
-def _crossing_edges(contact: ContactSurface, pairs: Ints, crossed: Ints) -> Ints:
+def _find_crossing_edges(contact: ContactSurface, pairs: Ints, crossed: Ints) -> Ints:
     """Pairs of edges (a, b, c, d), shape (r, 4), that each go through a triangle at the other; a < b, c < d, a < c."""
     sides = []
     for side in range(2):

@@ -119,7 +119,7 @@ class Tangent:
         for k, move in enumerate(moved):
             force[target.vertices] = np.reshape(target.stiffness, (-1, 1)) * move
             right[:, k] = self.coordinates.pull(force, self.place)
-        return np.stack([self._moved(step) for step in self.solve(right).T])
+        return np.stack([self._move(step) for step in self.solve(right).T])
 
     def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
         """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
@@ -140,7 +140,7 @@ class Tangent:
         if not right:
             return np.zeros((0, *self.place.u.shape))
         steps = self.solve(np.stack(right, axis=1))
-        return np.stack([carried + self._moved(step) for carried, step in zip(base, steps.T, strict=True)])
+        return np.stack([carried + self._move(step) for carried, step in zip(base, steps.T, strict=True)])
 
     def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
         """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
@@ -164,7 +164,7 @@ class Tangent:
         )
         return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
 
-    def _moved(self, step: Floats) -> Floats:
+    def _move(self, step: Floats) -> Floats:
         """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
         moved = np.zeros_like(self.place.u)
         moved.reshape(-1)[self.coordinates.index] = step[: len(self.coordinates.index)]

@@ -46,7 +46,7 @@ class System:
     @classmethod
     def from_matrix(cls, matrix: csr_matrix, anchored: np.ndarray, coordinates: Coordinates) -> System:
         """Factor the matrix (n, n) [mN/mm], given the vertices that a Target holds (n,)."""
-        _, part = connected_components(_joined(matrix, coordinates.bodies), directed=False)
+        _, part = connected_components(_join(matrix, coordinates.bodies), directed=False)
         groups = []
         for components, free in coordinates.groups:
             is_tied = np.zeros(part.max() + 1, dtype=bool)
@@ -101,14 +101,14 @@ class System:
                 ):
                     right -= motions[c].T @ force
                     matrix += motions[c].T @ group.body @ motions[c]
-            step[begin:] = _solved(matrix, right)
+            step[begin:] = _solve(matrix, right)
             for group, block, shape in blocks:
                 moved = np.stack([motions[c] @ step[begin:] for c in group.components], axis=1)
                 step[block].reshape(shape)[:] -= group.carried @ moved
         return step
 
 
-def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
+def _join(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
     """Add entries between the vertices of each body to the matrix, to tell what hangs together."""
     none = np.empty(0, dtype=np.int64)
     first = np.concatenate([none, *(np.repeat(body.vertices[0], len(body.vertices)) for body in bodies)])
@@ -129,7 +129,7 @@ def _schur(matrix: csr_matrix, rows: csr_matrix, solver: Solver, bodies: tuple[B
     return carried, affine.T @ (matrix @ affine) - pulling.T @ carried
 
 
-def _solved(matrix: Floats, right: Floats) -> Floats:
+def _solve(matrix: Floats, right: Floats) -> Floats:
     """Solve the bodies' small system, shifted as what nothing holds is, and scaled to a unit diagonal."""
     diagonal = np.diag(matrix)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
