@@ -13,12 +13,12 @@ from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
-from ....reference.materials.material import HasRotation, Isotropic, lame
+from ....reference.materials.material import HasInvariants, HasRotation, lame
 from ....reference.skfem.solids import ByInvariants, ByRotation, Law, Strain, Volume
 from ...harness.study import Column, Row, Study, Task, Values, at_most
 from ..person import check_known, parse_poisson
 
-LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
+LAWS: Mapping[str, Callable[[float, float], HasInvariants | HasRotation]] = {
     "neo-Hookean": NeoHookean.from_young,
     "stable neo-Hookean": StableNeoHookean.from_young,
     "isochoric neo-Hookean": IsochoricNeoHookean.from_young,

@@ -127,7 +127,7 @@ class WorkPrecision(OfPerson):
         return [
             Task(name_case(text, energy), label)
             for text in self.expressions
-            for energy, solvers in (BY_ENERGY | laws).items()
+            for energy, solvers in {**BY_ENERGY, **laws}.items()
             for label in (*solvers, *added_solvers(), *(READY if energy == FACE else ()))
             if self.slow or label not in SLOW
         ]
@@ -152,7 +152,7 @@ class WorkPrecision(OfPerson):
                 return lines
 
             return summarise_repeats(repeat_work(run, self.repeats))
-        how = OWN[label][1] if label in OWN else {"solver": label}
+        how: Mapping[str, Any] = OWN[label][1] if label in OWN else {"solver": label}
         answer, apart = _find_answer(posed, label, how)
         every = np.arange(len(posed.scene.vertices))
         # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
