@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,9 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
     progress("settling: neutral face", 0.0)
     frames: Iterable[TakeFrame]
     if config.simulates:
-        choices = {"bones": config.bones} | ({"contact": list(config.contact)} if config.contact else {})
+        choices: dict[str, Any] = {"bones": config.bones} | (
+            {"contact": list(config.contact)} if config.contact else {}
+        )
         neutral = settle(head, face.on_wraps, **choices)
         reason = neutral.reason
         frames = SimulatedFrames(

@@ -231,7 +231,8 @@ def _head_from_arrays(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
         volume=_read_volume(arrays, wraps, extent),
         rig=_read_rig(arrays, skin_n, extent),
         notes=read_notes(arrays),
-        **more,
+        muscles=more["muscles"],
+        skull=more["skull"],
     )
     _check_bones(head)
     return head
