@@ -92,7 +92,9 @@ class SphereDynamics(OfSphere, Dynamics):
 
 @dataclass(frozen=True)
 class SphereRanks(OfSphere, Ranks):
-    pass
+    def tasks(self):
+        # The head by one energy, and blocks of one kind: the others go the same ways.
+        return super().tasks()[::2]
 
 
 @dataclass(frozen=True)

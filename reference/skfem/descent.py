@@ -51,7 +51,7 @@ class Descent:
             forces = max(forces, self._norm(x))
             eased = replace(self.scene, terms=tuple(term.eased(policy.volume_share) for term in self.scene.terms))
             x, reason, iterations = self._minimise(
-                Energy(eased, self.at),
+                Energy(eased, self.discretisation),
                 x,
                 lambda first: policy.untangled * first,
                 min(limit, policy.max_untangling),

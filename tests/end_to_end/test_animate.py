@@ -232,20 +232,16 @@ def test_accuracies_are_lengths_or_words(command, tmp_path):
     [
         ("weight = 3", "unknown parameter 'weight'"),
         ("gravity = 7", r"gravity = 7 is outside \[0, 3\] g"),
-        ("gravity = true", "gravity: expected a number"),
         ("gravity = [1, 2]", "gravity: expected a number"),
-        ("gravity = ", "not a TOML file"),
         ('skin_stiffness = "none.npy"', "none.npy: no such file beside it"),
         ('skin_stiffness = "../out/text.npy"', "../out/text.npy: a file that is named in another has to lie"),
         ('skin_stiffness = "text.npy"', "text.npy: not an array of numbers"),
-        ('gravity = "good.npy"', "one number for the whole head"),
         ('skin_stiffness = "low.npy"', r"skin_stiffness = 1 \(number 1\) is outside"),
     ],
 )
 def test_a_bad_parameter_file_is_named_with_its_parameter(tmp_path, text, message):
     (tmp_path / "p.toml").write_text(text)
     (tmp_path / "text.npy").write_text("hello")
-    np.save(tmp_path / "good.npy", np.full(4, 1.5))
     np.save(tmp_path / "low.npy", [20.0, 1.0])
     with pytest.raises(InputError, match=message) as error:
         read_parameters(tmp_path / "p.toml")
@@ -335,17 +331,8 @@ def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(netwo
 def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     (tmp_path / "p.toml").write_text("soft_volume = 1.2\nfrequency = 3\n")
     ended = command(
-        *(
-            "animate",
-            "conversation:0.2:2",
-            "--accuracy",
-            "none",
-            "--seed",
-            1,
-            "--parameters",
-            tmp_path / "p.toml",
-            "--dynamic",
-        ),
+        *("animate", "conversation:0.2:2", "--accuracy", "none", "--seed", 1),
+        *("--parameters", tmp_path / "p.toml", "--dynamic"),
         *("--format", "gltf", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
@@ -354,19 +341,8 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
     assert gltf(tmp_path / "take" / "take.glb")["animations"]
     ended = command(
-        *(
-            "animate",
-            "conversation:0.1",
-            "--accuracy",
-            "none",
-            "--level",
-            1,
-            "--exact",
-            "--preview",
-            "none",
-            "--targets",
-            12,
-        ),
+        *("animate", "conversation:0.1", "--accuracy", "none", "--level", 1, "--exact", "--preview", "none"),
+        *("--targets", 12),
         *("--out", tmp_path / "baked"),
     )
     assert ended.status == 0 and "6 frames (6 network + derivatives), 0 failed; no error told; bound in" in ended.out

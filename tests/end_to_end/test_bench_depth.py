@@ -96,33 +96,16 @@ def _skull(folder, name, change):
     return write(folder / name, change(fitted.vertices), fitted.triangles)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda x: 1e-3 * x, "skull.npz: its extent is .* units off"),
-        (lambda x: np.full_like(x, np.nan), "skull.npz: .*finite"),
-    ],
-)
-def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command, skin, tmp_path, change, message):
-    skull = _skull(tmp_path, "skull.npz", change)
+def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command, skin, tmp_path):
+    skull = _skull(tmp_path, "skull.npz", lambda x: 1e-3 * x)
     ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
-    assert ended.status == 1 and len(ended.errors) == 1, ended
-    assert ended.errors[0].startswith("softdeca: error: ")
-    assert re.search(message, ended.errors[0]), ended.errors[0]
-    assert not (tmp_path / "out").exists()
+    assert re.search("skull.npz: its extent is .* units off", ended.refusal()) and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda x: x + [0.0, 80.0, 0.0], "skull: .* lie outside the skin"),
-        (lambda x: 0.5 * x, "skull: met from [0-9] % of the face, at least 10 % are needed"),
-    ],
-)
-def test_a_skull_that_is_not_this_skins_is_a_failure_with_its_reason(command, skin, tmp_path, change, message):
-    skull = _skull(tmp_path, "skull.npz", change)
+def test_a_skull_that_is_not_this_skins_is_a_failure_with_its_reason(command, skin, tmp_path):
+    skull = _skull(tmp_path, "skull.npz", lambda x: x + [0.0, 80.0, 0.0])
     ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
-    assert ended.status == 1 and re.search(f"FAILED skin.npz, default: {message}", ended.out), ended
+    assert ended.status == 1 and re.search("FAILED skin.npz, default: skull: .* lie outside the skin", ended.out), ended
     assert "Nothing could be measured." in ended.out
 
 

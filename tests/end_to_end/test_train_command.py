@@ -17,7 +17,7 @@ SPACE = Spheres(1)
 OF_THE_CHECKOUT = {"clean tree", "commit"}
 """What a results file may lack here: tests run on changed trees, and without git."""
 PLAN = CorpusPlan(
-    identities=12, groups=3, frames=6, sequences=0, references=0, parameter_responses=0.0,
+    identities=12, groups=2, frames=6, sequences=0, references=0, parameter_responses=0.0,
     varying=0.0, kinds={"few": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 
@@ -46,7 +46,8 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert json.loads(ended.out) == kept and set(list_missing(kept)) <= OF_THE_CHECKOUT
     told = {row["method"]: row["values"] for row in kept["rows"]}
     methods = {name: values["rows"][0] for name, values in told.items()}
-    assert set(READY) < set(methods) and len(methods) == 10 and methods["bones carried"]["share"] == pytest.approx(1.0)
+    assert set(READY) < set(methods) and len(methods) == 10
+    assert methods["bones carried"]["share"] == pytest.approx(1.0, rel=1e-5)  # skins in single precision
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.
     network = told[NETWORK]
@@ -118,9 +119,7 @@ def test_what_cannot_be_is_one_line(command, corpus, tmp_path):
         (("evaluate", corpus, "--surrogate", "no.safetensors"), "no such file"),
         (("evaluate", corpus), "vertices"),
         (("train", corpus, "--network", "paper", "--neutrals", corpus), "paper cannot honour --neutrals"),
-        (("train", corpus, "--batch", "8"), "modal cannot honour --batch"),
         (("train", corpus, "--network", "hyper", "--device", "meta"), "solved on the cpu, not on 'meta'"),
-        (("train", corpus, "--network", "hyper", "--precision", "bfloat16"), "needs float32"),
         (("train", corpus, "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
     ):
         assert said in command(*words, "--out", tmp_path / "out").refusal()

@@ -243,7 +243,7 @@ class Agreement(OfPerson):
         """Tabulate the head's gates, what effects do, what PD's answers are, each method, and what the law changes."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
         tables = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
-        faces = [{"case": row.case} | row.values for row in rows if row.method == PD]
+        faces = [{"case": row.case, **row.values} for row in rows if row.method == PD]
         effects = [values for values in faces if "change_max_mm" in values]
         if effects:
             tables.append(Table.of("What each effect does", EFFECT_TITLES, effects, EFFECT_NOTE))
