@@ -126,7 +126,7 @@ def test_what_failed_is_left_out_of_the_gates(rows):
 def test_a_second_minimum_stands_in_the_words(rows):
     assert "two minima" not in Agreement().words(rows)
     words = Agreement().words(edited(rows, FENICSX, "another_minimum_mm", 0.226))
-    assert "PD's energy has two minima on jawOpen: FEniCSx from the settled face ends up to 0.23 mm away" in words
+    assert "PD's energy has two minima on jawOpen, up to 0.23 mm apart" in words
 
 
 def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides):
