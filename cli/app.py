@@ -70,7 +70,8 @@ def _run() -> int:
         command = error.ctx.command_path if error.ctx else "softdeca"
         status = _fail(f"{error.format_message()} (`{command} --help` says more)", status=error.exit_code)
     except (KeyboardInterrupt, click.Abort):
-        status = _say("softdeca: interrupted; what was finished is kept and used by the next run", INTERRUPTED)
+        said = "softdeca: interrupted; what a study, corpus or training has finished is kept for the next run"
+        status = _say(said, INTERRUPTED)
     return status
 
 

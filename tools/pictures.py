@@ -75,6 +75,7 @@ def jaw_open(scan: Path) -> bytes:
     from softdeca.lhm import expressions
     from softdeca.reference import Parameters, apply_law, facial_scene, solve
     from softdeca.surrogate import Surrogate
+    from softdeca.surrogate.methods import BLENDSHAPES, FENICSX_NEO_HOOKEAN, NETWORK
 
     head, space, code = face()
     weights, n = expressions.weights_of({"jawOpen": 0.8}), len(head.bone)
@@ -88,9 +89,9 @@ def jaw_open(scan: Path) -> bytes:
     simulated, law = (head.skin_after(shape, solution.positions[:n]) for solution in (fast, real))
     network = Surrogate.load().bind(space.skin(code), code, Parameters()).frame(weights)
     drawn = head.skin.with_vertices(simulated)
-    off = {"blendshapes": shape, "FEniCSx, neo-Hookean": law, "network": network}
+    off = {BLENDSHAPES: shape, FENICSX_NEO_HOOKEAN: law, NETWORK: network}
     distances = {name: np.linalg.norm(skin - simulated, axis=1) for name, skin in off.items()}
-    top = float(np.percentile(distances["blendshapes"], 99.5))
+    top = float(np.percentile(distances[BLENDSHAPES], 99.5))
     panels = [Panel("simulated (PD)", drawn, weights=weights)]
     panels += [Panel(f"{name} to PD", drawn, distance, top) for name, distance in distances.items()]
     return draw_strip(panels, rest=head.skin)
@@ -161,14 +162,14 @@ def viewer(scan: Path) -> bytes:
 
     from softdeca.animation.page import Rig, render_face_page
     from softdeca.reference import Face
-    from softdeca.surrogate import METHODS
+    from softdeca.surrogate.methods import METHODS, NETWORK
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise SystemExit("viewer: Chromium is not installed")
     head, space, code = face()
     shown = Face(head, space.expression_deltas(code), code=code)
-    rig = Rig.baked("network", METHODS["network"].bind(shown))
+    rig = Rig.baked(NETWORK, METHODS[NETWORK].bind(shown))
     words = "Turn it with the mouse or a finger. The layers beneath move as the simulator says, to first order."
     text = render_face_page("the default head", words, shown, [rig])
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:

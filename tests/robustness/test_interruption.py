@@ -80,7 +80,7 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
         rest = interrupted(process, "agreement")
     said = [line for line in rest.splitlines() if line and not line.endswith(" s)")]
     assert process.returncode == 130
-    assert said == ["softdeca: interrupted; what was finished is kept and used by the next run"]
+    assert said == ["softdeca: interrupted; what a study, corpus or training has finished is kept for the next run"]
     assert not (tmp_path / "study" / "index.html").exists()
 
 

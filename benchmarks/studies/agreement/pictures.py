@@ -47,7 +47,7 @@ def draw_beside(solved: SolvedCase) -> bytes:
     errors = {f"{name} - {PD}": distances(other, pd) for name, other in others.items()}
     top = find_top(max(errors.values(), key=lambda error: float(error.mean())))
     simulated = skin.with_vertices(pd)
-    panels = [Panel("blendshapes", skin.with_vertices(solved.shape)), Panel(f"simulated ({PD})", simulated)]
+    panels = [Panel(BLENDSHAPES, skin.with_vertices(solved.shape)), Panel(f"simulated ({PD})", simulated)]
     panels += [Panel(f"{name}, mean {error.mean():.2f} mm", simulated, error, top) for name, error in errors.items()]
     return draw_strip([replace(panel, weights=solved.case.weights) for panel in panels], rest=skin)
 

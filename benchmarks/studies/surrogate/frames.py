@@ -13,7 +13,7 @@ from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.progress import OnProgress
 from ....surrogate.corpus.reading import Faces
 from ....surrogate.corpus.shard import FEM_LAWS
-from ....surrogate.methods import NETWORK, SETTLED, Method
+from ....surrogate.methods import FENICSX, NETWORK, SETTLED, Method
 from ....surrogate.ruler import kind_of_coefficients, measure
 from .methods import Contest
 
@@ -67,7 +67,7 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
         ]
         answer = solved.get((worst.face, weights_now.tobytes()))
         if answer is not None:
-            panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + answer)))
+            panels.insert(2, Panel(FENICSX, skin.with_vertices(blended + answer)))
             panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
         rows.append(draw_face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
         progress("pictures", (number + 1) / SHOWN)
