@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import SoftdecaError
 from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.progress import OnProgress
-from ..lhm.template.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
@@ -34,41 +33,42 @@ from .studies.verification import Hard, Verification
 TITLE = "is the fast simulator right, and how far is the network from it?"
 PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
-
-
+SMALL_PLAN = replace(PLAN, identities=2, groups=2, frames=2, conversations=2, hard=2)
 BESIDE_EXPRESSIONS = (*(case.name for case in WEIGHTS_AND_LOADS), "bells-palsy", "weight-40")
 """Cases of the main study beside the expressions that are asked for."""
 
 
-def choose_cases(expressions: Sequence[str]) -> tuple[str, ...]:
+def choose_cases(expressions: Sequence[str], *, small: bool = False) -> tuple[str, ...]:
     """List the cases of the main study. InputError for an expression that cannot be read."""
-    return (*(parse_expression(text).name for text in expressions), *BESIDE_EXPRESSIONS)
+    names = [parse_expression(text).name for text in expressions]
+    return (names[0], "weight-40") if small else (*names, *BESIDE_EXPRESSIONS)
 
 
-def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
+def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool = False) -> Sequence[RunRequest]:
     """List the studies, each with its folder of `out`, in the order of the run: what is timed comes last.
 
     Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
-    tested on.
+    tested on. `small`: fewer cases of each, on the level of `agreement`.
     """
-    whose, learned = agreement.identities, agreement.network() is not None
+    whose, level, learned = agreement.identities, agreement.level, agreement.network() is not None
     found: list[tuple[Study, str]] = [
         (agreement, ""),
-        (Verification(), ""),
-        (Hard(solvers=("projective",)), ""),
+        (Verification(), "two layers" if small else ""),
+        (Hard(solvers=("projective",)), "flattened" if small else ""),
         (Material(poisson=("0.45",)), ""),
     ]
     if learned and not agreement.weights:
-        frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
+        frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
         effects = ("defaults", "40 % more soft tissue")
-        split = Split(identities=whose, expressions=frames, effects=effects, refined=())
+        split = Split(identities=whose, level=level, expressions=frames, effects=effects, refined=())
         found.append((split, ""))
     if learned:
         found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
-        found.append((Dial(faces=1, frames=2), ""))
+        found.append((Dial(faces=1, frames=1 if small else 2, level=level), ""))
+    repeats = 1 if small else 5
     found += [
-        (Throughput(identities=whose), ITERATION),
-        (WorkPrecision(identities=whose, expressions=("jawOpen",)), FACE),
+        (Throughput(identities=whose, level=level), ITERATION),
+        (WorkPrecision(identities=whose, level=level, expressions=("jawOpen",), repeats=repeats), FACE),
     ]
     return [RunRequest(study, out / study.name, match) for study, match in found]
 
@@ -88,8 +88,10 @@ class Done:
         return not self.failed and all(results.passed for results in self.results)
 
 
-def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progress: OnProgress) -> Done:
-    """Run all of it, each study in its folder of `out`, and write the report of all there.
+def run_study(
+    agreement: Agreement, out: Path, *, small: bool = False, only: Only = "missing", progress: OnProgress
+) -> Done:
+    """Run all of it, each study in its folder of `out`, and write the report of all there; see `choose_studies`.
 
     Rows that are there are kept, as by `harness.run`. A study that cannot be run is told with its reason, and the rest
     is complete. Raises InputError for a space or an expression that cannot be read, before anything is run.
@@ -97,18 +99,19 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
     agreement.tasks()
     begin, processor = time.perf_counter(), read_cpu_seconds()
     with lock_folder(out, "study"):
-        template = load_template(identities.from_text(agreement.identities), progress=progress)
-        corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
+        plan, level = SMALL_PLAN if small else PLAN, agreement.level
+        template = load_template(identities.from_text(agreement.identities), level=level, progress=progress)
+        corpus = out / "surrogate" / f"corpus-{template.digest}-{plan.digest}"
         made, failed = [], []
-        found = choose_studies(agreement, out, corpus)
+        found = choose_studies(agreement, out, corpus, small=small)
         # What is timed is run by itself: nothing of ours runs beside it.
         for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
             if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):
                 space = identities.from_text(agreement.identities)
                 people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
-                made_with = {"identities": agreement.identities, "level": DEFAULT_LEVEL}
+                made_with = {"identities": agreement.identities, "level": level}
                 schedule = make_schedule(min(2, count_processors()))
-                Corpus(corpus, PLAN, people, made_with).generate(on=schedule, on_progress=progress)
+                Corpus(corpus, plan, people, made_with).generate(on=schedule, on_progress=progress)
             for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
                 if isinstance(results, SoftdecaError):
                     failed.append((each.study.name, str(results)))

@@ -32,6 +32,7 @@ class MainStudy:
     surrogate: Path | None = option(
         None, "weights to test, from `softdeca train`; default: the shipped network", type=FILE
     )
+    small: bool = option(False, "a look in minutes: the coarsest head and few cases, whose figures are no results")
     only: Any = option("missing", "rows to make: missing ones, failed ones again, or all", type=click.Choice(ONLY))
     json: bool = option(False, "print the results of all studies to stdout")
 
@@ -39,11 +40,14 @@ class MainStudy:
         """Run the studies, and print gates and files."""
         from ..benchmarks.main_study import choose_cases, run_study
         from ..benchmarks.studies.agreement.study import Agreement
+        from ..lhm.template.template import DEFAULT_LEVEL, LEVELS
 
         weights = "" if self.surrogate is None else str(self.surrogate)
-        asked = Agreement(identities=self.identities, cases=choose_cases(self.expressions.split(",")), weights=weights)
+        cases = choose_cases(self.expressions.split(","), small=self.small)
+        level = min(LEVELS) if self.small else DEFAULT_LEVEL
+        asked = Agreement(identities=self.identities, level=level, cases=cases, weights=weights)
         with show_progress() as progress:
-            done = run_study(asked, self.out, only=self.only, progress=progress)
+            done = run_study(asked, self.out, small=self.small, only=self.only, progress=progress)
         if self.json:
             click.echo((self.out / "report.json").read_text())
             return 0 if done.passed else 1

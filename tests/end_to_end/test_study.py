@@ -1,0 +1,56 @@
+"""softdeca study: the main job from its first command to the report, on the coarsest head and few cases."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("dolfinx")
+
+STUDIES = [
+    "agreement", "verification", "hard", "material", "split", "surrogate", "dial", "throughput", "work-precision",
+]  # fmt: skip
+BY_CHANCE = ("surrogate", "split", "dial")
+"""Their gates are shares of some frames that a study of this size decides by chance."""
+
+
+def study(out):
+    """Run the command into a folder."""
+    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "study", "--small", "--out", out]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory):
+    """The ended command and its folder."""
+    out = tmp_path_factory.mktemp("study")
+    return study(out), out
+
+
+def test_the_study_ends_with_a_report_of_every_part(studied):
+    ended, out = studied
+    assert "FAILED" not in ended.stdout and f"wrote {out / 'index.html'}" in ended.stdout, ended.stderr
+    report = json.loads((out / "report.json").read_text())
+    assert sorted(report) == sorted(STUDIES)
+    for name, results in report.items():
+        done = [row for row in results["rows"] if row["status"] == "done"]
+        assert done and not [row for row in results["rows"] if row["status"] == "failed"], name
+        missed = [gate["what"] for gate in results["gates"] if gate["answer"] and not gate["passed"]]
+        assert not missed or name in BY_CHANCE, (name, missed)
+
+
+def test_the_page_answers_its_three_questions(studied):
+    _, out = studied
+    page = (out / "index.html").read_text()
+    for words in ("Is the fast simulator right?", "How far is the network from it?", "What does each method cost?"):
+        assert words in page
+    assert "The fast simulator (PD) and FEniCSx minimise the same energy" in page and "<svg" in page
+
+
+def test_a_second_run_measures_nothing_again(studied):
+    _, out = studied
+    before = {path: path.read_bytes() for path in out.glob("*/rows.jsonl")}
+    assert len(before) == len(STUDIES)
+    study(out)
+    assert {path: path.read_bytes() for path in before} == before
