@@ -97,7 +97,7 @@ class Run:
     def _positions(self, u: Floats) -> Floats:
         return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
-    def solution(self, end: Attempt, preparation: Seconds, recovery: Callable[[], Stresses]) -> Solution:
+    def solution(self, end: Attempt, preparation: Seconds, recovery: Callable[[], Stresses] | None = None) -> Solution:
         """Give an attempt's answer, after so many seconds of preparation."""
         positions = self._positions(end.u)
         if end.reason is Reason.CONVERGED:
