@@ -81,7 +81,7 @@ class Generate:
     level: int | None = option(None, "1,212, 4,842 (default) or 19,362 vertices per wrap", type=LEVEL)
     out: Path = option("out/corpus", "folder of the corpus", type=FOLDER)
     workers: int = option(1, "processes on this machine (embedded Dask cluster)", bound=WORKERS)
-    scheduler: str | None = option(None, "of an existing Dask cluster, as tcp://host:8786", type=str, metavar="ADDRESS")
+    scheduler: str | None = option(None, "an existing Dask cluster, as tcp://host:8786", type=str, metavar="ADDRESS")
     dry_run: bool = option(False, "print what the corpus will hold and cost, by the rate of a person simulated here")
     json: bool = option(False, "print the outcome as JSON")
 

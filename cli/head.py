@@ -57,7 +57,7 @@ class Fit:
     )
     unit: str | None = option(
         None,
-        f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: detected",
+        f"unit of --skin: {', '.join(scans.UNITS)}, or its size in millimetres, as 49; default: detected",
         type=str,
         metavar="UNIT",
         needs="skin",

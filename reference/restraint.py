@@ -54,7 +54,7 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
 
 def _parts(scene: Scene) -> list[Ints]:
     """Gather the vertices that energies and bodies join to parts."""
-    groups = [joined for term in scene.terms if (joined := term.joined(scene)).size]
+    groups = [joined for term in scene.terms if (joined := term.element_vertices(scene)).size]
     if not groups:
         return []
     first = np.concatenate([np.repeat(group[:, 0], group.shape[1]) for group in groups])

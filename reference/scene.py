@@ -200,5 +200,5 @@ def refuse_unknown(
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
-        if (unmodelled := term.unmodelled(laws)) is not None:
+        if (unmodelled := term.explain_unmodelled(laws)) is not None:
             raise SceneError(f"solver {solver!r} cannot model {unmodelled}")

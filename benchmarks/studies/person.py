@@ -79,8 +79,8 @@ class OfPerson(Study):
     """A study of one head; a subclass may say whose."""
 
     identities: str = option("anny", "'anny' (the default head), ict:FILE or flame:FILE")
-    seed: int = option(0, "of the identity", bound=SEED)
-    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    seed: int = option(0, "seed of the identity", bound=SEED)
+    level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
 
     def person(self, level: int | None = None, seed: int | None = None) -> Person:
         """Give the head of the study's seed and level, or of others; made once per process."""

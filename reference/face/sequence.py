@@ -40,7 +40,7 @@ LENGTH = 16
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that the next frame depends on, in mm: enough to go on later as if nothing had been between.
+    """The state from which the next frame follows, in mm; a sequence that goes on from it is the same.
 
     positions (scene's vertices, 3) of the last frame; sought (n, 3): where its skin wrap was drawn to; before (n, 3):
     the skin wrap of the frame before it; drift (wraps' vertices, 3), or zero: by how much its change differs from that

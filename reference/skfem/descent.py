@@ -49,9 +49,9 @@ class Descent:
         iterations, policy = 0, self.policy.descent
         if is_tangled(self.scene, self.discretisation, x):
             forces = max(forces, self._norm(x))
-            eased = replace(self.scene, terms=tuple(term.eased(policy.volume_share) for term in self.scene.terms))
+            relaxed = replace(self.scene, terms=tuple(term.relax(policy.volume_share) for term in self.scene.terms))
             x, reason, iterations = self._minimise(
-                Energy(eased, self.discretisation),
+                Energy(relaxed, self.discretisation),
                 x,
                 lambda first: policy.untangled * first,
                 min(limit, policy.max_untangling),

@@ -16,7 +16,7 @@ from .term import Amount, Mesh, OnTets
 class Solid(OnTets):
     """Base of energies of tets."""
 
-    def joined(self, mesh: Mesh) -> Ints:
+    def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         return mesh.tets[self.tets_of(mesh)]
 
@@ -64,7 +64,7 @@ class Hyperelastic(Solid):
         law = self.material.law if isinstance(self.material, Incompressible) else self.material
         return law.fibres if isinstance(law, Guccione) else None
 
-    def unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
+    def explain_unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
         """See Term."""
         if isinstance(self.material, laws):
             return None
@@ -92,7 +92,7 @@ class Strain(Solid):
         """See Term."""
         return self._force_by(self.stiffness, mesh)
 
-    def eased(self, share: float) -> Strain:
+    def relax(self, share: float) -> Strain:
         """See Term; no stretch is free."""
         return replace(self, limit=1.0)
 
@@ -117,6 +117,6 @@ class Volume(Solid):
         """See Term."""
         return self._force_by(self.stiffness, mesh)
 
-    def eased(self, share: float) -> Strain:
+    def relax(self, share: float) -> Strain:
         """See Term; Strain alone was never seen to stay among inverted tets."""
         return Strain(share * self.stiffness, tets=self.tets)

@@ -32,7 +32,7 @@ class SurfaceStrain(OnTriangles):
         super().__post_init__()
         self._set(rest=as_places("SurfaceStrain.rest", self.rest, None))
 
-    def joined(self, mesh: Mesh) -> Ints:
+    def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         return self.triangles
 
@@ -62,7 +62,7 @@ class Bending(OnTriangles):
         super().__post_init__()
         self._set(rest=as_places("Bending.rest", self.rest, None))
 
-    def joined(self, mesh: Mesh) -> Ints:
+    def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         return self.triangles
 

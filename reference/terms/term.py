@@ -29,7 +29,7 @@ class Mesh(Protocol):
 class Term:
     """Base of all terms; `name` is what errors and reports call it.
 
-    A term says what no solver has to know by itself: what it joins, holds and loads, and how stiff it is.
+    A term says by itself which vertices its elements have, what it holds and loads, and how stiff it is.
 
     `varying` are the fields in which scenes may differ that a solver is prepared for at once. `may_soften` says whether
     the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles, and
@@ -47,7 +47,7 @@ class Term:
 
     @property
     def masks(self) -> dict[str, int]:
-        """Of `vertices` and `tets` that were given as a mask the length that it had, by name."""
+        """Lengths of boolean masks given for `vertices` and `tets`, by field name."""
         return vars(self).get("_masks", {})
 
     def check(self, mesh: Mesh):
@@ -68,7 +68,7 @@ class Term:
             if points is not None and not hasattr(self, "vertices") and len(points) != n:
                 raise SceneError(f"{key} has {len(points)} rows for {n} vertices")
 
-    def joined(self, mesh: Mesh) -> Ints:
+    def element_vertices(self, mesh: Mesh) -> Ints:
         """Return the vertices, shape (k, j), that each of its elements joins; none unless it is an energy of them."""
         return np.empty((0, 1), dtype=np.int64)
 
@@ -82,11 +82,11 @@ class Term:
         """Return the force [mN] that unit strain would cause, the sum over its elements."""
         return 0.0
 
-    def eased(self, share: float) -> Term:
-        """Return what stands in its place on the way out of inverted tets; of a volume's stiffness a share is kept."""
+    def relax(self, share: float) -> Term:
+        """Return the term that takes its place while tets are untangled; a volume keeps a `share` of its stiffness."""
         return self
 
-    def unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
+    def explain_unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
         """Say what a solver that knows these laws of tissue cannot model of it, if anything."""
         return None
 

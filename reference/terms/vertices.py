@@ -89,7 +89,7 @@ class RigidBody(Term):
             raise SceneError(f"RigidBody.vertices: a body needs at least 3 vertices, got {len(vertices)}")
         self._set(rest=as_places("RigidBody.rest", self.rest, len(vertices)))
 
-    def joined(self, mesh: Mesh) -> Ints:
+    def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         return self.vertices[None]
 

@@ -61,7 +61,7 @@ class Contact(OfPerson):
         "what each vertex is pushed with, the remainder of the energy's gradient without contact."
     )
 
-    poses: tuple[str, ...] = option(tuple(POSES), f"of {', '.join(POSES)}; repeat for several", name="--pose")
+    poses: tuple[str, ...] = option(tuple(POSES), f"one of {', '.join(POSES)}; repeat for several", name="--pose")
 
     def tasks(self) -> Sequence[Task]:
         """List each pose; InputError for an unknown one."""

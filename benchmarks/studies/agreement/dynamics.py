@@ -56,7 +56,7 @@ class Dynamics(OfPerson):
         "2 Hz; only Eq. 9 sees no acceleration of the head. A march that stopped is compared up to there."
     )
 
-    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    level: int = option(1, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
     frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}", bound=STUDIED_FRAMES)
 
     def tasks(self) -> Sequence[Task]:

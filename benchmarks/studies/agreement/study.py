@@ -85,11 +85,11 @@ class Agreement(OfPerson):
     )
     version = 3
 
-    seed: int | None = option(None, "of the identity; default: the mean head", bound=SEED)  # type: ignore[assignment]
+    seed: int | None = option(None, "seed of the identity; default: the mean head", bound=SEED)  # type: ignore[assignment]
     cases: tuple[str, ...] = option(
-        (), f"of {', '.join(CASES)}, or an expression as jawOpen*0.5+cheekPuff; repeat for several  [all]"
+        (), f"one of {', '.join(CASES)}, or an expression as jawOpen*0.5+cheekPuff; repeat for several  [all]"
     )
-    weights: str = option("", "of `softdeca train`  [those that are shipped]")
+    weights: str = option("", "weights of `softdeca train`  [those that are shipped]")
 
     def tasks(self) -> Sequence[Task]:
         """List the head, and each case by each method; InputError for an unknown space, case or expression."""

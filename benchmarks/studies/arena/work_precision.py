@@ -115,7 +115,7 @@ class WorkPrecision(OfPerson):
     expressions: tuple[str, ...] = option(
         ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker"), "as jawOpen*0.5+cheekPuff; repeat for several"
     )
-    repeats: int = option(5, "of each solve, after one that is not counted", bound=REPEATS)
+    repeats: int = option(5, "how often each is solved, after a solve that does not count", bound=REPEATS)
     slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:

@@ -107,7 +107,7 @@ class Heads(OfPerson):
     count: int = option(1000, "how many random identities", bound=STUDIED_HEADS)
     sigma: float = option(CLIP, "largest coefficient, in standard deviations")
     gallery: int = option(2, "how many of them are simulated and drawn", bound=DRAWN_HEADS)
-    heads: tuple[str, ...] = option((), "by `head fit`, drawn as well; repeat for several")
+    heads: tuple[str, ...] = option((), "a head file, drawn as well; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
         """List each identity, and the gallery; InputError for a value out of range, and for a file without a head."""

@@ -84,7 +84,7 @@ class Minimal(OfPerson):
         ),
         "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    effects: tuple[str, ...] = option(tuple(EFFECTS), f"of {', '.join(EFFECTS)}; repeat for several")
+    effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
     within: float = option(0.1, "mm that the smallest scene may change a vertex of the skin")
 
     def tasks(self) -> Sequence[Task]:

@@ -46,8 +46,8 @@ class Ranks(OfPerson):
         ("1", "2", "4"), "counts to compare, the first is 1; repeat", name="--processes"
     )
     expression: str = option("jawOpen*0.5", "of the head, as jawOpen*0.5+cheekPuff")
-    rounds: int = option(2, "on the head, in which every count has its turn", bound=REPEATS)
-    repeats: int = option(5, "of a phase in each round", bound=REPEATS)
+    rounds: int = option(2, "rounds, in each of which every count has its turn", bound=REPEATS)
+    repeats: int = option(5, "how often a phase is repeated in each round", bound=REPEATS)
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -80,8 +80,8 @@ class Throughput(OfPerson):
     timed = True
     alone = True
 
-    people: int = option(3, "of cold frames, of seeds from the study's on", bound=STUDIED_PEOPLE)
-    frames: int = option(49, "of the sequence, at 60 Hz; at least 13", bound=STUDIED_FRAMES)
+    people: int = option(3, "how many people, from the study's seed on, have cold frames", bound=STUDIED_PEOPLE)
+    frames: int = option(49, "length of the sequence at 60 Hz, at least 13", bound=STUDIED_FRAMES)
 
     def tasks(self) -> Sequence[Task]:
         """List each kind of cold frames, the sequence, the memory, the floor."""

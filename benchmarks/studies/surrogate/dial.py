@@ -75,9 +75,9 @@ class Dial(Study):
 
     faces: int = option(6, "people of each kind: held-out, external, out of range", bound=STUDIED_PEOPLE)
     frames: int = option(4, "expressions of each", bound=STUDIED_FRAMES)
-    seed: int = option(7000, "of people, parameters and expressions", bound=SEED)
+    seed: int = option(7000, "seed of people, parameters and expressions", bound=SEED)
     external: str = option("", "space of external people, as ict:FILE; default: none")
-    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
 
     def tasks(self) -> Sequence[Task]:
         """List each person; InputError for none, for no frame, and for a space that cannot be read."""

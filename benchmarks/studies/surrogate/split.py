@@ -105,8 +105,8 @@ class Split(OfPerson):
         ("jawOpen*0.5", "mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker", "cheekPuff"),
         "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    effects: tuple[str, ...] = option(tuple(EFFECTS), f"of {', '.join(EFFECTS)}; repeat for several")
-    seed: int = option(1_000_003, "of the person", bound=SEED)
+    effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
+    seed: int = option(1_000_003, "seed of the person", bound=SEED)
     refined: tuple[str, ...] = option(
         ("defaults", "40 % more soft tissue"),
         "an effect with quadratic tets on the study's own level, first expression: minutes each",

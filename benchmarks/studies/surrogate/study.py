@@ -72,7 +72,7 @@ class SurrogateOnCorpus(Study):
     corpus: str = option("", "folder of `softdeca corpus generate`")
     weights: str = option("", "weights of `softdeca train`; default: the shipped", name="--surrogate")
     people: str = option("test", "of the corpus: test, or all, where training has seen none")
-    partial: bool = option(False, "on the people that are there, of a corpus not complete")
+    partial: bool = option(False, "take the people that an incomplete corpus has")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
     curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")

@@ -92,12 +92,12 @@ class Table1(Study):
     external: str = option("", "another corpus to score, such as external:ict:FILE")
     trained: str = option("", "folder with NETWORK.safetensors of `softdeca train`; what is there is not trained")
     weights: str = option("", "weights of the modal network; default: the shipped", name="--surrogate")
-    partial: bool = option(False, "on the people that are there, of a corpus not complete")
-    steps: int = option(0, "of each network; 0: the protocol of each, for the paper's 200,000")
+    partial: bool = option(False, "take the people that an incomplete corpus has")
+    steps: int = option(0, "steps of each network; 0: those of its own protocol")
     batch: int = option(0, "frames a step of networks of deformation gradients; 0: of each protocol")
-    learning_rate: float = option(0.0, "of networks of deformation gradients; 0: of each protocol")
-    recurrence_steps: int = option(300, "that learn Eq. 21's coefficients")
-    energy_steps: int = option(1000, "of the network that the energy trains")
+    learning_rate: float = option(0.0, "rate of networks of deformation gradients; 0: that of each protocol")
+    recurrence_steps: int = option(300, "steps that learn Eq. 21's coefficients")
+    energy_steps: int = option(1000, "steps of the network that the energy trains")
     energy_faces: int = option(16, "faces that are settled for it, seconds each")
 
     def tasks(self) -> Sequence[Task]:

@@ -160,7 +160,8 @@ class Tangent:
     def _energy_of(self, scene: Scene) -> Energy:
         """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
         mine, its = (
-            [type(t) for t in which.terms if t.joined(which).size and type(t) in PARTS] for which in (self.scene, scene)
+            [type(t) for t in which.terms if t.element_vertices(which).size and type(t) in PARTS]
+            for which in (self.scene, scene)
         )
         return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
 
