@@ -203,7 +203,7 @@ class TriangleTree:
     ) -> tuple[Ints, Floats, Floats]:
         """Search as `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
 
-        Minimises distance² + turned² |n_p - n_t|². Triangles farther than `reach` [mm] may be left out, which is quicker.
+        Minimises distance² + turned² |n_p - n_t|². Triangles beyond `reach` [mm] may be left out, which is quicker.
 
         `normals` (k, 3) of the points and `faces` (m, 3) of the triangles are unit vectors. Where no triangle
         qualifies the triangle is -1, its weights are 0 and the distance is infinite.
