@@ -11,8 +11,8 @@ pytest.importorskip("dolfinx")
 STUDIES = [
     "agreement", "verification", "hard", "material", "split", "surrogate", "dial", "throughput", "work-precision",
 ]  # fmt: skip
-BY_CHANCE = ("surrogate", "split", "dial")
-"""Their gates are shares of some frames that a study of this size decides by chance."""
+OF_THE_NETWORK = ("surrogate", "split", "dial")
+"""Their gates are shares over more frames and of a finer head than this study has."""
 
 
 def study(out):
@@ -30,14 +30,16 @@ def studied(tmp_path_factory):
 
 def test_the_study_ends_with_a_report_of_every_part(studied):
     ended, out = studied
-    assert "FAILED" not in ended.stdout and f"wrote {out / 'index.html'}" in ended.stdout, ended.stderr
+    assert ended.returncode == 0 and "FAILED" not in ended.stdout and f"wrote {out / 'index.html'}" in ended.stdout, (
+        ended.stderr
+    )
     report = json.loads((out / "report.json").read_text())
     assert sorted(report) == sorted(STUDIES)
     for name, results in report.items():
         done = [row for row in results["rows"] if row["status"] == "done"]
         assert done and not [row for row in results["rows"] if row["status"] == "failed"], name
         missed = [gate["what"] for gate in results["gates"] if gate["answer"] and not gate["passed"]]
-        assert not missed or name in BY_CHANCE, (name, missed)
+        assert not missed or name in OF_THE_NETWORK, (name, missed)
 
 
 def test_the_page_answers_its_three_questions(studied):
