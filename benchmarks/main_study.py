@@ -36,8 +36,8 @@ PLAN = PRESETS["study"]
 SMALL_PLAN = replace(PLAN, identities=2, groups=2, frames=2, conversations=2, hard=2)
 BESIDE_EXPRESSIONS = (*(case.name for case in WEIGHTS_AND_LOADS), "bells-palsy", "weight-40")
 """Cases of the main study beside the expressions that are asked for."""
-SMALL_CASES = ("mouthPucker", "weight-40")
-"""Cases that a coarse head bears: under jawOpen it has an inverted tet."""
+SMALL_CASES = ("cheekPuff", "jaw")
+"""Cases in which the coarsest head has no inverted tet."""
 
 
 def choose_cases(expressions: Sequence[str]) -> tuple[str, ...]:

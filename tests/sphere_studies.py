@@ -93,7 +93,7 @@ class SphereDynamics(OfSphere, Dynamics):
 @dataclass(frozen=True)
 class SphereRanks(OfSphere, Ranks):
     def tasks(self):
-        # The head by one energy, and blocks of one kind: the others go the same ways.
+        # By one energy; the other goes the same way.
         return super().tasks()[::2]
 
 

@@ -242,7 +242,7 @@ def functions() -> Iterator[Function]:
         )
     face = {"head": HEAD, "parameters": Parameters(), "targets": HEAD.skin.vertices}
     choices = {"bones": "rigid", "layers": (1, 1), "without": (), "region": "lips", "contact": (), "attached": ()}
-    yield Function("facial_scene", facial_scene, face | choices | {"rule": "clamp"})
+    yield Function("facial_scene", facial_scene, face | choices)
     faces = facial_scene(**face)
     yield Function("apply_law", reference.apply_law, {"scene": faces, "law": "neo-Hookean"})
     settling = {"head": HEAD, "parameters": Parameters(), "law": "PD", "solver": "projective", "tolerance": 1e-3}

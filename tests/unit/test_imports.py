@@ -99,7 +99,7 @@ def test_another_model_is_told_by_its_size(facekit):
 def parts_of_a_body():
     """A box per part of `bodyparts.FMA_PARTS`, the left ones at x > 0, in the body's coordinates [mm]."""
     for group, text in bodyparts.FMA_PARTS.items():
-        for row, (number, name) in enumerate(bodyparts._named(text)):
+        for row, (number, name) in enumerate(bodyparts._list_names(text)):
             side = -1 if name.startswith("right") else 1 if name.startswith("left") else 0
             height = 1480.0 + row + 20.0 * ("upper" in name) + 60.0 * (group == "other")
             box = trimesh.creation.box((4.0, 4.0, 4.0))

@@ -294,7 +294,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
     other = Surface(skin.vertices[::-1], len(skin.vertices) - 1 - skin.triangles)
     write(folder, "p1", other, skull)
 
-    def registered(template_skin, parts, given, *, progress):
+    def registered(template_skin, parts, given):
         np.testing.assert_array_equal(given.triangles, other.triangles)
         assert template_skin is space.mean and parts is space.parts
         return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), csr_matrix((1, 1)), 0)
@@ -304,7 +304,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
     np.testing.assert_allclose(pairs.wraps[1], move_wrap(template, skin.vertices))
     assert [r.off for r in reports] == [0, 0.25, 0, 0]
 
-    def failing(template_skin, parts, given, *, progress):
+    def failing(template_skin, parts, given):
         raise FitError("skin: no face found in it")
 
     monkeypatch.setattr("softdeca.lhm.template.depths.pairs.register", failing)

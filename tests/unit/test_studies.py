@@ -41,7 +41,7 @@ CHEAP = {
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
     "SphereDial": {"faces": 1, "frames": 1},
-    "SphereRanks": {"level": 1, "processes": ("1", "2"), "rounds": 1, "repeats": 1, "unknowns": ("3000",)},
+    "SphereRanks": {"level": 1, "processes": ("1", "2"), "rounds": 1, "repeats": 1},
     "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1, "slow": True},
 }
 
