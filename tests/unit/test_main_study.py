@@ -40,7 +40,7 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
     monkeypatch.setattr(
         main_study,
         "choose_studies",
-        lambda *given: [RunRequest(Material(modes=("torsion",)), tmp_path / "material"), good],
+        lambda *given, **options: [RunRequest(Material(modes=("torsion",)), tmp_path / "material"), good],
     )
     ended = command("study", "--out", tmp_path)
     assert ended.status == 1 and any(
@@ -50,7 +50,7 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
         text = (tmp_path / name).read_text()
         assert "study material could not be run" in text and "4 of 4 values by skfem" in text
     rows = (tmp_path / "verification" / "rows.jsonl").read_text()
-    monkeypatch.setattr(main_study, "choose_studies", lambda *given: [good])
+    monkeypatch.setattr(main_study, "choose_studies", lambda *given, **options: [good])
     again = command("study", "--out", tmp_path, "--json")
     assert again.status == 0 and list(json.loads(again.out)) == ["verification"]
     assert (tmp_path / "verification" / "rows.jsonl").read_text() == rows
