@@ -60,13 +60,13 @@ class Stage:
     framed: Floats
     take: Take
 
-    def turned(self, skin: Floats, number: int) -> Floats:
+    def turn(self, skin: Floats, number: int) -> Floats:
         """A skin (n, 3) [mm] of the head's own frame, turned as the take has the head in a frame."""
         if self.take.head is None:
             return skin
         return turn_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
 
-    def blended(self, number: int) -> Floats:
+    def blend(self, number: int) -> Floats:
         """The blendshapes [mm] of a frame, shape (n, 3)."""
         return blend_linearly(self.neutral, self.deltas, self.take.weights[number])
 
@@ -90,7 +90,7 @@ def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str
     log: list[dict[str, Any]] = []
     kept: dict[int, NDArray[np.float32]] = {}
 
-    def moved() -> Iterator[NDArray]:
+    def make_motion() -> Iterator[NDArray]:
         """Make the frames, less the neutral skin [mm]; keep those of the preview."""
         begin = time.perf_counter()
         for number, frame in enumerate(frames):
@@ -98,7 +98,7 @@ def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str
             log.append({"frame": number, "time": float(take.times[number]), **frame.record, "seconds": seconds})
             one = (frame.skin - stage.neutral.vertices).astype(np.float32)
             if wanted.turned:
-                one = stage.turned(stage.neutral.vertices + one, number) - stage.neutral.vertices
+                one = stage.turn(stage.neutral.vertices + one, number) - stage.neutral.vertices
             if number in shown:
                 kept[number] = one
             progress(f"frame {number + 1} of {count}", (number + 1) / count)
@@ -107,9 +107,11 @@ def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str
 
     files, notes = [wanted.out / FILES[wanted.format]], []
     if wanted.format == "vtkhdf":
-        write_vtkhdf(files[0], stage.neutral.triangles, take.times, (stage.neutral.vertices + one for one in moved()))
+        write_vtkhdf(
+            files[0], stage.neutral.triangles, take.times, (stage.neutral.vertices + one for one in make_motion())
+        )
     else:
-        morphs = write_gltf(files[0], stage.neutral, take.times, np.array(list(moved())))
+        morphs = write_gltf(files[0], stage.neutral, take.times, np.array(list(make_motion())))
         notes.append(describe_targets(files[0], len(morphs.targets), morphs.error))
     if shown:
         files.append(wanted.out / f"preview.{wanted.preview}")
@@ -130,8 +132,8 @@ def _write_preview(
     def pairs() -> Iterator[tuple[Floats, Floats]]:
         for done, (number, moved) in enumerate(kept.items()):
             progress(f"preview: {path.name}", done / len(kept))
-            blended = stage.blended(number)
-            left = stage.turned(blended, number) if wanted.turned else blended
+            blended = stage.blend(number)
+            left = stage.turn(blended, number) if wanted.turned else blended
             yield left, stage.neutral.vertices + moved
 
     take, numbers = stage.take, list(kept)

@@ -5,7 +5,7 @@ Each number is that of a row. A sentence or a method whose rows are missing is l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,8 @@ ACCURACY = 0.01
 FACE_ENERGY = "Eq. 15"
 """In the name of the energy whose faces every method makes."""
 OVERALL = "all"
+ALL_VERTICES, SKIN = "all vertices", "skin"
+"""What a comparison of `agreement` is over."""
 
 
 @dataclass(frozen=True)
@@ -156,15 +158,14 @@ def _tell_overall(rows: Rows) -> str:
     )
 
 
-def _find_comparisons(rows: Rows, method: str, truth: str, over: str) -> list[Mapping]:
-    """The comparisons of a method in `agreement` with a solver, over all vertices or the skin."""
-    lines = (line for row in rows.get("agreement", ()) if row.method == method
-             for line in row.values.get("compared", ()))  # fmt: skip
+def select_comparisons(rows: Iterable[Row], method: str, truth: str, over: str) -> list[Mapping]:
+    """Select a method's comparisons with a solver in rows of `agreement`, over ALL_VERTICES or the SKIN."""
+    lines = (line for row in rows if row.method == method for line in row.values.get("compared", ()))
     return [line for line in lines if (line["to"], line["over"]) == (truth, over)]
 
 
 def _tell_agreement(rows: Rows) -> str:
-    apart = [line["max"] for line in _find_comparisons(rows, PD, FENICSX, "all vertices")]
+    apart = [line["max"] for line in select_comparisons(rows.get("agreement", ()), PD, FENICSX, ALL_VERTICES)]
     if not apart:
         return ""
     return (
@@ -174,7 +175,8 @@ def _tell_agreement(rows: Rows) -> str:
 
 
 def _tell_law(rows: Rows) -> str:
-    skin, everything = (_find_comparisons(rows, FENICSX_NEO_HOOKEAN, PD, over) for over in ("skin", "all vertices"))
+    compared = rows.get("agreement", ())
+    skin, everything = (select_comparisons(compared, FENICSX_NEO_HOOKEAN, PD, over) for over in (SKIN, ALL_VERTICES))
     if not skin:
         return ""
     return (

@@ -23,6 +23,7 @@ from ....surrogate.methods import (
     ready_methods,
 )
 from ....surrogate.ruler import measure
+from ...harness.first_screen import ALL_VERTICES, SKIN
 from ..cases import Case
 from ..measures import (
     ACCURACY,
@@ -57,7 +58,6 @@ TRUTHS: Mapping[str, str] = {
     SKFEM_NEO_HOOKEAN: FENICSX_NEO_HOOKEAN,
 }
 """Solvers, and the one that each is compared with."""
-ALL, SKIN = "all vertices", "skin"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +80,11 @@ class Answer:
     def converged(self) -> bool:
         """Whether the neutral face and the scene came to rest."""
         return self.solution.converged and (self.settled is None or self.settled.converged)
+
+
+def find_start(settled: SettledFace | None, scene: Scene) -> Floats:
+    """Return where a solve of a scene begins [mm], shape (n, 3): on the settled face, or at rest without one."""
+    return scene.vertices if settled is None else settled.positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +124,13 @@ class SolvedCase:
             self._answers[solver] = solve_case()
         return self._answers[solver]
 
-    def _set_scene(self, law: FaceLaw, solver: str) -> tuple[SettledFace | None, Scene, Floats]:
-        """Return the neutral face that a solver settles, the case's scene on it, and where the scene starts [mm]."""
+    def _set_scene(self, law: FaceLaw, solver: str) -> tuple[SettledFace | None, Scene]:
+        """Return the neutral face that a solver settles, and the case's scene on it."""
         if self.case.scene is not None:
-            scene = apply_law(self.case.scene(self.person.head), law)
-            return None, scene, scene.vertices
+            return None, apply_law(self.case.scene(self.person.head), law)
         choices: dict[str, Any] = {"contact": self.case.contact} if self.case.contact else {}
         settled = settle(self.person.head, self.face.on_wraps, law=law, solver=solver, tolerance=TIGHT)
-        return settled, settled.scene(self.shape, **choices), settled.positions
+        return settled, settled.scene(self.shape, **choices)
 
     def _skin(self, settled: SettledFace | None, solution: Solution) -> Floats:
         if settled is not None:
@@ -135,27 +139,26 @@ class SolvedCase:
         return head.skin_after(head.skin.vertices, solution.positions[: len(head.bone)])
 
     def _solve_by_pd(self) -> Answer:
-        settled, scene, start = self._set_scene(PD_ENERGY, "projective")
-        solution, trace = trace_to_itself(prepare(scene), start=start)
+        settled, scene = self._set_scene(PD_ENERGY, "projective")
+        solution, trace = trace_to_itself(prepare(scene), start=find_start(settled, scene))
         return Answer(solution, scene, settled, self._skin(settled, solution), "settled", trace=trace)
 
     def _solve_by_plain_pd(self) -> Answer:
         pd = self.answer(PD)
-        start = pd.scene.vertices if pd.settled is None else pd.settled.positions
         solution, trace = trace_solve(
             prepare(pd.scene, method="plain"),
             pd.solution.positions,
-            start=start,
+            start=find_start(pd.settled, pd.scene),
             enough=PLAIN_STOP,
             max_iterations=PLAIN_LIMIT,
         )
         return Answer(solution, pd.scene, pd.settled, self._skin(pd.settled, solution), "settled", trace=trace)
 
     def _solve_by_fenicsx(self) -> Answer:
-        settled, scene, start = self._set_scene(PD_ENERGY, "fenicsx")
+        settled, scene = self._set_scene(PD_ENERGY, "fenicsx")
         by_pd, begun, another = self.answer(PD).solution.positions, "settled", None
         prepared = prepare(scene, solver="fenicsx")
-        solution = prepared.solve(start=start, tolerance=TIGHT)
+        solution = prepared.solve(start=find_start(settled, scene), tolerance=TIGHT)
         apart = difference(solution.positions, by_pd, scene.vertices)
         if apart.relative > APART:
             begun, another = "PD's answer", apart.max
@@ -170,8 +173,8 @@ class SolvedCase:
         return Answer(solution, fenicsx.scene, fenicsx.settled, skin, "PD, stopped early")
 
     def _solve_by_law(self) -> Answer:
-        settled, scene, start = self._set_scene(NEO_HOOKEAN, "fenicsx")
-        by_pd, begun = self.answer(PD).solution, "settled"
+        settled, scene = self._set_scene(NEO_HOOKEAN, "fenicsx")
+        by_pd, start, begun = self.answer(PD).solution, find_start(settled, scene), "settled"
         if by_pd.volume_ratio.min() > 0.0:  # where a tet is inverted the law is infinite
             start, begun = by_pd.positions, "PD's answer"
         solution = solve(scene, solver="fenicsx", tolerance=WARM, start=start)
@@ -227,7 +230,7 @@ class SolvedCase:
             solved = self.answer(method)
             skin = solved.skin
             apart = difference(solved.solution.positions, other.solution.positions, other.scene.vertices)
-            lines.append({"to": truth, "over": ALL, **asdict(apart)})
+            lines.append({"to": truth, "over": ALL_VERTICES, **asdict(apart)})
         beside = asdict(difference(skin, other.skin, head.skin.vertices))
         return [*lines, {"to": truth, "over": SKIN, **beside, "share": self._share(skin, other.skin)}]
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+
+import numpy as np
 
 from ....animation.page import Pose, Rig, render_face_page
 from ....animation.pictures import draw_cut_away
@@ -28,13 +30,14 @@ from ....surrogate.methods import (
     SKFEM_NEO_HOOKEAN,
     ready_methods,
 )
+from ...harness.first_screen import ALL_VERTICES, SKIN, select_comparisons
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..cases import CASES, Case, get_case
 from ..measures import ACCURACY, NEO_HOOKEAN, PD_ENERGY
 from ..person import OfPerson
 from .insides import tabulate_insides
 from .pictures import draw_case
-from .solved import ALL, ROUNDING, SKIN, TRUTHS, SolvedCase
+from .solved import ROUNDING, TRUTHS, SolvedCase
 
 HEAD, FIT, TURNED, BESIDE = "the head", "fit and gates", "the head in 3D", "side by side"
 ALL_SOLVERS = (FENICSX, PD, PD_PLAIN, SKFEM, FENICSX_NEO_HOOKEAN, SKFEM_NEO_HOOKEAN)
@@ -94,17 +97,13 @@ class Agreement(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """List the head, and each case by each method; InputError for an unknown space, case or expression."""
         self.check()
-        cases = [get_case(name) for name in dict.fromkeys(self.cases or CASES)]
-        tasks = [Task(case.name, method) for case in cases for method in self.list_methods(case)]
+        rivals = tuple(ready_methods(self.network()))
+        tasks = [Task(case.name, method) for case in self._chosen for method in list_methods(case, rivals)]
         return [Task(HEAD, FIT), *tasks, Task(TURNED, BESIDE)]
 
-    def list_methods(self, case: Case) -> Sequence[str]:
-        """List the labels of a case's rows, its pictures last."""
-        if case.contact:
-            solvers: Sequence[str] = (PD,)
-        else:
-            solvers = FEWER_SOLVERS if case.scene is not None or case.without is not None else ALL_SOLVERS
-        return (*solvers, *(ready_methods(self.network()) if case.scene is None else ()), BESIDE)
+    @property
+    def _chosen(self) -> list[Case]:
+        return [get_case(name) for name in dict.fromkeys(self.cases or CASES)]
 
     def network(self) -> Surrogate | None:
         """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
@@ -139,12 +138,11 @@ class Agreement(OfPerson):
         at_rest, network = self.person().face(Parameters()), self.network()
         rigs = [] if network is None else [Rig.baked(NETWORK, network.bind_face(at_rest))]
         poses = []
-        for name in self.cases or CASES:
-            case = get_case(name)
+        for case in self._chosen:
             if case.scene is None and case.without is None and case.expression:
-                solved = solve_case(self, name)
+                solved = solve_case(self, case.name)
                 skins = {by: solved.answer(by).skin for by in (PD, FENICSX_NEO_HOOKEAN)}
-                poses.append(Pose(name, case.weights, skins))
+                poses.append(Pose(case.name, case.weights, skins))
         title = f"the head ({self.person().space.name})"
         return render_face_page(title, VIEW_WORDS, at_rest, rigs, poses).encode()
 
@@ -168,7 +166,7 @@ class Agreement(OfPerson):
             ("scikit-fem to FEniCSx, PD's energy", SKFEM, 1e-8),
             ("scikit-fem to FEniCSx, neo-Hookean", SKFEM_NEO_HOOKEAN, 1e-8),
         ):
-            lines = select_lines(rows, method, TRUTHS[method], ALL)
+            lines = select_comparisons(rows, method, TRUTHS[method], ALL_VERTICES)
             if lines:
                 worst = max(line["relative"] for line in lines)
                 gates.append(at_most(f"{what}, of the largest displacement", worst, bound))
@@ -200,7 +198,7 @@ class Agreement(OfPerson):
     def words(self, rows: Sequence[Row]) -> str:
         """Tell whether the answers are one, what another law changes, what methods leave, and which effect is most."""
         sentences = []
-        same = [line["relative"] for line in select_lines(rows, PD, FENICSX, ALL)]
+        same = [line["relative"] for line in select_comparisons(rows, PD, FENICSX, ALL_VERTICES)]
         if same:
             sentences.append(
                 "Projective dynamics and FEniCSx find the same minimiser of the same energy to "
@@ -217,20 +215,29 @@ class Agreement(OfPerson):
                 f"PD's energy has two minima on {', '.join(twice)}, up to {max(twice.values()):.2f} mm apart: FEniCSx, "
                 "or PD from another start, ends in the other. FEniCSx is compared from PD's answer there."
             )
-        lost = sorted({row.case for row in rows if _loses_to_settled(rows, row.case)})
+        means = {
+            (row.case, row.method): line["mean"]
+            for row in rows
+            for line in select_comparisons([row], row.method, PD, SKIN)
+        }
+        lost = [
+            case
+            for case, method in means
+            if method == NETWORK and means.get((case, SETTLED), np.inf) <= means[case, NETWORK]
+        ]
         if lost:
             sentences.append(f"The network loses to {SETTLED} on {', '.join(lost)}.")
         for free, where in ((False, "where targets hold it"), (True, "where none does")):
             chosen = [row for row in rows if row.values.get("without_targets") is free]
-            skin = select_lines(chosen, FENICSX_NEO_HOOKEAN, PD, SKIN)
+            skin = select_comparisons(chosen, FENICSX_NEO_HOOKEAN, PD, SKIN)
             if skin:
-                most = max(line["max"] for line in select_lines(chosen, FENICSX_NEO_HOOKEAN, PD, ALL))
+                most = max(line["max"] for line in select_comparisons(chosen, FENICSX_NEO_HOOKEAN, PD, ALL_VERTICES))
                 sentences.append(
                     f"A neo-Hookean law moves the skin by at most {max(line['mean'] for line in skin):.3f} mm on "
                     f"average {where}, and any vertex by at most {most:.2f} mm."
                 )
         for method in (NETWORK, DERIVATIVES, SETTLED, BLENDSHAPES):
-            means = [line["mean"] for line in select_lines(rows, method, PD, SKIN)]
+            means = [line["mean"] for line in select_comparisons(rows, method, PD, SKIN)]
             if means:
                 sentences.append(f"The skin by {method} is at most {max(means):.3f} mm from PD's on average.")
         changes = {row.case: row.values["change_max_mm"] for row in rows if "change_max_mm" in row.values}
@@ -258,10 +265,10 @@ class Agreement(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw distances, a line per case: means, and of the law the largest of all vertices too."""
         marks = {
-            (PD, FENICSX, ALL, "mean"): "PD to FEniCSx, same energy",
-            (SKFEM, FENICSX, ALL, "mean"): "scikit-fem to FEniCSx, same energy",
+            (PD, FENICSX, ALL_VERTICES, "mean"): "PD to FEniCSx, same energy",
+            (SKFEM, FENICSX, ALL_VERTICES, "mean"): "scikit-fem to FEniCSx, same energy",
             (FENICSX_NEO_HOOKEAN, PD, SKIN, "mean"): "neo-Hookean law to PD, skin",
-            (FENICSX_NEO_HOOKEAN, PD, ALL, "max"): "the same, all vertices, largest",
+            (FENICSX_NEO_HOOKEAN, PD, ALL_VERTICES, "max"): "the same, all vertices, largest",
             (NETWORK, PD, SKIN, "mean"): "network to PD, skin",
             (SETTLED, PD, SKIN, "mean"): "settled + blendshapes to PD, skin",
             (BLENDSHAPES, PD, SKIN, "mean"): "blendshapes to PD, skin",
@@ -271,7 +278,7 @@ class Agreement(OfPerson):
             label: [
                 (max(line[key], 1e-14), cases.index(row.case))
                 for row in rows
-                for line in select_lines([row], method, truth, over)
+                for line in select_comparisons([row], method, truth, over)
             ]
             for (method, truth, over, key), label in marks.items()
         }
@@ -315,10 +322,13 @@ FACE_TITLES = {
 }
 
 
-def select_lines(rows: Iterable[Row], method: str, truth: str, over: str) -> list[Mapping]:
-    """Select a method's comparisons with a solver, over all vertices or the skin."""
-    lines = (line for row in rows if row.method == method for line in row.values.get("compared", ()))
-    return [line for line in lines if (line["to"], line["over"]) == (truth, over)]
+def list_methods(case: Case, rivals: Sequence[str]) -> Sequence[str]:
+    """List the labels of a case's rows: solvers, `rivals` where targets hold the skin, and its pictures last."""
+    if case.contact:
+        solvers: Sequence[str] = (PD,)
+    else:
+        solvers = FEWER_SOLVERS if case.scene is not None or case.without is not None else ALL_SOLVERS
+    return (*solvers, *(rivals if case.scene is None else ()), BESIDE)
 
 
 @lru_cache(maxsize=len(CASES) + 8)
@@ -331,15 +341,6 @@ def _spread(lips: Sequence[float] | None) -> dict[str, float]:
     return {} if lips is None else dict(zip(("lips_median", "lips_95", "lips_max"), lips, strict=True))
 
 
-def _loses_to_settled(rows: Sequence[Row], case: str) -> bool:
-    """Whether the network is farther from PD's skin than the settled face with blendshapes."""
-    means = {}
-    for method in (NETWORK, SETTLED):
-        for line in select_lines([row for row in rows if row.case == case], method, PD, SKIN):
-            means[method] = line["mean"]
-    return len(means) == 2 and means[SETTLED] <= means[NETWORK]
-
-
 def _tabulate_methods(rows: Sequence[Row]) -> list[Table]:
     """Each method beside PD's skin and beside the law's, by case."""
     titles = ["case", "method"]
@@ -347,7 +348,7 @@ def _tabulate_methods(rows: Sequence[Row]) -> list[Table]:
         titles += [f"to {truth}: mean [mm]", "max [mm]", "share"]
     cells = []
     for row in rows:
-        beside = [select_lines([row], row.method, truth, SKIN) for truth in (PD, FENICSX_NEO_HOOKEAN)]
+        beside = [select_comparisons([row], row.method, truth, SKIN) for truth in (PD, FENICSX_NEO_HOOKEAN)]
         if any(beside):
             figures = [line[0].get(key) if line else None for line in beside for key in ("mean", "max", "share")]
             cells.append((row.case, row.method, *figures))
