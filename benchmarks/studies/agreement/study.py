@@ -215,15 +215,15 @@ class Agreement(OfPerson):
                 f"PD's energy has two minima on {', '.join(twice)}, up to {max(twice.values()):.2f} mm apart: FEniCSx, "
                 "or PD from another start, ends in the other. FEniCSx is compared from PD's answer there."
             )
-        means = {
+        to_pd = {
             (row.case, row.method): line["mean"]
             for row in rows
             for line in select_comparisons([row], row.method, PD, SKIN)
         }
         lost = [
             case
-            for case, method in means
-            if method == NETWORK and means.get((case, SETTLED), np.inf) <= means[case, NETWORK]
+            for case, method in to_pd
+            if method == NETWORK and to_pd.get((case, SETTLED), np.inf) <= to_pd[case, NETWORK]
         ]
         if lost:
             sentences.append(f"The network loses to {SETTLED} on {', '.join(lost)}.")
