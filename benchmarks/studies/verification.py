@@ -132,7 +132,6 @@ class Hard(Study):
     )
 
     solvers: tuple[str, ...] = option((), "only these; repeat for several  [all]")
-    laws: bool = option(False, "also every law on every element of FEniCSx: a quarter of an hour")
 
     def tasks(self) -> Sequence[Task]:
         """List each case by each solver, and element, that it is for."""
@@ -140,11 +139,9 @@ class Hard(Study):
         return [task for task, (_, solver, _) in self._list_ways().items() if solver in solvers]
 
     def _list_ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
-        of_laws = problems.LAWS_ON_ELEMENTS if self.laws else ()
-        posed = (*problems.HARD, *problems.added_hard_cases(), *of_laws)
         return {
             Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
-            for case in posed
+            for case in (*problems.HARD, *problems.added_hard_cases())
             for solver, element in case.ways
         }
 

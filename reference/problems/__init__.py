@@ -17,7 +17,6 @@ from . import (
     cook,
     homogeneous,
     incompressible,
-    laws_on_elements,
     manufactured,
     meshes,
     published,
@@ -44,8 +43,6 @@ HARD: tuple[HardCase, ...] = (
     *time_steps.CASES,
     *incompressible.CASES,
 )
-LAWS_ON_ELEMENTS: tuple[HardCase, ...] = laws_on_elements.CASES
-"""Hard cases for every law on every element of FEniCSx: a quarter of an hour."""
 
 
 def added_problems() -> tuple[Problem, ...]:
@@ -63,15 +60,15 @@ def _problems_of(name: str, of_moduli: Callable[[float, float], EnergyLaw]) -> t
 
 
 def added_hard_cases() -> tuple[HardCase, ...]:
-    """The hard cases of laws that files have added: those of LAWS_ON_ELEMENTS."""
-    return tuple(case for law in added_laws() for case in laws_on_elements.cases_of(law))
+    """The hard cases of laws that files have added, of H1's moduli."""
+    moduli = lame(recovery.YOUNG, recovery.POISSON)
+    return tuple(case for name, law in added_laws().items() for case in recovery.cases_of(name, law.of_moduli(*moduli)))
 
 
 __all__ = [
     "ALL",
     "FINE",
     "HARD",
-    "LAWS_ON_ELEMENTS",
     "HardCase",
     "HardOutcome",
     "Outcome",
