@@ -2,7 +2,7 @@
 
 Sources are numbered. Problems: V2 homogeneous stretches, V3 time steps, V9 the thick sphere, V14 orders of convergence.
 Hard cases: H1 random starts, H2 collapse, H3 inversion, H4 flat tets and slivers, H5 large stretches, H6 a twist near
-incompressibility, H7 crushed and released, H9 stiffnesses that differ much, H11 time steps of any length,
+incompressibility, H7 crushed and released, H11 time steps of any length,
 H14 loads without a stable equilibrium.
 """
 
@@ -55,7 +55,7 @@ def added_problems() -> tuple[Problem, ...]:
 @functools.cache
 def _problems_of(name: str, of_moduli: Callable[[float, float], EnergyLaw]) -> tuple[Problem, ...]:
     energies = (Hyperelastic(of_moduli(rigid.MU, 4.0 * rigid.MU)),)
-    moved = rigid.problems_of(name, energies, ROUNDING, angles=(60, 180), least_energy=1e-13)
+    moved = rigid.problems_of(name, energies, ROUNDING, least_energy=1e-13)
     return (*moved, *homogeneous.problems_of(name, of_moduli(*lame(homogeneous.YOUNG, homogeneous.POISSON))))
 
 
