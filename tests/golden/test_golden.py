@@ -1,6 +1,6 @@
 """Nails: numbers that a rewrite must not move. They say that an answer is the same, not that it is right.
 
-`python tests/golden/test_golden.py` writes golden.json anew; do so only for a change that is meant to move answers, and
+`python -m tests.golden.test_golden` writes golden.json anew; do so only for a change that is meant to move answers, and
 say in the commit which numbers moved and why.
 """
 
@@ -19,7 +19,8 @@ import pytest
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import Parameters, Scene, apply_law, settle, solve, terms
 from softdeca.reference.problems import meshes
-from softdeca.reference.problems.laws_on_elements import LAWS, elements_of, energies_of
+
+from ..laws_on_elements import LAWS, elements_of, energies_of
 
 KEPT = Path(__file__).with_name("golden.json")
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.3, "jawOpen": 0.4}
