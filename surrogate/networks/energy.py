@@ -30,9 +30,9 @@ from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from ..rigs.rig import WEIGHTS, CorrectedRig, Needs
 from .features import Inputs
-from .layers import Arrays, concatenate, einsum, perceptron
+from .layers import Arrays, concatenate, einsum, perceptron, perceptron_layers
 from .ridge import find_components
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Trainer, TrainerConfig, draw_layers, torch
 
 
 @dataclass(frozen=True)

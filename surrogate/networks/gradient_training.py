@@ -29,7 +29,7 @@ from ..corpus.reading import Faces
 from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
-from .gradients import GradientForm, Widths
+from .gradients import HELD, GradientForm, Sizes, Widths
 from .softsmpl import LARGE, SMALL
 from .trainer import Tensors, Trainer, TrainerConfig, draw_layers, hold_out_people, start_processes, torch
 from .weights import TrainingNote, Weights
@@ -155,7 +155,7 @@ class GradientLesson:
             network["table"] = table / network["scale"]
         network["anchored"][anchors] = 1.0
         for name, value in network.items():
-            value.requires_grad_(name not in ("scale", "followed", "anchored"))
+            value.requires_grad_(name not in ("scale", *HELD))
         return network
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
@@ -220,13 +220,11 @@ class GradientLesson:
 
 def draw_form(form: GradientForm, config: GradientTraining, mean: Surface, code_size: int, followed) -> Tensors:
     """Draw a network of a form that follows some of STATIC, a mask; tables but π's are zero, and no vertex is held."""
-    sizes = form.known_sizes(mean, code_size, int(followed.sum())) | form.width_sizes(config.network)
-    layers = {name: (sizes[outputs], sizes[inputs]) for name, (outputs, inputs) in form.layers.items()}
-    network = draw_layers(layers, form.without_bias)
+    sizes = Sizes(config.network, len(mean.vertices), len(mean.triangles), code_size, int(followed.sum()))
+    network = draw_layers(form.layers(sizes), form.without_bias)
     for name, share in form.quiet.items():
         network[name] *= share
-    for name, shape in form.tables.items():
-        network[name] = torch.zeros([sizes[each] for each in shape])
+    network |= {name: torch.zeros(shape) for name, shape in form.tables(sizes).items()}
     if "position" in network:
         positions = smooth_positions(mean, config.network.position, np.random.default_rng(config.seed))
         network["position"] = torch.from_numpy(positions)

@@ -22,12 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import shape
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from .features import EFFECTS, Features
-from .layers import EVERY, Arrays, check_numbers, count_rows, einsum, exp, linear, perceptron, scale_modes
+from .layers import EVERY, Arrays, check_network, einsum, exp, layer_shapes, linear, perceptron, scale_modes
 from .response_tables import MIXED, mix, responses
 
 PARTS = ("settled", "relaxed", "remainder")
@@ -64,17 +63,6 @@ class ModalConfig:
     def modes(self) -> tuple[int, int, int]:
         """How many of each of PARTS."""
         return self.settled_modes, self.relaxed_modes, self.remainder_modes
-
-    @classmethod
-    def from_arrays(cls, network: Mapping[str, np.ndarray]) -> ModalConfig:
-        """Read the sizes of a network; InputError for arrays that are single numbers."""
-        names = (
-            *(f"size_{part}" for part in PARTS), "response_share.bias",
-            "gain_in.bias", "response_in.bias", "effect_level.0.bias", "remainder_in.bias",
-        )  # fmt: skip
-        settled, relaxed, remainder, tables, local, response, summary, expression = count_rows(network, *names)
-        position = network["position"].shape[-1] if network["position"].ndim else 0
-        return cls(settled, relaxed, remainder, tables, position, local, response, summary, expression)
 
 
 def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
@@ -125,17 +113,13 @@ def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dic
         "response_position": (n, config.position),
         "response_table": (config.response_tables + 1, WEIGHTS, n, 3),
         "response_scale": (WEIGHTS, n),
-        **{f"{name}.weight": sizes for name, sizes in layers.items()},
-        **{f"{name}.bias": sizes[:1] for name, sizes in layers.items() if name not in WITHOUT_BIAS},
+        **layer_shapes(layers, WITHOUT_BIAS),
     }
 
 
-def check_modal(network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
-    """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
-    features = Features(mean)
-    check_numbers(network, [*modal_shapes(ModalConfig(), features, code_size)])
-    for name, expected in modal_shapes(ModalConfig.from_arrays(network), features, code_size).items():
-        shape(f"network {name}", network[name], expected)
+def check_modal(network: Mapping[str, np.ndarray], sizes: Mapping[str, int], mean: Surface, code_size: int) -> None:
+    """Raise InputError unless a network has every array, of the shapes that sizes of ModalConfig ask, and finite."""
+    check_network(network, modal_shapes(ModalConfig(**sizes), Features(mean), code_size))
 
 
 def hidden_features(network: Arrays, local, code, vertices=EVERY):

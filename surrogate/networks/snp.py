@@ -13,9 +13,9 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .features import Features, Inputs
-from .layers import perceptron
+from .layers import perceptron, perceptron_layers
 from .ridge import find_components
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Trainer, TrainerConfig, draw_layers, torch
 from .vertex_network import SEED, STEPS
 
 MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3

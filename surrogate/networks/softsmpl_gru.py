@@ -16,10 +16,10 @@ from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .features import Features, Inputs
 from .gradient_training import still_vertices, transfer_delta
-from .layers import elu, perceptron
+from .layers import elu, perceptron, perceptron_layers
 from .ridge import find_components
 from .softsmpl import LARGE
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Trainer, TrainerConfig, draw_layers, torch
 
 BEFORE = 24
 """Principal components of the two skins before a sequence."""

@@ -33,7 +33,6 @@ __all__ = [
     "draw_layers",
     "hold_out_people",
     "nn",
-    "perceptron_layers",
     "start_processes",
     "torch",
 ]
@@ -228,12 +227,6 @@ def draw_layers(layers: Mapping[str, tuple[int, int]], without_bias: Iterable[st
         layer = nn.Linear(inputs, outputs, bias=name not in without_bias)
         network |= {f"{name}.{part}": value.detach() for part, value in layer.named_parameters()}
     return network
-
-
-def perceptron_layers(name: str, *widths: int) -> dict[str, tuple[int, int]]:
-    """Return the sizes of layers `name.0`, `name.2`, ... of these widths; see `layers.perceptron`."""
-    pairs = zip(widths[:-1], widths[1:], strict=True)
-    return {f"{name}.{2 * k}": (outputs, inputs) for k, (inputs, outputs) in enumerate(pairs)}
 
 
 @dataclass(frozen=True)
