@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -170,6 +170,27 @@ def remainder(network: Arrays, summary) -> Remainder:
     )
 
 
+class SeenFace(NamedTuple):
+    """What the network sees of a face.
+
+    local (n, f): features of p at vertices; hidden (n, wide): what gains follow from. summary (s,) of the whole face;
+    unmoved (s,): that of the same face with nothing moved.
+    """
+
+    local: Floats32
+    hidden: Floats32
+    summary: Floats32
+    unmoved: Floats32
+
+
+def see_face(network: Arrays, features: Features, code: Floats, at_vertices: Floats) -> SeenFace:
+    """Evaluate what the network sees of a normalised code (c,) and of parameters at vertices (n, P)."""
+    local = features.local(at_vertices)
+    hidden = hidden_features(network, local, code.astype(np.float32))
+    unmoved = features.summary(code, features.unmoved(at_vertices))
+    return SeenFace(local, hidden, features.summary(code, at_vertices), unmoved)
+
+
 def bind_modal(
     network: Arrays,
     tables: Floats32,
@@ -184,23 +205,17 @@ def bind_modal(
     tables: of `response_tables.expand`. code (c,): normalised. skin: the person's neutral one [mm], shape (n, 3);
     shapes: what the 52 weights add to it, shape (52, n, 3).
     """
+    now = see_face(network, features, code, at_vertices)
     settling = features.without_palsy(at_vertices)
+    has_palsy = not np.array_equal(settling, at_vertices)
+    rest = see_face(network, features, code, settling) if has_palsy else now
     effects = features.effects(at_vertices, skin)
-    seen: list[tuple[Any, ...]] = []
-    for values in (at_vertices, settling):
-        if seen and np.array_equal(settling, at_vertices):
-            seen.append(seen[0])
-            continue
-        local = features.local(values)
-        summary, unmoved = features.summary(code, values), features.summary(code, features.unmoved(values))
-        seen.append((local, hidden_features(network, local, code.astype(np.float32)), summary, unmoved))
-    (local, hidden, summary, unmoved), (_, *at_rest) = seen
-    settled: Floats32 = neutral(network, 0, at_rest[0], at_rest[1], at_rest[2], effects)
-    offset = settled + neutral(network, 1, hidden, summary, unmoved, effects)
-    shares, lag = mix(network, local, code.astype(np.float32))
+    settled: Floats32 = neutral(network, 0, rest.hidden, rest.summary, rest.unmoved, effects)
+    offset = settled + neutral(network, 1, now.hidden, now.summary, now.unmoved, effects)
+    shares, lag = mix(network, now.local, code.astype(np.float32))
     return FaceModes(
         offset=offset,
         responses=responses(tables, shares, lag, shapes.astype(np.float32, copy=False)),
-        modes=basis(network, 2, hidden).reshape(-1, *skin.shape),
-        remainder_of=remainder(network, summary),
+        modes=basis(network, 2, now.hidden).reshape(-1, *skin.shape),
+        remainder_of=remainder(network, now.summary),
     )

@@ -18,9 +18,8 @@ from ..corpus.mixture import basis
 from ..corpus.reading import Table
 from ..rigs.rig import Rig
 from .features import Inputs
-from .gradient_training import smooth_vertices
 from .recurrence import WITHOUT_BIAS, LearnedRecurrence, coefficients, recurrence_layers
-from .trainer import Tensors, Trainer, TrainerConfig, draw_layers, torch
+from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, draw_positions, torch
 from .weights import Weights
 
 KEPT = 64
@@ -77,11 +76,8 @@ class _Motion:
     turns: Floats32
 
 
-class RecurrenceLesson:
+class RecurrenceLesson(Lesson):
     """Tensors of f_β and f_γ, and the mean distance of whole rolled-out sequences to the simulator's."""
-
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, weights: Weights, bind: Bind, table: Table, pivot: Floats, config: RecurrenceTraining):
         self.table, self.config = table, config
@@ -101,8 +97,9 @@ class RecurrenceLesson:
         for name, logit in FAST.items():
             self.network[f"{name}_rest.2.weight"] *= 0.1
             self.network[f"{name}_rest.2.bias"] = torch.full((1,), logit)
-        places = smooth_vertices(weights.mean, config.position, np.random.default_rng(config.seed))
-        self.network["position"] = torch.from_numpy(places)
+        rng, mean = np.random.default_rng(config.seed), weights.mean
+        positions = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
+        self.network["position"] = torch.from_numpy(positions)
         for value in self.network.values():
             value.requires_grad_()
 
