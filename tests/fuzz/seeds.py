@@ -158,7 +158,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     motion = np.stack([0 * wrap.vertices, 0.1 * wrap.vertices, 0.2 * wrap.vertices]).astype(np.float32)
     moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
-    Corpus(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
+    Corpus.from_plan(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
     made = {(name, "whole"): (folder / name).read_bytes() for name in ("head.npz", "template.npz", "depths.npz")}
     for kind in CHECKS:
         rough_weights(kind).save(folder / "weights.safetensors")

@@ -45,7 +45,7 @@ if __name__ == "__main__":
         sources={"conversation": 0.5, "random": 0.5}
     )
     on = make_schedule(2, sys.argv[2] if len(sys.argv) > 2 else None)
-    Corpus(sys.argv[1], plan, OfSpace(space, space.mean, space.fit)).generate(
+    Corpus.from_plan(sys.argv[1], plan, OfSpace(space, space.mean, space.fit)).generate(
         on=on, on_progress=lambda what, share: print(what, file=sys.stderr, flush=True)
     )
 """

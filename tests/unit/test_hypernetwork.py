@@ -54,7 +54,7 @@ QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate"
 
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     corpus.generate()
     return {split: Faces(corpus.folder, split, heads=Heads(lambda: PEOPLE)) for split in ("train", "test")}
 
