@@ -30,9 +30,9 @@ from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from ..rigs.rig import WEIGHTS, CorrectedRig, Needs
 from .features import Inputs
-from .layers import Arrays, concatenate, einsum, perceptron
+from .layers import Arrays, concatenate, einsum, perceptron, perceptron_layers
 from .ridge import find_components
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,10 @@ class _Scene:
         return Energy(tuple(part.shift(moved) if isinstance(part, Drawn) else part for part in self.energy.parts))
 
 
-class EnergyTrained:
+class EnergyTrained(Lesson):
     """A method whose network has seen no simulated frame; a bind needs a head."""
 
     needs: Needs = "simulator"
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, config: EnergyTraining | None = None, policy: EnergyPolicy = POLICY):
         self._policy = policy
@@ -176,10 +174,6 @@ class EnergyTrained:
             _EnergyAlong.apply(a, scene, w, self._modes) for a, scene, w in zip(moved, scenes, weights, strict=True)
         ]
         return torch.stack(energies).mean()
-
-    def errors(self) -> dict[str, float]:
-        """Hold out nobody."""
-        return {}
 
     def bind(self, face: KeptFace) -> CorrectedRig:
         """Take the settled neutral face of the corpus and the head's own map from wrap to skin."""

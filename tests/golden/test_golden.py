@@ -137,7 +137,7 @@ def corpus() -> Numbers:
     plan = replace(PRESETS["tiny"], references=0, identities=2)
     numbers: Numbers = {}
     with TemporaryDirectory() as folder:
-        Corpus(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()
+        Corpus.from_plan(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()
         for table, key in (("statics", "corrected"), ("responses", "expressions"), ("sequences", "corrected")):
             rows = Table(folder, table, None)
             values = [np.asarray(rows[k][key], dtype=np.float64) for k in range(len(rows))]

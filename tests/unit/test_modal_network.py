@@ -59,7 +59,7 @@ CONFIG = ModalTraining(network=NETWORK, steps=150, frames=4, vertices=42, valida
 
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     corpus.generate()
     return {split: Faces(corpus.folder, split, heads=Heads(lambda: PEOPLE)) for split in ("train", "test")}
 
