@@ -97,7 +97,7 @@ def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how:
 
     def bind(face: AnyFace) -> SolvedRig:
         live = get_live(face)
-        prepared = prepare(live.settled(law).scene(live.skin.vertices), solver=solver, **how)
+        prepared = prepare(live.neutral_scene(law), solver=solver, **how)
 
         def solve(weights: Floats) -> Floats:
             solution = prepared.solve(live.scene(weights, law), tolerance=tolerance)
