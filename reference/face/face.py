@@ -26,6 +26,7 @@ from .derivatives import (
     differentiate,
     rest_among_targets,
 )
+from .dynamics import OSCILLATION, Swing, find_pivot, measure_looseness
 from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
 from .local import at_vertices, from_wraps, on_wraps
 from .parameters import Parameters
@@ -97,6 +98,14 @@ class Face:
     def carried(self) -> Floats:
         """How scaled bones carry the neutral skin [mm], shape (n, 3)."""
         return carry_skin(self.head, self.on_wraps)
+
+    @cached_property
+    def swing(self) -> Swing:
+        """How its skin swings: loose where the head has flesh far from bone, by p's frequency and damping there."""
+        # Weights of skin off the wrap's triangles reach a little beyond their corners.
+        shares = np.clip(self.head.skin_from_wrap @ measure_looseness(self.head), 0.0, 1.0)
+        oscillation = np.stack([self.at_vertices(name) for name in OSCILLATION])
+        return Swing.from_shares(shares, find_pivot(self.head), oscillation)
 
     def settled(self, law: FaceLaw = PD_ENERGY) -> SettledFace:
         """Return how the neutral face settles by a law, once for each."""

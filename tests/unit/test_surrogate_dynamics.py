@@ -12,7 +12,7 @@ from softdeca.reference import Face, Parameters, Sequence
 from softdeca.surrogate import METHODS
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness, Swing
+from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness
 
 SPACE = Spheres(1)
 N = len(SPACE.mean.vertices)
@@ -133,7 +133,7 @@ def test_bad_parameters_are_named(head, changes, message):
             """Unchecked, as an array of parameters is."""
 
     with pytest.raises(InputError, match=message):
-        Swing.from_face(Face(head, shapes(), Given(**changes)))
+        _ = Face(head, shapes(), Given(**changes)).swing
 
 
 @pytest.mark.parametrize(
