@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import Parameters, Scene, apply_law, settle, solve, terms
+from softdeca.reference import Face, Parameters, Scene, apply_law, solve, terms
 from softdeca.reference.problems import meshes
 
 from ..laws_on_elements import LAWS, elements_of, energies_of
@@ -72,10 +72,11 @@ def face() -> Numbers:
     """A face that settles, and an expression of it: projective dynamics, FEniCSx and the neo-Hookean law."""
     code, head = _head(None)
     p = Parameters(soft_volume=1.1, gravity=2.0, mandible_scale_y=1.05)
-    neutral = settle(head, p, tolerance=1e-9)
+    person = Face(head, parameters=p, settling={"tolerance": 1e-9})
+    neutral = person.settled()
     weights = expressions.weights_of({"mouthSmileLeft": 0.3, "mouthSmileRight": 0.2})
     shape = expressions.blend(_space(), code, weights[None])[0]
-    scene = neutral.scene(shape)
+    scene = person.expression_scene(shape)
     numbers = _lengths("settled", neutral.displacement)
     near = solve(scene, start=neutral.positions, tolerance=1e-9, max_iterations=3000)
     same = solve(scene, solver="fenicsx", start=near.positions, tolerance=1e-6)
@@ -90,10 +91,10 @@ def palsy() -> Numbers:
     """A smile of a face with one half paralysed."""
     code, head = _head(None)
     shape = expressions.blend(_space(), code, expressions.weights_of(SMILE)[None])[0]
-    neutral = settle(head, Parameters(paralysis_left=0.8))
-    answer = solve(neutral.scene(shape), tolerance=1e-9, max_iterations=3000)
+    person = Face(head, parameters=Parameters(paralysis_left=0.8), settling={})
+    answer = solve(person.expression_scene(shape), tolerance=1e-9, max_iterations=3000)
     assert answer.converged, answer.reason
-    return _lengths("palsy", neutral.skin_after(shape, answer.positions) - head.skin.vertices)
+    return _lengths("palsy", person.expression_skin(shape, answer.positions) - head.skin.vertices)
 
 
 def laws() -> Numbers:

@@ -227,7 +227,7 @@ def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(plan, 
     from distributed import LocalCluster
 
     def make(name, address=None, on_progress=silent):
-        corpus = Corpus(tmp_path / name, read_plan(plan), people_from_text("spheres:1"))
+        corpus = Corpus.from_plan(tmp_path / name, read_plan(plan), people_from_text("spheres:1"))
         corpus.generate(on=make_schedule(1, address), on_progress=on_progress)
         return {path.name: path.read_bytes() for path in corpus.folder.glob("person-*.h5")}
 

@@ -14,6 +14,7 @@ from softdeca.lhm import FitError, InputError
 from softdeca.lhm.expressions import conversation_take
 from softdeca.lhm.identities.space import LinearSpace
 from softdeca.reference import Parameters, Sequence
+from softdeca.reference.face.correction import predict
 from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus.card import licence_of, write_card
@@ -89,7 +90,7 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
     for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
-        running = Sequence.from_face(face.settled(), dynamic=True, tolerance=PLAN.tolerance)
+        running = Sequence(face, dynamic=True, tolerance=PLAN.tolerance)
         running.begin(face.blend(kept.weights[0]), base=extrapolate_turns(bases))
         again = [
             (face.skin_after(w, running.frame(face.blend(w), base=base).positions) - face.blend(w))
@@ -106,7 +107,7 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
     step[5] = 1e-2
 
     def tight(weights):
-        near = face.derivatives.predict(face.blend(weights))
+        near = predict(face, weights)
         # After 40 iterations the difference is within 1e-6 of its limit, which rounding keeps from any tolerance.
         solution = face.derivatives.prepared.solve(face.scene(weights), start=near, tolerance=1e-7, max_iterations=40)
         return face.skin_after(weights, solution.positions) - face.blend(weights)
