@@ -27,8 +27,6 @@ ROUND = 40
 PUPIL, IRIS, LIMBUS, WHITE, ENAMEL = (18, 16, 16), (92, 126, 138), (44, 56, 62), (236, 231, 224), (238, 230, 212)
 BANDS = ((8.2, PUPIL), (22.2, IRIS), (24.8, LIMBUS), (181, WHITE))
 """Up to so many degrees, which colour."""
-BLUNT = 0.55
-"""Exponent of a crown's superellipsoid: 1 is an ellipsoid, 0 a box."""
 SMALLER, BACK = 0.93, 1.5
 """Factor on the radius of MakeHuman's eyeball, and how far [mm] it is set back: blendshapes move lids along straight
 lines, which cut into a ball that touches them."""
@@ -127,7 +125,7 @@ def _crown() -> tuple[Floats, Ints]:
     around = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
 
     def blunt(value: Floats) -> Floats:
-        return np.sign(value) * np.abs(value) ** BLUNT
+        return np.sign(value) * np.abs(value) ** 0.55  # 1 is an ellipsoid, 0 a box
 
     ring = np.stack(
         [np.outer(blunt(np.cos(up)), blunt(np.cos(around))), np.outer(blunt(np.sin(up)), np.ones(16)),

@@ -24,8 +24,6 @@ STYLE = {
 }
 NARROW = 3.9
 """Width [inch] of a figure on a phone, where its letters are as large as those of the page."""
-MOST_NAMES = 22
-"""Upright names that stand under a narrow figure."""
 _narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 
@@ -195,7 +193,7 @@ def _space(axis) -> None:
 def _thin(axis) -> None:
     """Leave out upright names under an axis, all but every so many, where they would stand in one another."""
     labels = axis.get_xticklabels()
-    step = math.ceil(len(labels) / MOST_NAMES)
+    step = math.ceil(len(labels) / 22)  # upright names that stand under a narrow figure
     if step > 1 and any(label.get_rotation() == 90 for label in labels):
         names = [label.get_text() for label in labels[::step]]
         axis.set_xticks(axis.get_xticks()[::step], names, rotation=90, fontsize=7)

@@ -27,7 +27,6 @@ BACKGROUND = "#f4f1ec"
 FACING = (0.3, 0.04, 1.0)
 SIZE = 400
 """Columns of pixels of one skin."""
-HEADROOM = 1.14
 
 
 def choose_frames(count: int, rate: float, kind: Preview) -> range:
@@ -56,7 +55,7 @@ def render_frames(
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     plotter.set_background(BACKGROUND)
     framed = neutral.vertices[np.unique(neutral.triangles)] if framed is None else framed
-    centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, HEADROOM * float(np.ptp(framed[:, 1]))
+    centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, 1.14 * float(np.ptp(framed[:, 1]))
     aim_camera(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * SIZE / rows * right / np.linalg.norm(right)

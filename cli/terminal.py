@@ -16,7 +16,6 @@ from ..lhm.base.errors import is_interrupt
 from ..lhm.base.files.atomic import remove_unfinished
 from ..lhm.base.progress import OnProgress
 
-LEAST_PAUSE = 0.5  # [s] between two lines of one stage
 INTERRUPTED = 130
 """Exit status: 128 and the number of SIGINT, as shells have it."""
 
@@ -55,7 +54,7 @@ class _Lines:
     def __call__(self, what: str, fraction: float) -> None:
         now, stage = time.monotonic(), what.partition(": ")[0]
         self._begun.setdefault(stage, now)
-        if fraction < 1.0 and now - self._said.get(stage, -1e9) < LEAST_PAUSE:
+        if fraction < 1.0 and now - self._said.get(stage, -1e9) < 0.5:
             return
         self._said[stage] = now
         seconds = now - self._begun[stage]

@@ -41,10 +41,6 @@ POLICY = (
 TOO_MUCH, TRY_LATER = 1008, 1013
 """Close codes of RFC 6455: a policy is broken; the server is full."""
 UNCHANGED = '{"change": 0, "weights": {}, "parameters": {}}'
-MOST_NOTES = 8
-"""Notes that wait for a slow browser."""
-SLACK = 5.0
-"""[s] a browser has to answer a closing handshake."""
 
 
 def serve_face(
@@ -96,7 +92,7 @@ class _Server:
         try:
             serving = await serve(
                 self._handle, HOST, port or 0, process_request=self._answer, max_size=CHANGE_BYTES.most,
-                compression=None, close_timeout=SLACK, server_header=None, logger=silent,
+                compression=None, close_timeout=5.0, server_header=None, logger=silent,
             )  # fmt: skip
         except OSError as error:
             raise InputError(f"port {port}: cannot listen on {HOST} ({error.strerror or error})") from None
@@ -163,7 +159,7 @@ class _Tab:
         self._to_answer: Change | None = None
         self._better: Frame | None = None
         self._found: DerivativesFound | None = None
-        self._notes: deque[Note] = deque(maxlen=MOST_NOTES)
+        self._notes: deque[Note] = deque(maxlen=8)  # that wait for a slow browser
         self._worker = self._make_worker()
         self._starting: asyncio.Task[None] | None = None
 

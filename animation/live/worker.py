@@ -22,8 +22,6 @@ from .refinement import Refinement, SupersededError
 
 QUIET = 0.15
 """[s] without another change before p is prepared, which takes seconds: a slider that moves asks for nothing yet."""
-POLITE = 5
-"""Added to the process' niceness: first answers go before better ones."""
 
 Message = Frame | DerivativesFound | Note
 OnMessage = Callable[[Message], None]
@@ -85,7 +83,7 @@ def refine_newest(refinement: Refinement, newest: Newest, send: OnMessage) -> No
 
 def work(connection: Connection) -> None:
     """Refine what comes by the connection, first the face, then changes, until it ends."""
-    os.nice(POLITE)
+    os.nice(5)  # first answers go before better ones
     try:
         face: Face = connection.recv()
     except (EOFError, OSError):

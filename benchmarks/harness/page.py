@@ -17,8 +17,6 @@ from ...animation.plots import narrow_figures
 from ...lhm.base.provenance import is_dirty
 from .study import Results, Row, Study, Table
 
-QUALITY = 92
-"""Quality of pictures in pages, of 100."""
 CHANGED = "Caution: the code that measured this is in no commit, so its figures cannot be made again."
 SPECIAL = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
@@ -114,7 +112,7 @@ def encode_panels(png: bytes) -> list[str]:
     for column in range(count):
         buffer = io.BytesIO()
         panel = image.crop((column * width, 0, (column + 1) * width, image.height))
-        panel.convert("RGB").save(buffer, "WEBP", quality=QUALITY)
+        panel.convert("RGB").save(buffer, "WEBP", quality=92)
         encoded.append(base64.b64encode(buffer.getvalue()).decode())
     return encoded
 

@@ -251,9 +251,6 @@ def load_kernels(**how) -> None:
 
 LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0
 """Orders used for extrapolation; one that is seen outside of them is brought to the nearer end."""
-SAFETY_OF_THREE = 1.25
-SAFETY_OF_TWO = 3.0
-"""Roache's factors of safety: three meshes show their order, with two it is taken on trust."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,10 +280,12 @@ def limit_of_three(coarse: Floats, middle: Floats, fine: Floats) -> Limit:
     observed = math.log2(first / second) if first > 0.0 else -math.inf
     used = min(max(observed, LEAST_ORDER), GREATEST_ORDER)
     step = (fine - middle) / (2.0**used - 1.0)
-    return Limit(fine + step, observed if math.isfinite(observed) else None, used, SAFETY_OF_THREE * rms(step))
+    # Roache's factor of safety.
+    return Limit(fine + step, observed if math.isfinite(observed) else None, used, 1.25 * rms(step))
 
 
 def limit_of_two(coarse: Floats, fine: Floats, order: float) -> Limit:
     """Extrapolate answers (n, 3) [mm] on a mesh and one of half its size, by an order that is assumed."""
     step = (fine - coarse) / (2.0**order - 1.0)
-    return Limit(fine + step, None, order, SAFETY_OF_TWO * rms(step))
+    # Roache's factor of safety: three meshes show their order, with two it is taken on trust.
+    return Limit(fine + step, None, order, 3.0 * rms(step))

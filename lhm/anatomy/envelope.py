@@ -18,16 +18,10 @@ from ..base.mesh import Floats, Ints, Surface
 from ..head.head import CRANIUM, FREE, MANDIBLE
 from .bodyparts import Anatomy
 
-SPACING = 1.5
-"""[mm] between grid points, by default."""
-MOST_TRIANGLES = 40_000
-_BAND = 2.5
-"""Spacings about a surface within which distances are exact."""
-
 
 @dataclass(frozen=True)
 class EnvelopePolicy:
-    """Lengths [mm] by which bones and muscles become closed surfaces."""
+    """Lengths [mm] by which bones and muscles become closed surfaces, and how fine these are."""
 
     skull_closing: float = 9.0  # radius of the ball that bridges gaps
     muscle_closing: float = 4.5
@@ -36,15 +30,16 @@ class EnvelopePolicy:
     skull_clearance: float = 1.5  # inside the skin
     muscle_clearance: float = 1.0
     near_bone: float = 3.0  # farther points belong to no bone
+    spacing: float = 1.5  # between grid points
+    exact: float = 2.5  # spacings about a surface within which distances are exact
+    most_triangles: int = 40_000
 
 
 POLICY = EnvelopePolicy()
-"""The lengths as they were measured."""
+"""The constants as they were measured."""
 
 
-def skull_surface(
-    anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING, policy: EnvelopePolicy = POLICY
-) -> Surface:
+def skull_surface(anatomy: Anatomy, skin: Surface, *, policy: EnvelopePolicy = POLICY) -> Surface:
     """Close skull and teeth to one filled body [mm]: orbits, temporal fossae, cheek arches and braincase closed.
 
     What comes closer than 1.5 mm to the skin, the linings of its pockets included, is cut away: the mouth of a game
@@ -54,22 +49,20 @@ def skull_surface(
     return closed_envelope(
         bones,
         closing=policy.skull_closing,
-        spacing=spacing,
+        spacing=policy.spacing,
         cavity=policy.brain,
         within=skin,
         clearance=policy.skull_clearance,
     )
 
 
-def muscle_surface(
-    anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: float = SPACING, policy: EnvelopePolicy = POLICY
-) -> Surface:
+def muscle_surface(anatomy: Anatomy, skin: Surface, skull: Surface, *, policy: EnvelopePolicy = POLICY) -> Surface:
     """Close the skull surface with all muscles on it as one filled body [mm], at least 1 mm inside the skin."""
     bodies = [skull, *anatomy.muscles.values()]
     return closed_envelope(
         bodies,
         closing=policy.muscle_closing,
-        spacing=spacing,
+        spacing=policy.spacing,
         inflate=policy.fascia,
         within=skin,
         clearance=policy.muscle_clearance,
@@ -88,7 +81,7 @@ def closed_envelope(
     surfaces: Sequence[Surface],
     *,
     closing: float,
-    spacing: float = SPACING,
+    spacing: float = POLICY.spacing,
     cavity: float = 0.0,
     inflate: float = 0.0,
     within: Surface | None = None,
@@ -132,7 +125,7 @@ def closed_envelope(
     field = _large(field, spacing, smallest)
     if not (field < 0).any():
         raise InputError(f"closed_envelope: nothing is left at a spacing of {spacing:g} mm")
-    surface = simplify(smooth(zero_surface(field, grid.origin, spacing)), MOST_TRIANGLES)
+    surface = simplify(smooth(zero_surface(field, grid.origin, spacing)), POLICY.most_triangles)
     return surface if within is None else _keep_inside(surface, within, clearance)
 
 
@@ -165,7 +158,7 @@ class _Grid:
 
     def refined(self, coarse: Floats, level: float, exact) -> Floats:
         """`coarse`, replaced by `exact` at the points within a few spacings of `level`."""
-        near = np.argwhere(np.abs(coarse - level) < _BAND * self.spacing)
+        near = np.argwhere(np.abs(coarse - level) < POLICY.exact * self.spacing)
         field = coarse.copy()
         field[tuple(near.T)] = exact(self.origin + self.spacing * near)
         return field
@@ -179,7 +172,7 @@ class _Grid:
     def signed(self, surface: Surface, clearance: float) -> Floats:
         """Signed distance [mm] to a closed surface, exact where it is about -`clearance`."""
         coarse = self.distance_from(self.marked(surface.vertices[surface.triangles]))
-        near = coarse < clearance + _BAND * self.spacing
+        near = coarse < clearance + POLICY.exact * self.spacing
         phi = SignedDistance(surface)
         field = coarse.copy()
         field[near] = phi(self.origin + self.spacing * np.argwhere(near))[0]

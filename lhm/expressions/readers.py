@@ -67,7 +67,6 @@ def read_take(path: str | os.PathLike[str]) -> Take:
 # LiveLink Face's CSV: one line per frame, `Timecode`, `BlendShapeCount`, 52 weights and nine angles.
 
 TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 100, 120, 240)
-USUAL_RATE = 60
 ANGLES = ("Yaw", "Pitch", "Roll")
 OTHER_COLUMNS = {
     "timecode",
@@ -81,8 +80,6 @@ MIRRORED = (-1.0, 1.0, -1.0)
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
 weight tells, as the same mirrored frame has it."""
 _TIMECODE = re.compile(r"([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)[:;](\d{1,3}(?:\.\d+)?)", re.ASCII)
-SECONDS_SEEN = 3
-"""Seconds that have to begin in a take before the number of frames in them is held against the rate."""
 _DAY = 24 * 3600
 
 
@@ -175,7 +172,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     frame = np.floor(parts[:, 3])
     rolls_over = ((frame[:-1] == largest) & (frame[1:] == 0) & (np.diff(seconds) == 1)).any()
     whole = np.ptp(seconds) > 1 or (rolls_over and largest + 1 in TIMECODE_RATES)
-    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= USUAL_RATE or whole)]
+    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= 60 or whole)]
     if not usual:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, expected below {TIMECODE_RATES[-1]}")
@@ -185,7 +182,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
         raise InputError(f"line {timecodes[int(np.argmax(steps <= 0)) + 1][0]}, column Timecode: time does not rise")
     step = round(float(np.median(steps)), 2) if len(steps) else 1.0
     across = steps[np.diff(seconds) == 1]
-    if len(across) >= SECONDS_SEEN and np.median(across) > 3.0 * step + 1.0:
+    if len(across) >= 3 and np.median(across) > 3.0 * step + 1.0:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
     return _check_rate(usual[0] / max(step, 0.01)), (at - at[0]) / usual[0]

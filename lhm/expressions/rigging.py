@@ -26,13 +26,19 @@ from ..base.mesh import Floats, Ints, Surface
 from ..identities.arkit import ARKIT, check_weights
 from ..identities.transfer import HELD, Anchors, check_deltas
 
-ROUNDS = 10
-SHAPE_TRUST = (0.5, 0.1)
-"""β in the first round and the last; between them it falls by equal ratios."""
-WEIGHT_TRUST = (1.0, 0.1)
-"""What draws a weight to its start, in shares of its shape's mean square motion; falls likewise."""
-PER_CENT = 0.01
-_FACES_AT_ONCE = 2048
+
+@dataclass(frozen=True)
+class RiggingPolicy:
+    """Rounds, and what holds shapes and weights in the first of them and the last; it falls by equal ratios between."""
+
+    rounds: int = 10
+    shape_trust: tuple[float, float] = (0.5, 0.1)  # β
+    weight_trust: tuple[float, float] = (1.0, 0.1)  # draws to the start, in shares of a shape's mean square motion
+    faces_at_once: int = 2048
+
+
+POLICY = RiggingPolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +55,7 @@ class PersonalRig:
 
 
 @check_arguments
-def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = ROUNDS) -> PersonalRig:
+def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = POLICY.rounds) -> PersonalRig:
     """Fit the shapes to scanned expressions of one person.
 
     neutral: that person's neutral skin [mm]. deltas: generic shapes on it, such as `transfer_expressions` gives [mm],
@@ -74,7 +80,9 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = RO
     system = DeformationTransfer(neutral, anchors.held, weight=HELD)
     areas = neutral.vertex_areas / neutral.vertex_areas.sum()
     shapes, history = generic, list[float]()
-    for beta, gamma in zip(np.geomspace(*SHAPE_TRUST, rounds), np.geomspace(*WEIGHT_TRUST, rounds), strict=True):
+    for beta, gamma in zip(
+        np.geomspace(*POLICY.shape_trust, rounds), np.geomspace(*POLICY.weight_trust, rounds), strict=True
+    ):
         fitted = _fit_weights(shapes, motions, start, areas, gamma)
         if not history:
             history.append(_distance(shapes, motions, fitted))
@@ -97,7 +105,7 @@ class _Edges:
         hold = np.empty((len(generic), len(neutral.triangles)))
         for shape, delta in enumerate(generic):
             jacobians = deformation_gradients(neutral.vertices, neutral.vertices + delta, neutral.triangles)
-            moved = np.linalg.norm(jacobians - np.eye(3), axis=(1, 2)) / PER_CENT
+            moved = np.linalg.norm(jacobians - np.eye(3), axis=(1, 2)) / 0.01  # per cent
             hold[shape] = ((1.0 + moved) / (0.1 + moved)) ** 2
         return cls(_edges(motions, neutral.triangles), _edges(generic, neutral.triangles), hold)
 
@@ -105,8 +113,8 @@ class _Edges:
         """D - D* of all shapes and faces [mm], shape (52, m, 2, 3), by k equations per face (Woodbury's identity)."""
         out = np.empty_like(self.generic)
         pairs = (weights[:, None] * weights[None]).reshape(-1, len(ARKIT))
-        for first in range(0, self.generic.shape[1], _FACES_AT_ONCE):
-            faces = slice(first, first + _FACES_AT_ONCE)
+        for first in range(0, self.generic.shape[1], POLICY.faces_at_once):
+            faces = slice(first, first + POLICY.faces_at_once)
             loose = 1.0 / (beta * self.hold[:, faces])
             matrix = (pairs @ loose).T.reshape(-1, len(weights), len(weights)) + np.eye(len(weights))
             missing = self.examples[:, faces] - np.tensordot(weights, self.generic[:, faces], axes=1)

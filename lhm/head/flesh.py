@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
@@ -10,24 +12,30 @@ from ..base.mesh import Floats
 from .columns import edge_graph
 from .head import LayeredHead
 
-FADE = 12.0
-"""Width [mm], along the skin wrap, over which the share of flesh rises from 0 to 1."""
-BROW = 10.0
-"""Height [mm] above the lids' highest point up to which a face is fleshy."""
-THROAT = (15.0, 30.0)
-"""[mm] From the lips inward along the mouth's lining, between which it ends to follow facial muscles."""
-CHEEK = 15.0
-"""Radius [mm] of a cheek's middle, seen from the front; its share falls to 0 over as much again."""
 LEAN_REGIONS = ("lips", "lids", "mouth", "eyes", "teeth", "ears")
 
 
-def flesh_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
+@dataclass(frozen=True)
+class FleshPolicy:
+    """Lengths [mm] that bound flesh and muscle."""
+
+    fade: float = 12.0  # along the skin wrap, over which the share of flesh rises from 0 to 1
+    brow: float = 10.0  # above the lids' highest point, up to which a face is fleshy
+    throat: tuple[float, float] = (15.0, 30.0)  # from the lips inward, between which the lining ends to follow muscles
+    cheek: float = 15.0  # radius of a cheek's middle, seen from the front; its share falls to 0 over as much again
+
+
+POLICY = FleshPolicy()
+"""The lengths as they were measured."""
+
+
+def flesh_share(head: LayeredHead, *, fade: float = POLICY.fade) -> Floats:
     """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
 
     The share rises over `fade` [mm] along the skin. Raises InputError for a head that lacks one of these regions.
     """
     y = head.skin_wrap.vertices[:, 1]
-    inside = (_region(head, "face") | _region(head, "neck")) & (y < y[_region(head, "lids")].max() + BROW)
+    inside = (_region(head, "face") | _region(head, "neck")) & (y < y[_region(head, "lids")].max() + POLICY.brow)
     for name in LEAN_REGIONS:
         inside = inside & ~_region(head, name)
     return _smooth_step(_path_from(head, ~inside) / fade)
@@ -40,13 +48,13 @@ def cheek_share(head: LayeredHead) -> Floats:
     middle, half = 0.5 * (lips[:, 0].max() + lips[:, 0].min()), 0.5 * np.ptp(lips[:, 0])
     up = x[:, 1] - 0.5 * (lips[:, 1].max() + lids[:, 1].min())
     off = np.hypot(np.abs(x[:, 0] - middle) - 1.25 * half, up)
-    return flesh_share(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
+    return flesh_share(head) * _smooth_step((2.0 * POLICY.cheek - off) / POLICY.cheek)
 
 
 def expressive_share(head: LayeredHead) -> Floats:
     """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
 
-    The share rises over FADE mm along the skin, and falls again far within the mouth, whose lining goes with the
+    The share rises over `fade` along the skin, and falls again far within the mouth, whose lining goes with the
     jaw. A head without the region "face" is one everywhere.
     """
     n = len(head.skin_wrap.vertices)
@@ -55,13 +63,13 @@ def expressive_share(head: LayeredHead) -> Floats:
         return np.ones(n)
     names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
     inside = np.any([head.regions.get(name, none) for name in names], axis=0)
-    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / FADE)
-    return np.minimum(share, 1.0 - _fade_within(head, "mouth", "lips", THROAT))
+    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / POLICY.fade)
+    return np.minimum(share, 1.0 - _fade_within(head, "mouth", "lips", POLICY.throat))
 
 
 def socket_share(head: LayeredHead) -> Floats:
-    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from FADE mm within."""
-    return _fade_within(head, "eyes", "lids", (0.0, FADE))
+    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` within."""
+    return _fade_within(head, "eyes", "lids", (0.0, POLICY.fade))
 
 
 def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:

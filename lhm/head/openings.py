@@ -16,7 +16,6 @@ from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT
 from .columns import edge_graph
 
-LIP_MIDDLE = 6.0
 MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
 """Regions of a wrap."""
 OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
@@ -37,7 +36,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
         return 0.0
     vertices = turn_upright(vertices, regions)
     x = vertices[ring, 0]
-    middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < LIP_MIDDLE]
+    middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < 6.0]  # [mm]
     return float(_ways(vertices, triangles, middle[:1])[middle].max(initial=0.0)) if middle.size else 0.0
 
 

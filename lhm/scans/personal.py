@@ -28,7 +28,7 @@ from ..identities.arkit import ARKIT, weights_of
 from ..template.fit import has_triangles_of
 from ..template.registration.alignment import Target, find_start, tukey_weights
 from ..template.registration.nonrigid import lay_onto
-from ..template.registration.registration import WORST_FACE, WORST_START, find_face
+from ..template.registration.registration import BOUNDS, find_face
 from ..template.template import Template
 from ..template.wraps.landmarks import Landmarks
 from .placing import UNITS, find_placement
@@ -116,7 +116,7 @@ class _Laying:
         rotation, shift = rigid_motion(scale * points[calm], skin.vertices[calm])
         aligned = scale * points @ rotation.T + shift
         off = float(np.linalg.norm(aligned[calm] - skin.vertices[calm], axis=1).mean())
-        if off > WORST_START:
+        if off > BOUNDS.worst_start:
             raise FitError(f"it has the head's triangles, but is {off:.1f} mm off where the expressions are calm")
         return aligned, f"the head's own triangles; {off:.2f} mm off where the expressions are calm"
 
@@ -127,16 +127,18 @@ class _Laying:
         where = find_placement(scan, (shape[face], normals[face]))
         upright = check_registrable(Surface(where.motion(scan.vertices), scan.triangles))
         motion, score = find_start(shape[face], normals[face], Target(upright))
-        if score > WORST_START:
-            raise FitError(f"skin: the head's face is {score:.1f} mm off it, at most {WORST_START:g}")
+        if score > BOUNDS.worst_start:
+            raise FitError(f"skin: the head's face is {score:.1f} mm off it, at most {BOUNDS.worst_start:g}")
         size = motion.scale if abs(motion.scale - 1) > SAME_SIZE else 1.0
         moved = (upright.vertices - motion.shift) @ motion.rotation / size
         calm = _calm(self.deltas[self.used], face)
         target = Target(Surface(_settle(moved, upright, shape[calm], normals[calm]), upright.triangles))
         x, _ = lay_onto(start, self.template.parts, places, target, None, silent)
         off = float(target.tree.closest(x[face])[2].mean())
-        if off > WORST_FACE:
-            raise FitError(f"skin: the face laid upon it is {off:.1f} mm off, at most {WORST_FACE:g}; another guess?")
+        if off > BOUNDS.worst_face:
+            raise FitError(
+                f"skin: the face laid upon it is {off:.1f} mm off, at most {BOUNDS.worst_face:g}; another guess?"
+            )
         return x, f"{where.notes[0]}; laid upon it to {off:.2f} mm"
 
 

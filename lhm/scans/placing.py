@@ -19,20 +19,34 @@ from ..template.registration.alignment import Target, icp, score_start
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-USUAL, WIDEST = (0.75, 1.35), (0.55, 1.8)
-"""Sizes of a face against the template's: what is taken for a known unit, and what is let pass where one is named."""
-HEAD = 250.0
-"""[mm] The template's largest extent; a bust's is up to some twice that."""
-BUSTS = (1.0, 1.5, 2.2)
-FOUND, TILTED = 3.2, 20.0
-"""Scores [mm of the template] up to which a face is found; degrees up to which a head's own axes are kept."""
-SIEVES = ((50, 200, 3), (50, 60, 4), (120, 12, 6), (250, 4, 10))
-"""Points of the face, how many starts are kept, and steps of each."""
-MORE = 400
-POINTS = 4000
-TURNED = 25.0
-"""[mm] What a unit of difference between normals counts as beside a distance."""
-FAR, LEAST, MOST = 30.0, 0.4, 2.5
+
+
+@dataclass(frozen=True)
+class PlacingPolicy:
+    """How a face is looked for in a scan, and what is taken for one; sizes are relative to the template's."""
+
+    usual_sizes: tuple[float, float] = (0.75, 1.35)  # of a face, by which a known unit is taken
+    named_sizes: tuple[float, float] = (0.55, 1.8)  # of a face in the unit that is said
+    head: float = 250.0  # [mm] the template's largest extent
+    busts: tuple[float, ...] = (1.0, 1.5, 2.2)  # extents of a scan that are tried: a bust is some twice a head
+    worst_score: float = 3.2  # [mm of the template] up to which a face is found
+    most_tilt: float = 20.0  # [degrees] up to which a head's own axes are kept
+    sieves: tuple[tuple[int, int, int], ...] = (  # points of the face, how many starts are kept, and steps of each
+        (50, 200, 3),
+        (50, 60, 4),
+        (120, 12, 6),
+        (250, 4, 10),
+    )
+    last_points: int = 400  # of the face that the last starts lay upon the surface itself
+    scan_points: int = 4000  # of the scan, in sieves
+    turned: float = 25.0  # [mm] that a unit of difference between normals counts beside a distance
+    farthest: float = 30.0  # [mm] that a point counts in a sieve
+    least_scale: float = 0.4
+    most_scale: float = 2.5
+
+
+POLICY = PlacingPolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +91,11 @@ def find_placement(
         off = float(np.linalg.norm(motion(landmarks[0]) - landmarks[1], axis=1).mean() / motion.scale)
     else:
         motion, off = _search(skin, used, face, given, rotations, progress)
-        if off > FOUND:
+        if off > POLICY.worst_score:
             raise FitError(
-                f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most {FOUND:g}); "
-                "is it a head, with its face? --up, --front and --unit, or --landmarks, say where it is"
+                f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most "
+                f"{POLICY.worst_score:g}); is it a head, with its face? --up, --front and --unit, or --landmarks, say "
+                "where it is"
             )
     told, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
     rotation, way = _upright(motion.rotation.T, known=up is not None and front is not None)
@@ -134,7 +149,7 @@ def _search(
     progress: OnProgress,
 ) -> tuple[Similarity, float]:
     """The similarity from the template's face to the skin in its file's unit, and its score [mm of the template]."""
-    free = [size * HEAD / float(np.ptp(used, axis=0).max()) for size in BUSTS]
+    free = [size * POLICY.head / float(np.ptp(used, axis=0).max()) for size in POLICY.busts]
     best: tuple[float, Similarity] = (np.inf, Similarity(1.0, np.eye(3), np.zeros(3)))
     tilts = [np.eye(3)]
     # A unit that is said and in which there is no face may be the wrong one: then the right one can be told.
@@ -146,7 +161,7 @@ def _search(
             motion, off = _best(target, used * size, face, turns)
             if off < best[0]:
                 best = off, Similarity(motion.scale / size, motion.rotation, motion.shift / size)
-        if best[0] <= FOUND:
+        if best[0] <= POLICY.worst_score:
             break
         tilts = _tilts()
     progress("finding the face", 1.0)
@@ -173,10 +188,10 @@ def _best(
     points, normals = face
     starts = [start for turn in turns for start in _starts(used, points, turn)]
     sieve = Sieve.of(target.skin)
-    for count, kept, steps in SIEVES:
+    for count, kept, steps in POLICY.sieves:
         some = np.unique(np.linspace(0, len(points) - 1, count).astype(int))
         starts = sieve.best(starts, points[some], normals[some], kept, steps)
-    more = np.unique(np.linspace(0, len(points) - 1, MORE).astype(int))
+    more = np.unique(np.linspace(0, len(points) - 1, POLICY.last_points).astype(int))
     fine = []
     for number, start in enumerate(starts):
         moved = icp(start, points[more], normals[more], target, 20)
@@ -206,12 +221,12 @@ def _unit(given: float | None, guess: float, extent: float) -> tuple[str, float]
     """What is said about the unit, and millimetres in it."""
     if given is not None:
         size = given / guess
-        if not WIDEST[0] <= size <= WIDEST[1]:
+        if not POLICY.named_sizes[0] <= size <= POLICY.named_sizes[1]:
             raise FitError(f"skin: in that unit its face is {size:.3g} times the template's size: another --unit?")
         return f"unit: {given:g} mm, as said (its face is {size:.2f} times the template's)", given
     for name, known in UNITS.items():
         size = known / guess
-        if USUAL[0] <= size <= USUAL[1]:
+        if POLICY.usual_sizes[0] <= size <= POLICY.usual_sizes[1]:
             return f"unit: taken for {name}, in which its face is {size:.2f} times the template's", known
     return (
         f"unit: none known; taken for {guess:.4g} mm, by which its face has the template's size (--unit says else)",
@@ -224,7 +239,7 @@ def _upright(rotation: Floats, *, known: bool) -> tuple[Floats, str]:
     nearest = max(_rotations(None, None), key=lambda turn: float(np.trace(turn @ rotation))).T
     angle = np.degrees(np.arccos(np.clip((np.trace(nearest.T @ rotation) - 1) / 2, -1, 1)))
     up, front = _axis(nearest[1]), _axis(nearest[2])
-    if angle <= TILTED or known:
+    if angle <= POLICY.most_tilt or known:
         return nearest, f"axes: {up} is up, {front} the front"
     return rotation, f"axes: turned upright ({angle:.0f}° from {up} up and {front} the front)"
 
@@ -238,13 +253,14 @@ class Sieve:
 
     @classmethod
     def of(cls, skin: Surface) -> Sieve:
-        """Choose up to POINTS of the surface's triangles, by their centres."""
+        """Choose up to `scan_points` of the surface's triangles, by their centres."""
         along = np.cumsum(skin.areas)
-        chosen = np.unique(np.searchsorted(along, (np.arange(POINTS) + 0.5) / POINTS * along[-1]))
+        count = POLICY.scan_points
+        chosen = np.unique(np.searchsorted(along, (np.arange(count) + 0.5) / count * along[-1]))
         chosen = np.minimum(chosen, len(along) - 1)
         normals = unit(skin.face_normals[chosen])
         points = skin.vertices[skin.triangles[chosen]].mean(axis=1)
-        return cls(points, cKDTree(np.hstack([points, TURNED * normals])))
+        return cls(points, cKDTree(np.hstack([points, POLICY.turned * normals])))
 
     def best(
         self, starts: Sequence[Similarity], points: Floats, normals: Floats, kept: int, steps: int
@@ -256,15 +272,15 @@ class Sieve:
         for step in range(steps + 1):
             moved = scale[:, None, None] * np.einsum("sij,kj->ski", turn, points) + shift[:, None]
             turned = np.einsum("sij,kj->ski", turn, normals)
-            query = np.concatenate([moved, TURNED * turned], axis=2).reshape(-1, 6)
+            query = np.concatenate([moved, POLICY.turned * turned], axis=2).reshape(-1, 6)
             distance, nearest = self.tree.query(query)
             distance = distance.reshape(len(starts), -1)
             if step == steps:
                 break
             weight = 1.0 / (1.0 + (distance / 10.0) ** 2)
             scale, turn, shift = _fits(points, self.points[nearest].reshape(moved.shape), weight, scale)
-        off = np.minimum(distance, FAR).mean(axis=1) / scale
-        off[(scale <= LEAST * 1.001) | (scale >= MOST * 0.999)] = np.inf
+        off = np.minimum(distance, POLICY.farthest).mean(axis=1) / scale
+        off[(scale <= POLICY.least_scale * 1.001) | (scale >= POLICY.most_scale * 0.999)] = np.inf
         order = np.argsort(off, kind="stable")[:kept]
         return [Similarity(float(scale[k]), turn[k], shift[k]) for k in order]
 
@@ -280,5 +296,5 @@ def _fits(points: Floats, goals: Floats, weight: Floats, before: Floats) -> tupl
     flip[:, 2] = np.sign(np.linalg.det(u @ v))
     turn = (u * flip[:, None]) @ v
     size = np.einsum("sk,ski,sij,skj->s", share, b, turn, a) / np.einsum("sk,skd->s", share, a**2)
-    scale = np.clip(size, np.maximum(LEAST, 0.8 * before), np.minimum(MOST, 1.25 * before))
+    scale = np.clip(size, np.maximum(POLICY.least_scale, 0.8 * before), np.minimum(POLICY.most_scale, 1.25 * before))
     return scale, turn, middle - scale[:, None] * np.einsum("sij,sj->si", turn, share @ points)

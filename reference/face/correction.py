@@ -17,9 +17,6 @@ from ..projective.terms.springs import Springs
 from .derivatives import spring_norm
 from .face import Face
 
-STEP_HALVINGS = 3
-"""Halvings of Newton's step before it is given up: where tets fold, its model may hold for less."""
-
 
 def predict(face: Face, weights: Floats) -> Floats:
     """Predict the vertices of an expression's scene [mm], shape (n, 3), to first order."""
@@ -83,7 +80,8 @@ class Correction:
 
     def take(self, step: Floats) -> bool:
         """Go along a step as far as the energy falls enough; False, and nothing moves, where it does not soon."""
-        taken = search_line(self._problem, self.point, step, STEP_HALVINGS)
+        # Halvings: where tets fold, the model may hold for less.
+        taken = search_line(self._problem, self.point, step, 3)
         if taken is None:
             return False
         step, ahead = taken

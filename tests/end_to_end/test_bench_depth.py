@@ -12,7 +12,7 @@ from softdeca.benchmarks.studies.heads.depth import BETTER, PUBLISHED, Depth
 from softdeca.lhm import Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.template.depths.depths import DepthRegressor
-from softdeca.lhm.template.depths.pairs import OUTSIDE, check_inside, inward_normals, move_wrap
+from softdeca.lhm.template.depths.pairs import POLICY, check_inside, inward_normals, move_wrap
 from softdeca.lhm.template.depths.prior import prior_pairs
 
 DEEPER = 2.0
@@ -116,7 +116,7 @@ def test_teeth_in_the_mouths_pocket_are_not_outside(space):
     teeth = trimesh.creation.icosphere(5, radius=1.0)
     both = [skull.vertices, teeth.vertices + pocket], [skull.triangles, teeth.faces + len(skull.vertices)]
     outside = SignedDistance(wrap)(both[0][1])[0]
-    assert (outside > OUTSIDE).all() and len(outside) > 2 * len(skull.vertices)
+    assert (outside > POLICY.outside).all() and len(outside) > 2 * len(skull.vertices)
     check_inside("skull", template, wrap, Surface(*map(np.vstack, both)))
 
 

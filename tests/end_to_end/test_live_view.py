@@ -20,7 +20,8 @@ from softdeca.lhm import expressions, fit_head, identities
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
-from softdeca.reference.face.derivatives import TIGHT_ACCURACY
+from softdeca.reference.face.correction import predict
+from softdeca.reference.face.derivatives import TIGHT_ACCURACY, spring_norm
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
 
@@ -149,19 +150,21 @@ def test_each_answer_is_pythons_own(tab, head_file):
     shapes = expression_deltas(head, "person")
     network, code = Surrogate.load(), nearest_code(identities.Anny(), head.skin, ridge=1e-6)
     by_network = network.bind(head.skin, code, p, expressions=shapes).frame(weights)
-    linear = Face(head, shapes, p).derivatives
-    offset, responses = linear.offset + linear.face.displacement, linear.skin_by_shapes(shapes) - shapes
+    face = Face(head, shapes, p)
     rig = network.bind(head.skin, code, p, expressions=shapes)
-    by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (offset, responses))).frame(weights)
-    expression = head.skin.vertices + np.tensordot(weights, shapes, axes=1)
-    solution = linear.solve(expression, accuracy=TIGHT_ACCURACY)
+    by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (face.offset, face.responses))).frame(
+        weights
+    )
+    scene, linear = face.scene(weights), face.derivatives
+    tight = TIGHT_ACCURACY * spring_norm(scene)
+    solution = linear.prepared.solve(scene, start=predict(face, weights), absolute=tight, metric=linear.tangent)
     assert solution.converged
-    simulated = linear.face.skin_after(expression, solution.positions)
+    simulated = face.skin_after(weights, solution.positions)
     for method, skin in ((NETWORK, by_network), (NETWORK_AND_DERIVATIVES, by_both), (PD, simulated)):
         assert np.abs(tab.answer(method) - skin).max() < 0.01, method
     assert np.abs(np.array(tab.page.evaluate("viewer.positions()")).reshape(-1, 3) - simulated).max() < 0.01
     distance = np.array(tab.page.evaluate("viewer.arrayOf('PD', 'distance')"))
-    assert np.abs(distance - np.linalg.norm(simulated - expression, axis=1)).max() < 0.01
+    assert np.abs(distance - np.linalg.norm(simulated - face.blend(weights), axis=1)).max() < 0.01
     told = tab.page.evaluate("viewer.errors")
     assert [each["method"] for each in told][:3] == [NETWORK, NETWORK_AND_DERIVATIVES, PD]
     assert told[-1]["mean"] < 0.01 * told[1]["mean"], "the error falls"

@@ -6,7 +6,7 @@ import trimesh
 
 from softdeca.lhm import identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.anatomy.envelope import bone_at, closed_envelope, muscle_surface, skull_surface
+from softdeca.lhm.anatomy.envelope import EnvelopePolicy, bone_at, closed_envelope, muscle_surface, skull_surface
 from softdeca.lhm.anatomy.placement import POLICY, close_pockets, keep_triangles, place
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
@@ -197,7 +197,7 @@ def placed(bones, space):
 
 @pytest.fixture(scope="module")
 def skull(placed, space):
-    return skull_surface(placed.anatomy, space.mean, spacing=2.0)
+    return skull_surface(placed.anatomy, space.mean, policy=EnvelopePolicy(spacing=2.0))
 
 
 def test_bodyparts_hold_a_skull_with_28_teeth_and_muscles(bones):
@@ -257,7 +257,7 @@ def test_placed_skull_agrees_with_the_kit_s_own_teeth(placed, data):
 
 
 def test_surfaces_of_the_placed_anatomy(placed, space, skull):
-    muscle = muscle_surface(placed.anatomy, space.mean, skull, spacing=2.0)
+    muscle = muscle_surface(placed.anatomy, space.mean, skull, policy=EnvelopePolicy(spacing=2.0))
     phi = SignedDistance(space.mean)
     for surface, clearance in ((skull, 1.5), (muscle, 1.0)):
         assert as_trimesh(surface).is_watertight and as_trimesh(surface).body_count == 1

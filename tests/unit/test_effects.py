@@ -12,7 +12,7 @@ from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.cases import CASES, EFFECTS, Case, add_case, get_case, keep_defaults
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm.base.errors import InputError
-from softdeca.lhm.head.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
+from softdeca.lhm.head.flesh import POLICY, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Face, Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
@@ -38,7 +38,7 @@ def test_flesh_fades_in_along_the_skin(fine_head):
     none |= ~(fine_head.regions["face"] | fine_head.regions["neck"])
     assert np.all(share[none] == 0.0)
     straight = cdist(x, x[none]).min(axis=1)  # no way along the skin is shorter
-    t = np.minimum(straight / FADE, 1.0)
+    t = np.minimum(straight / POLICY.fade, 1.0)
     assert np.all(share >= t * t * (3 - 2 * t) - 1e-12)
     assert np.any((share > 0.1) & (share < 0.9)) and np.any(share == 1.0)
 

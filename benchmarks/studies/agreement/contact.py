@@ -31,8 +31,6 @@ ON_THE_WAY, TOLERANCE = 1e-2, 1e-6
 """Gradient norm relative to its start, before the last share and at the end."""
 MOVES = 0.05
 """[mm] by which contact has to move a vertex that counts."""
-ALIKE = 0.5
-"""Largest share of what contact moves by which the two codes may differ on average."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class Contact(OfPerson):
         share = max(values["apart_mean_mm"] / values["moved_mean_mm"] for values in poses)
         return [
             at_most("poses whose barrier was not solved", failed, 0),
-            at_most("mean distance of PD's contact to the barrier, of what contact moves", share, ALIKE),
+            at_most("mean distance of PD's contact to the barrier, of what contact moves", share, 0.5),
         ]
 
     def words(self, rows: Sequence[Row]) -> str:

@@ -13,8 +13,6 @@ from .contest import ACCURACIES, ANSWER, HUNDREDTH, ONE, REST, TENTH, THOUSANDTH
 
 Judged = tuple["Claim", str, str]
 """A claim, its verdict and its figures."""
-LEAST_TIME = 1e-6
-"""[s] A solve that the clock does not see counts as this."""
 Sides = Mapping[str, float | None]
 """By problem, a figure that is to be at most 1 where the claim holds; None where the claim's own side failed."""
 
@@ -54,7 +52,8 @@ def find_time(row: Row, index: int, *, prepared: bool = False) -> float | None:
     seconds: float | None = reached[index] if reached else None
     if seconds is None:
         return None
-    return max(LEAST_TIME, seconds + (0.0 if prepared else float(np.median(row.values["set_up_s"]))))
+    # A solve that the clock does not see counts as a microsecond.
+    return max(1e-6, seconds + (0.0 if prepared else float(np.median(row.values["set_up_s"]))))
 
 
 def find_best(

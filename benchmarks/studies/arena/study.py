@@ -41,10 +41,6 @@ from .summaries import tabulate_series, tabulate_spread, tabulate_times
 
 ARRIVING = (FENICSX, SKFEM, PD, PD_ANDERSON, "FElupe")
 """Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
-QUICK_BUDGET = 1.0
-"""[s] of a solve."""
-QUADRATIC_AS = 8
-"""Linear tets that a quadratic one counts for: those with its nodes."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +122,8 @@ class Arena(Study):
         except SoftdecaError as without:
             raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = answers["own"] if start == ANSWER else None
-        size = len(problem.tets) * (1 if element == LINEAR else QUADRATIC_AS)
-        budget = self.budget or (find_budget(size) if self.whole else QUICK_BUDGET)
+        size = len(problem.tets) * (1 if element == LINEAR else 8)  # so many linear tets have its nodes
+        budget = self.budget or (find_budget(size) if self.whole else 1.0)  # [s] of a solve
         if title in files:
             file = files[title]
             name = next(name for name, other in self._name_solvers().items() if other is file)

@@ -54,8 +54,6 @@ from .problems import Problem, pull_handles
 from .solvers import libigl_arap
 from .summaries import tabulate_times, tabulate_work
 
-LEAST_ERROR = 1e-7
-"""[mm], below which the tight runs' own error shows."""
 FACE, ARAP = "the face's energy (Eq. 15)", "ARAP's energy, same tets"
 BY_ENERGY: Mapping[str, Sequence[str]] = {
     FACE: (PD, PD_PLAIN, PD_ANDERSON, FENICSX, FENICSX_P2, SKFEM),
@@ -243,7 +241,7 @@ class WorkPrecision(OfPerson):
                 panels.append(Panel(energy, [values for values in of if values["solver"] not in READY], "work"))
         if not panels:
             return {}
-        figure = plot_curves(panels, floor=LEAST_ERROR)
+        figure = plot_curves(panels, floor=1e-7)  # [mm], below which the tight runs' own error shows
         return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
 

@@ -75,7 +75,6 @@ def draw_moving_head(head: LayeredHead) -> Values:
     return {"shown": figures, "notes": list(head.notes), "as it moves": faces, "cut open": layers}
 
 
-FAILURES_PER_HEAD = 1e-3
 WORST = 5
 PLOTTED = (
     "smallest_dihedral", "share_below_5_degrees", "aspect_95", "aspect_max", "least_thickness", "mean_thickness",
@@ -138,7 +137,7 @@ class Heads(OfPerson):
         of = _select_fits(rows)
         failed = sum(bool(row.values["error"] or row.values["problems"]) for row in of)
         what = f"heads of {len(of)} that could not be fitted or miss a gate"
-        return [at_most(what, failed, FAILURES_PER_HEAD * len(of))]
+        return [at_most(what, failed, 1e-3 * len(of))]
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how many there are, and how long a fit takes."""

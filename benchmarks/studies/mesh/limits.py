@@ -26,16 +26,12 @@ ALONG = 2
 """Sub-layers of the head's own surface that compare with the split head: a layer of tets split into eight has two."""
 ORDER_ALONG = 1.0
 """Of the two surface levels, assumed: smooth answers show 2, but springs and borders of bone let less be trusted."""
-WITH_PRESSURE = 0.49
-"""Poisson's ratio from which on quadratic tets have a pressure."""
 LINEAR_TOLERANCE, QUADRATIC_TOLERANCE, PRESSURE_TOLERANCE = 1e-7, 2e-3, 1e-6
 """Gradient norm over its start. Quadratic tets start at the linear answer, where .002 leaves the skin 0.0001 mm."""
 ONE_SIDED = "mouthSmileLeft*0.6"
 """Expression that is mirrored."""
 SOFT = 0.45
 """Poisson's ratio of the mirrored loads."""
-PAIRED = 1e-3
-"""Distance [mm] within which a mirrored skin vertex meets its partner."""
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
@@ -105,7 +101,7 @@ class LawOnHead:
 
     def __init__(self, head: LayeredHead, shape: Floats, poisson: float):
         self._head, self._shape, self._poisson = head, shape, poisson
-        self._element = "P2P1" if poisson >= WITH_PRESSURE else "P2"
+        self._element = "P2P1" if poisson >= 0.49 else "P2"  # from there on with a pressure
         self._linear = solve_linear(head, shape, poisson)
         self._quadratic = self._solve_quadratic(head, self._linear)
         self._motion = distances(self._quadratic.skin, shape)
@@ -149,7 +145,7 @@ def compare_mirrored_loads(person: Person, size: float) -> list[dict]:
     rest = person.head.skin.vertices
     moved = person.shape(ONE_SIDED) - rest
     distance, partner = cKDTree(rest).query(rest * MIRROR)
-    if distance.max() > PAIRED:
+    if distance.max() > 1e-3:  # [mm]
         raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
     rows = []
     for what, head in ((SPLIT_PRISMS, person.head), (FREE_TETS, remesh(person.head, size))):

@@ -17,8 +17,6 @@ from ....reference.projective.terms.tets import TetBlocks
 TRIAD_NUMBERS = 8_000_000
 """Per array: 64 MB, beyond the caches of a core."""
 REPEATS = 15
-BYTES_OF_ENTRY = 12
-"""A value in float64 and a row in int32."""
 
 
 @numba.njit(cache=True)
@@ -50,7 +48,7 @@ def count_factor_bytes(prepared: ProjectivePrepared) -> int:
             lu = splu(
                 shifted.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
-            total += BYTES_OF_ENTRY * lu.L.nnz
+            total += 12 * lu.L.nnz  # a value in float64 and a row in int32
     return total
 
 

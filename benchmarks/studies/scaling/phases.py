@@ -17,7 +17,6 @@ from ...harness.mpirun import run_by_mpirun
 from ...harness.processes import peak_megabytes
 
 PHASES = ("prepare", "energy", "gradient", "hessian", "first_solve", "next_solve", "whole")
-RELATIVE = 1e-6  # of a linear system's right-hand side
 TIGHT = 1e-12
 
 
@@ -78,7 +77,7 @@ def measure(scene: Scene, repeats: int) -> dict:
             times["hessian"].append(seconds)
             b = -gradient.ravel()
             hold(hessian, held, np.zeros(len(held)), b)
-            seconds, answer = _time(lambda solver=solver, b=b: solver.solve(b, relative=RELATIVE))
+            seconds, answer = _time(lambda solver=solver, b=b: solver.solve(b, relative=1e-6))
             if not answer.converged:
                 raise SoftdecaError(f"the linear system near rest is not solved: {answer.why}")
             times[phase].append(seconds)

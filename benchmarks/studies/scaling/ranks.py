@@ -15,8 +15,6 @@ from ..measures import NEO_HOOKEAN, PD_ENERGY
 from ..person import OfPerson
 from .phases import PHASES, compare_phases
 
-AGREEMENT = 1e-10  # of the largest displacement
-
 
 @dataclass(frozen=True)
 class Ranks(OfPerson):
@@ -73,7 +71,7 @@ class Ranks(OfPerson):
         lines = [line for row in rows for line in row.values["rows"]]
         what = "distance to one process' answer, of the largest displacement"
         return [
-            at_most(what, max(line["off"] for line in lines), AGREEMENT),
+            at_most(what, max(line["off"] for line in lines), 1e-10),  # of the largest displacement
             at_most("solves that did not converge", sum(not line["converged"] for line in lines), 0),
         ]
 

@@ -34,8 +34,6 @@ RATE = 60.0
 """[Hz] of the sequence."""
 CHECKED_EVERY = 12
 """Frames of the sequence between two that are compared with a tight run."""
-HALVINGS = 4
-"""Of the sequence's own tolerance, to be tried at most."""
 KINDS = {
     "default p": (),
     "the corpus' p at random": FEW,
@@ -43,10 +41,6 @@ KINDS = {
 }
 """Which parameters are drawn, each over its whole range; the others are default."""
 COLD, SEQUENCE, WORKER, ITERATION = "cold frames", "a sequence", "a worker that fits a head and simulates", "iteration"
-COLD_SECONDS, WARM_SECONDS = 1.0, 0.2
-COLD_PER_HOUR, WARM_PER_HOUR = 4000, 15000
-WORKER_MB = 600.0
-OVER_FLOOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +124,7 @@ class Throughput(OfPerson):
         of = self.person()
         skins = of.blend(expressions.conversation(np.random.default_rng(3), self.frames, rate=RATE))
         prepared = prepare(facial_scene(of.head, Parameters(), skins[0]))
-        for halvings in range(HALVINGS + 1):
+        for halvings in range(5):
             found = self._play(skins, prepared, TOLERANCE / 2**halvings)
             if found["error_mm"] <= ACCURACY:
                 break
@@ -195,7 +189,7 @@ class Throughput(OfPerson):
             "an iteration [ms]": split["iteration"],
             RATIO: iteration / least,
             "energy and gradient (local step) [ms]": split["local"],
-            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * TETS / len(prepared.scene.tets),
+            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * 58_080 / len(prepared.scene.tets),
             "solve with A (global step) [ms]": split["solve"],
             "the rest: L-BFGS, further evaluations [ms]": split["rest"],
             "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),
@@ -211,9 +205,9 @@ class Throughput(OfPerson):
                 slowest = float(np.max([line["seconds"] for line in lines]))
                 mean = 3600.0 / float(np.mean([line["seconds"] for line in lines]))
                 gates += [
-                    at_most(f"cold frame, {row.method}: slowest, scene to solution [s]", slowest, COLD_SECONDS,
+                    at_most(f"cold frame, {row.method}: slowest, scene to solution [s]", slowest, 1.0,
                             answer=False),
-                    at_least(f"cold frames per core-hour, {row.method}", mean, COLD_PER_HOUR, answer=False),
+                    at_least(f"cold frames per core-hour, {row.method}", mean, 4000, answer=False),
                     at_most(f"cold frame, {row.method}: largest error [mm]",
                             float(np.max([line["error_mm"] for line in lines])), ACCURACY),
                     at_most(f"cold frames, {row.method}: not converged", count_unfinished(lines), 0),
@@ -222,17 +216,17 @@ class Throughput(OfPerson):
                 (line,) = lines
                 median = float(np.median(line["solve_s"]))
                 gates += [
-                    at_most("warm frame of a sequence, median [s]", median, WARM_SECONDS, answer=False),
-                    at_least("warm frames per core-hour", line["per_hour"], WARM_PER_HOUR, answer=False),
+                    at_most("warm frame of a sequence, median [s]", median, 0.2, answer=False),
+                    at_least("warm frames per core-hour", line["per_hour"], 15000, answer=False),
                     at_most("warm frame: largest error [mm]", line["error_mm"], ACCURACY),
                 ]
             elif row.case == WORKER:
-                gates.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], WORKER_MB))
+                gates.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], 600.0))
             else:
                 said = {line["what"]: line["value"] for line in lines}
                 ratio = "time of an iteration over its floor (an aim)"
-                gates.append(at_most(ratio, said[RATIO], OVER_FLOOR, answer=False))
-                gates.append(at_most(LOCAL_58K, said[LOCAL_58K], LOCAL_STEP_MS, answer=False))
+                gates.append(at_most(ratio, said[RATIO], 2.0, answer=False))
+                gates.append(at_most(LOCAL_58K, said[LOCAL_58K], 8.0, answer=False))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -266,4 +260,3 @@ class Throughput(OfPerson):
 
 RATIO = "an iteration over its floor"
 LOCAL_58K = "a local step per 58 k tets, float64, one core [ms]"
-TETS, LOCAL_STEP_MS = 58_080, 8.0

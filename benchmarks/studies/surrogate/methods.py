@@ -24,9 +24,6 @@ from ....surrogate.networks.ridge import Ridge
 from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
-COSTED = 2
-"""Faces, spread over the test, on which a bind by simulation is measured: some 5 s."""
-
 
 @lru_cache(maxsize=1)
 def list_learners() -> Mapping[str, Callable[[], Learns]]:
@@ -82,7 +79,7 @@ class Contest:
         if method.needs == "nothing":
             return {}
         try:
-            return {method.name: measure_bind(method, self.tested.spread(COSTED))}
+            return {method.name: measure_bind(method, self.tested.spread(2))}  # some 5 s
         except InputError:
             return {}
 

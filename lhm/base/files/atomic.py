@@ -13,8 +13,6 @@ from pathlib import Path
 
 from ..errors import InputError, quote
 
-NAMED = 100
-"""Characters of a file's name that its temporary one begins with: names end at 255."""
 _unfinished: set[Path] = set()
 
 
@@ -30,7 +28,8 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Named before it is made, so that an interruption at any place finds it here.
-        temporary = path.parent / f".{path.stem[:NAMED]}-{secrets.token_hex(4)}{path.suffix}"
+        # Names end at 255 characters.
+        temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
         _unfinished.add(temporary)
         try:
             temporary.touch(0o600, exist_ok=False)

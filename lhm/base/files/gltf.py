@@ -36,9 +36,6 @@ _KNOWN = {"KHR_draco_mesh_compression", "KHR_mesh_quantization"}
 _MESHOPT = {"EXT_meshopt_compression", "KHR_meshopt_compression"}
 LARGEST = 1e12
 """Of a number in a transform."""
-LONGEST_STRIDE = 65536
-"""Bytes; the specification has 252."""
-LONGEST_NAME = 200
 QUANTISED = 0.02
 """Of a mesh's size: how far Draco's quantisation moves its extent, with 5 bits or more."""
 FLAT = 1e-9
@@ -237,7 +234,7 @@ class _Document:
         triangles = indices_below("triangles", triangles, len(x), (None, 3))
         targets: dict[str, Floats] = {}
         for k, target in enumerate(primitive.get("targets", ())):
-            name = escape(names[k])[:LONGEST_NAME] if k < len(names) else f"target {k}"
+            name = escape(names[k])[:200] if k < len(names) else f"target {k}"
             if name in targets:
                 raise InputError(f"morph target {quote(name)!r} stands there twice")
             if "POSITION" in target:
@@ -369,7 +366,7 @@ def _bytes(name: str, number: Any, most: int = FILE_BYTES.most) -> int:
 
 def _read_strided(content: memoryview, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
     size = width * kind.itemsize
-    if not size <= _bytes("byteStride", stride, LONGEST_STRIDE):
+    if not size <= _bytes("byteStride", stride, 65536):  # the specification has 252
         raise InputError(f"byteStride: {stride}, below the {size} bytes of an element")
     if _bytes("byteOffset", offset, len(content)) + max(count - 1, 0) * stride + size * (count > 0) > len(content):
         raise InputError("an accessor reaches beyond its buffer: is the file's end missing?")

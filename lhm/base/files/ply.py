@@ -24,8 +24,6 @@ KINDS |= {"double": "f8", "float32": "f4", "float64": "f8"}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 LONGEST_HEADER = 65536
 """Bytes within which the header ends."""
-MOST_DIGITS = 15
-"""Of a count."""
 ENDED = "the file is cut off: it has not the elements that its header promises"
 
 
@@ -90,7 +88,7 @@ def _header(lines: list[str]) -> tuple[bool, list[_Element]]:
             continue
         if words[0] == "format" and len(words) == 3 and words[1] in FORMATS and order is None:
             order = FORMATS[words[1]]
-        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= MOST_DIGITS:
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= 15:
             elements.append(_Element(words[1], int(words[2]), ()))
         elif words[0] == "property" and elements and order is not None:
             element = elements.pop()

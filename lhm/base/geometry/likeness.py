@@ -6,22 +6,32 @@ each, and faces that settle at the ends of every parameter. The bounds lie betwe
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
 from ..errors import InputError, SoftdecaError
 from ..mesh import Floats, Floats32, Ints, Surface
 
-FARTHEST = 100.0
-"""[mm] From the neutral surface; expressions move at most 71."""
-SIZES = 0.8, 1.25
-"""Of the neutral surface's size; expressions and p: 0.96 to 1.06, metres 0.001."""
-LEAST_LIKENESS = 0.8
-"""Cosine between both surfaces' vertices about their means; expressions and p: 0.98, mirrored 0.5, shuffled 0."""
-MOST_STRETCH = 1.6
-"""Of edges, root mean square; expressions and p: 1.09, vertices shifted by one place 4.9."""
 TRIANGLES = 300
 """How many are looked at, about: the order of vertices is right or wrong everywhere."""
+
+
+@dataclass(frozen=True)
+class LikenessBounds:
+    """What an expression may do to a neutral surface."""
+
+    farthest: float = 100.0  # [mm] of a vertex; expressions move at most 71
+    least_size: float = 0.8  # of the neutral surface's; expressions and p: 0.96 to 1.06, metres 0.001
+    most_size: float = 1.25
+    least_likeness: float = (
+        0.8  # cosine of vertices about their means; expressions and p: 0.98, mirrored .5, shuffled 0
+    )
+    most_stretch: float = 1.6  # of edges, root mean square; expressions and p: 1.09, vertices shifted by one 4.9
+
+
+BOUNDS = LikenessBounds()
 
 
 def check_moved(
@@ -39,23 +49,24 @@ def check_moved(
     vertex, away, size, likeness, stretch = _compare(neutral.vertices, neutral.triangles, positions)
     if not np.isfinite(size) and (count := np.count_nonzero(~np.isfinite(positions))):
         raise error(f"{name}: {count} values are not finite")
-    if not SIZES[0] <= size <= SIZES[1]:
+    if not BOUNDS.least_size <= size <= BOUNDS.most_size:
         raise error(
-            f"{name}: {size:.3g} times as large as {of}, expected {SIZES[0]:g} to {SIZES[1]:g}; are its units off?"
+            f"{name}: {size:.3g} times as large as {of}, expected {BOUNDS.least_size:g} to {BOUNDS.most_size:g}; "
+            "are its units off?"
         )
-    if not likeness >= LEAST_LIKENESS:
+    if not likeness >= BOUNDS.least_likeness:
         raise error(
-            f"{name}: its likeness to {of} is {likeness:.2f}, expected at least {LEAST_LIKENESS:g}; "
+            f"{name}: its likeness to {of} is {likeness:.2f}, expected at least {BOUNDS.least_likeness:g}; "
             "is it mirrored, turned, or in another order of vertices?"
         )
-    if not stretch <= MOST_STRETCH:
+    if not stretch <= BOUNDS.most_stretch:
         raise error(
             f"{name}: its edges are {stretch:.3g} times as long as those of {of}, expected at most "
-            f"{MOST_STRETCH:g}; are its vertices in another order?"
+            f"{BOUNDS.most_stretch:g}; are its vertices in another order?"
         )
-    if not away <= FARTHEST:
+    if not away <= BOUNDS.farthest:
         raise error(
-            f"{name}: vertex {vertex} is {away:.4g} mm from {of}, expected at most {FARTHEST:g} mm; "
+            f"{name}: vertex {vertex} is {away:.4g} mm from {of}, expected at most {BOUNDS.farthest:g} mm; "
             "are its units off, or its place?"
         )
 

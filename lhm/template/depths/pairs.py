@@ -27,23 +27,28 @@ from ..template import Template
 from ..wraps.landmarks import Mask
 from .depths import DepthPairs
 
-PLAUSIBLE = (1.0, 40.0)
-"""Least and greatest depth [mm] of soft tissue over bone: over the nasal bones about 1, in a heavy cheek 30."""
 
-SLIPPED = 2.0
-"""A ray that goes this many times as far as bone is near has slipped through a gap that a skull wrap spans."""
+@dataclass(frozen=True)
+class PairsPolicy:
+    """How depths are measured, and which pairs of skin and skull are taken."""
 
-SMOOTH = 4.0
-"""Implicit smoothing of the rays' directions, as of the layers' connectors."""
-LEAST_PAIRS = 3
-SKULL_EXTENT = (60.0, 300.0)
-OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
-"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
+    least_depth: float = 1.0  # [mm] of soft tissue over bone, as over the nasal bones
+    most_depth: float = 40.0  # [mm]; a heavy cheek has 30
+    slipped: float = 2.0  # times as far as bone is near, a ray has slipped through a gap that a skull wrap spans
+    smoothing: float = 4.0  # implicit, of the rays' directions, as of the layers' connectors
+    least_pairs: int = 3
+    skull_extent: tuple[float, float] = (60.0, 300.0)  # [mm]
+    outside: float = 3.0  # [mm] that vertices of a skull may lie outside the skin wrap,
+    outside_share: float = 0.1  # up to this share of them
+
+
+POLICY = PairsPolicy()
+"""The constants as they were measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDepths:
-    """Depths (n,) [mm] within PLAUSIBLE, and where a ray measured them, (n,); elsewhere the closest point counts."""
+    """Depths (n,) [mm], and where a ray measured them, (n,); elsewhere the closest point counts."""
 
     depths: Floats = field(repr=False)
     met: Mask = field(repr=False)
@@ -63,7 +68,7 @@ def inward_normals(skin_wrap: Surface) -> Floats:
     """Unit directions (n, 3) into the head: area-weighted normals, smoothed so that a crease's rays do not cross."""
     n = len(skin_wrap.vertices)
     laplacian = graph_laplacian(neighbours(skin_wrap.triangles, n))
-    inward = -splu((identity(n) + SMOOTH * laplacian).tocsc()).solve(skin_wrap.vertex_normals)
+    inward = -splu((identity(n) + POLICY.smoothing * laplacian).tocsc()).solve(skin_wrap.vertex_normals)
     return inward / np.linalg.norm(inward, axis=1, keepdims=True)
 
 
@@ -76,9 +81,9 @@ def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) 
     """
     skull = join_surfaces(bones)
     tree = TriangleTree(skull.vertices, skull.triangles)
-    along, closest = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1], tree.closest(skin_wrap)[2]
-    met = along <= np.maximum(SLIPPED * closest, PLAUSIBLE[0])
-    return MeasuredDepths(np.clip(np.where(met, along, closest), *PLAUSIBLE), met)
+    along, closest = first_hits(tree, skin_wrap, inward, POLICY.most_depth)[1], tree.closest(skin_wrap)[2]
+    met = along <= np.maximum(POLICY.slipped * closest, POLICY.least_depth)
+    return MeasuredDepths(np.clip(np.where(met, along, closest), POLICY.least_depth, POLICY.most_depth), met)
 
 
 class PairReport(NamedTuple):
@@ -139,9 +144,10 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
         for kind in ("skin", "skull"):
             if kind not in pair:
                 raise InputError(f"{folder}: pair {name} has no {name}_{kind} ({', '.join(SUFFIXES)})")
-    if len(pairs) < LEAST_PAIRS:
+    if len(pairs) < POLICY.least_pairs:
         raise InputError(
-            f"{folder}: {len(pairs)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
+            f"{folder}: {len(pairs)} pairs of files NAME_skin and NAME_skull; a regressor needs {POLICY.least_pairs} "
+            "or more"
         )
     return {name: (pair["skin"], pair["skull"]) for name, pair in pairs.items()}
 
@@ -166,9 +172,9 @@ def read_skull(paths: Sequence[str | os.PathLike[str]], *, unit: str = "mm") -> 
     """Read a skull [mm], all bones in one surface; InputError names files that are bad or of another unit."""
     skull = join_surfaces([read_surface(path, unit=unit) for path in paths])
     extent = np.ptp(skull.vertices[np.unique(skull.triangles)], axis=0)
-    if extent.min() < SKULL_EXTENT[0] or extent.max() > SKULL_EXTENT[1]:
+    if extent.min() < POLICY.skull_extent[0] or extent.max() > POLICY.skull_extent[1]:
         size = " x ".join(f"{length:.4g}" for length in extent)
-        least, most = SKULL_EXTENT
+        least, most = POLICY.skull_extent
         names = ", ".join(map(str, paths))
         raise InputError(f"{names}: its extent is {size} mm, a skull's lies within {least:g}..{most:g}: units off?")
     return skull
@@ -183,9 +189,9 @@ def check_inside(name: str, template: Template, wrap: Surface, skull: Surface) -
     distance, _, triangle, weights = SignedDistance(wrap)(some)
     nearest = wrap.triangles[triangle, weights.argmax(axis=1)]
     outside = np.where((template.regions["mouth"] | template.regions["eyes"])[nearest], 0.0, distance)
-    share = float((outside > OUTSIDE).mean())
-    if share > OUTSIDE_SHARE:
+    share = float((outside > POLICY.outside).mean())
+    if share > POLICY.outside_share:
         raise InputError(
             f"{name}: {100 * share:.0f} % of the skull lie outside the skin (up to {outside.max():.3g} mm; at "
-            f"most {100 * OUTSIDE_SHARE:.0f} % may): are both in one frame and in mm?"
+            f"most {100 * POLICY.outside_share:.0f} % may): are both in one frame and in mm?"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -14,11 +15,24 @@ from ...base.mesh import Floats, Ints, Surface
 from ...head.columns import unit
 
 FACING = np.cos(np.radians(60.0))
-SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towards it
-PITCHES, HEIGHTS, SCALES = (-15.0, 0.0, 15.0), (-25.0, 0.0, 25.0), (0.9, 1.0, 1.1)
-FEW, COARSE_STEPS, FINE_STEPS = 250, 15, 40
-CAP = 10.0
-"""[mm] Farther matches count as this far in a start's score."""
+
+
+@dataclass(frozen=True)
+class StartPolicy:
+    """Which starts are tried, how they are improved, and how far off they are."""
+
+    sharp: float = 1.0  # [mm] closer than this a match counts whatever the direction towards it
+    pitches: tuple[float, ...] = (-15.0, 0.0, 15.0)  # [degrees]
+    heights: tuple[float, ...] = (-25.0, 0.0, 25.0)  # [mm]
+    scales: tuple[float, ...] = (0.9, 1.0, 1.1)
+    points: int = 250  # of the face, while starts are compared
+    coarse_steps: int = 15  # of every start
+    fine_steps: int = 40  # of the best
+    farthest: float = 10.0  # [mm] that a match counts in a start's score
+
+
+POLICY = StartPolicy()
+"""The constants as they were measured."""
 
 
 class Target:
@@ -56,7 +70,7 @@ class Target:
         away = points - (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
         over = np.abs(np.einsum("kd,kd->k", away, outward)) >= FACING * np.linalg.norm(away, axis=1)
         open_edge = (shares == 0).any(axis=1) & (self.rim[corners] | (shares == 0)).all(axis=1)
-        return corners, shares, (triangle >= 0) & ~open_edge & (over | (distance < SHARP) | (turned > 0))
+        return corners, shares, (triangle >= 0) & ~open_edge & (over | (distance < POLICY.sharp) | (turned > 0))
 
 
 def tukey_weights(distance: Floats, limit: float) -> Floats:
@@ -74,21 +88,21 @@ def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similar
     """
     skin = target.skin.vertices
     tip, goal = points[points[:, 2].argmax()], skin[skin[:, 2].argmax()]
-    some = np.unique(np.linspace(0, len(points) - 1, FEW).astype(int))
+    some = np.unique(np.linspace(0, len(points) - 1, POLICY.points).astype(int))
     fits: list[tuple[float, int, Similarity]] = []
-    for pitch, height, scale in product(np.radians(PITCHES), HEIGHTS, SCALES):
+    for pitch, height, scale in product(np.radians(POLICY.pitches), POLICY.heights, POLICY.scales):
         c, s = np.cos(pitch), np.sin(pitch)
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         start = Similarity(scale, rotation, goal + [0.0, height, 0.0] - scale * rotation @ tip)
-        moved = icp(start, points[some], normals[some], target, COARSE_STEPS)
+        moved = icp(start, points[some], normals[some], target, POLICY.coarse_steps)
         fits.append((score_start(moved, points[some], normals[some], target), len(fits), moved))
-    moved = icp(min(fits)[2], points, normals, target, FINE_STEPS)
+    moved = icp(min(fits)[2], points, normals, target, POLICY.fine_steps)
     return moved, score_start(moved, points, normals, target)
 
 
 def icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:
     """Fit the similarity in so many steps, each to the closest points [mm], those far off left out."""
-    limits = np.geomspace(30.0, CAP, steps)
+    limits = np.geomspace(30.0, POLICY.farthest, steps)
     for limit in limits:
         closest, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=limit)
         used = (weight * tukey_weights(distance, limit)) > 0.2
@@ -100,5 +114,5 @@ def icp(start: Similarity, points: Floats, normals: Floats, target: Target, step
 
 def score_start(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
     """Measure how far points are off the target on average [mm at their own size], 10 mm where nothing matches."""
-    _, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=CAP)
-    return float(np.where(weight > 0, np.minimum(distance, CAP), CAP).mean()) / start.scale
+    _, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=POLICY.farthest)
+    return float(np.where(weight > 0, np.minimum(distance, POLICY.farthest), POLICY.farthest).mean()) / start.scale

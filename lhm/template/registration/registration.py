@@ -23,11 +23,20 @@ from .alignment import FACING, Target, find_start
 from .landmarks import Pairs, check_pairs, check_placed
 from .nonrigid import POLICY, NonrigidPolicy, lay_onto
 
-LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
-WORST_FACE = 3.0
-MATCHED = 4.0
-"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
-LEAST = 1e-4
+
+@dataclass(frozen=True)
+class RegistrationBounds:
+    """What a registration has to reach, or it is refused, and where the template lies on nothing."""
+
+    least_scale: float = 0.7
+    most_scale: float = 1.5
+    worst_start: float = 5.0  # [mm] mean distance of a face before it is deformed
+    worst_face: float = 3.0  # [mm] and after
+    matched: float = 4.0  # [mm] farther from the skin a vertex follows those around it
+    least_weight: float = 1e-4  # of such a vertex: smaller ones are left out
+
+
+BOUNDS = RegistrationBounds()
 
 
 @dataclass(frozen=True)
@@ -90,10 +99,10 @@ def register(
     if landmarks is None:
         points, normals = template_skin.vertices[face], template_skin.vertex_normals[face]
         motion, score = find_start(points, normals, target)
-        if not LEAST_SCALE <= motion.scale <= GREATEST_SCALE or score > WORST_START:
+        if not BOUNDS.least_scale <= motion.scale <= BOUNDS.most_scale or score > BOUNDS.worst_start:
             raise FitError(
                 f"skin: no face found in it (a template {motion.scale:.2g} times its size is {score:.1f} mm off, "
-                f"at most {WORST_START:g}); it has to look along +z with +y up, or landmarks be given"
+                f"at most {BOUNDS.worst_start:g}); it has to look along +z with +y up, or landmarks be given"
             )
     else:
         landmarks = check_pairs(landmarks, len(template_skin.vertices))
@@ -104,9 +113,9 @@ def register(
         start, parts, places, target, landmarks, progress, stiff_lids=stiff_lids, policy=policy
     )
     done = _registration(template_skin.with_vertices(vertices), parts, face, skin, crossings)
-    if done.residual.mean > WORST_FACE:
+    if done.residual.mean > BOUNDS.worst_face:
         raise FitError(
-            f"skin: the registered face is {done.residual.mean:.1f} mm off on average (at most {WORST_FACE:g}); "
+            f"skin: the registered face is {done.residual.mean:.1f} mm off on average (at most {BOUNDS.worst_face:g}); "
             f"is it a head that looks along +z? landmarks help"
         )
     return done
@@ -178,7 +187,7 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     rim = np.zeros(len(skin.vertices), bool)
     rim[open_edges(skin.triangles).ravel()] = True
     on_rim = np.asarray(weights @ rim.astype(float)).ravel() > 0.99
-    lost = ~facing | (distance > MATCHED) | (on_rim & (distance > 1.0))
+    lost = ~facing | (distance > BOUNDS.matched) | (on_rim & (distance > 1.0))
     if not lost.any() or lost.all():
         return weights
     below = np.flatnonzero(lost & lid)
@@ -191,7 +200,7 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
     border = np.flatnonzero(np.asarray(abs(around).sum(axis=0)).ravel())
     filled = factorise(inner.tocsc())(np.asarray(-around[:, border].todense()))
-    filled = np.where(filled > LEAST, filled, 0.0)
+    filled = np.where(filled > BOUNDS.least_weight, filled, 0.0)
     total = filled.sum(axis=1, keepdims=True)
     # A piece of the template of which nothing lies on the skin keeps its closest points.
     reached = total[:, 0] > 0.5
