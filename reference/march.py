@@ -1,14 +1,15 @@
-"""Time marching: a scene through time by an implicit scheme, by finite elements, and what comes of it.
+"""Time marching: a scene through time by an implicit scheme, on any solver.
 
-The solver's package is imported when it is asked for.
+A step's acceleration is linear in where it ends, a₁ = (x₁ - still) / (β₁ h²), and mass is lumped at vertices. So the
+balance of forces at its end is that of the scene with one spring more at each vertex that has mass: a step is a static
+solve, prepared once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.limits import MARCH_STEPS, MARCH_VALUES
 from ..lhm.base.mesh import Floats, Ints
+from .added import all_solvers
 from .scene import Scene
-from .solution import Reason
-from .terms import Inertia
+from .solution import Reason, Solution
+from .solve import prepare, solve
+from .terms import Fixed, RigidBody, Target
 
-SOLVERS = ("fenicsx",)
-MASSES = ("lumped", "consistent")
-OPTIONS = ("element", "policy")
+DEFAULTS = {"fenicsx": {"linear_solver": "chord"}}
+"""Options of solvers that suit steps which differ little."""
 SCHEMES = ("implicit Euler", "Newmark", "generalised-alpha")
 
 LONGEST = 1e6
@@ -36,7 +38,7 @@ class Scheme:
     """How displacement, velocity and acceleration at two times hang together, and where forces balance.
 
     u₁ = u₀ + h v₀ + h² (β₀ a₀ + β₁ a₁) and v₁ = v₀ + h (γ₀ a₀ + γ₁ a₁), with
-    M (α_m a₀ + (1 - α_m) a₁) + α_f (C v₀ + f₀) + (1 - α_f) (C v₁ + f₁) = 0. `name` is for reports.
+    M (α_m a₀ + (1 - α_m) a₁) + α_f (c M v₀ + f₀) + (1 - α_f) (c M v₁ + f₁) = 0. `name` is for reports.
     """
 
     name: str
@@ -94,8 +96,8 @@ class Trajectory:
     """The steps made, and why the march ended: CONVERGED if all were made, else what ended the last one.
 
     time_step [s]; times [s], shape (k + 1,), from the start; positions [mm] and velocities [mm/s] of the kept
-    vertices, shape (k + 1, kept, 3); `vertices` (kept,) are their numbers; iterations (k,) and factorisations (k,) per
-    step. A step that failed is not among them.
+    vertices, shape (k + 1, kept, 3); `vertices` (kept,) are their numbers; iterations (k,) per step. A step that failed
+    is not among them.
     """
 
     time_step: float
@@ -105,7 +107,6 @@ class Trajectory:
     vertices: Ints
     energies: Energies
     iterations: Ints
-    factorisations: Ints
     reason: Reason
 
     @property
@@ -129,8 +130,7 @@ class Motion:
     density: Floats
     skin: Ints
     skin_density: Floats
-    mass: str
-    damping: tuple[float, float]
+    damping: float
     targets: Course | None
     fixed: Course | None
     scenes: Callable[[float], Scene] | None
@@ -178,8 +178,7 @@ def march(
     density: float | Floats = 0.0,
     skin: Ints | None = None,
     skin_density: float | Floats = 0.0,
-    mass: str = "lumped",
-    damping: tuple[float, float] = (0.0, 0.0),
+    damping: float = 0.0,
     targets: Course | None = None,
     fixed: Course | None = None,
     scenes: Callable[[float], Scene] | None = None,
@@ -189,52 +188,202 @@ def march(
     keep: Ints | None = None,
     tolerance: float = 1e-8,
     on_step: OnStep | None = None,
-    prepared: Any = None,
     **options,
 ) -> Trajectory:
-    """March a scene through `steps` of `time_step` [s]: M a + C v + f(u) = 0 by an implicit scheme.
+    """March a scene through `steps` of `time_step` [s]: M (a + c v) + f(x) = 0 by an implicit scheme.
 
     scheme is a name of SCHEMES or a Scheme. Mass is `density` [kg/mm³] of the tets, one or one per tet, and
-    `skin_density` [kg/mm²] of triangles `skin` (k, 3), one or one per triangle; "lumped" on nodes or "consistent" with
-    the shape functions. damping (a [1/s], b [s]) is Rayleigh's C = a M + b K, K the tangent at rest, springs included.
-    `targets` and `fixed` [mm] move the one Target and the one Fixed term, `acceleration` [mm/s²] is that of the frame
-    that positions are measured in (a shaken head): functions of time, or arrays of one value per step. Else
-    `scenes` gives the scene by time: it may differ in targets, held positions, loads, limits and volumes sought.
-    positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
-    recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
-    Options of fenicsx: `element`, "P1" or "P2", and `policy`, its constants. What it has `prepared` for this scene
-    lends element, mesh, forms and matrix; `prepared.march(...)` is short for it.
+    `skin_density` [kg/mm²] of triangles `skin` (k, 3), one or one per triangle, lumped at vertices; what has none
+    follows in balance, from the start on. damping c [1/s] is by mass. `targets` and `fixed` [mm] move the one Target
+    and the one Fixed term, `acceleration` [mm/s²] is that of the frame that positions are measured in (a shaken head):
+    functions of time, or arrays of one value per step. Else `scenes` gives the scene by time: it may differ in targets,
+    held positions, loads, limits and volumes sought. positions [mm] and velocities [mm/s] are those at the start, shape
+    (n, 3), default rest; keep (kept,) vertices are recorded, default all. tolerance: of the forces that act if nothing
+    moves on in a step, the largest so far. `options` are the solver's. Under mpirun, `on_step` answers every process
+    alike.
 
-    Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or no mass at all, and what
-    the solver cannot model; MissingDependencyError if its packages are not installed.
+    Raises SceneError for what is out of range, a scene with RigidBody, no mass at all, and what the solver cannot
+    model; MissingDependencyError if its packages are not installed.
     """
-    if solver not in SOLVERS:
-        raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
+    if solver not in all_solvers():
+        raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     rule = scheme if isinstance(scheme, Scheme) else Scheme.from_name(scheme, spectral_radius=spectral_radius)
     motion = _check(
-        scene, time_step, steps, rule, density, skin, skin_density, mass, damping,
+        scene, time_step, steps, rule, density, skin, skin_density, damping,
         targets, fixed, scenes, acceleration, positions, velocities, keep, tolerance, on_step,
     )  # fmt: skip
-    if prepared is not None:
-        if options:
-            raise SceneError(f"march: what is prepared has its own {', '.join(options)}")
-        return prepared.carry_out(motion)
-    for option in options:
-        if option not in OPTIONS:
-            raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has {', '.join(OPTIONS)}")
-    return import_module(f".{solver}.prepared", __package__).carry_out(motion, **options)
+    return _March(motion, solver, DEFAULTS.get(solver, {}) | options).run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """All that a step starts from: x [mm], v [mm/s], a [mm/s²], each (n, 3), at the end of a solution.
+
+    `gradient` [mN] is the scene's where there is mass, `springs` [mN] the forces of the step's springs, `frame`
+    [mm/s²] the frame's acceleration, `potential` [µJ] the scene's energy.
+    """
+
+    scene: Scene
+    solution: Solution
+    frame: Floats
+    x: Floats
+    v: Floats
+    a: Floats
+    gradient: Floats
+    springs: Floats
+    potential: float
+
+
+class _March:
+    """One march: springs of every step have one stiffness, so that a solver prepares once."""
+
+    def __init__(self, motion: Motion, solver: str, options: dict):
+        self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
+        self.solver, self.options = solver, options
+        self.mass = _lump_masses(motion)[:, None]
+        self.heavy = np.flatnonzero(self.mass)
+        rule, h = self.rule, self.h
+        by_mass = (1.0 - rule.alpha_m) / ((1.0 - rule.alpha_f) * rule.by_acceleration[1] * h**2)
+        by_damping = motion.damping * rule.to_velocity[1] / (rule.by_acceleration[1] * h)
+        self.stiffness = (by_mass + by_damping) * self.mass
+        self.prepared = prepare(self._with_springs(motion.scene, motion.positions), solver=solver, **options)
+        self.scale = 0.0
+
+    def _with_springs(self, scene: Scene, places: Floats) -> Scene:
+        springs = Target(self.heavy, places[self.heavy], self.stiffness[self.heavy, 0])
+        return replace(scene, terms=(*scene.terms, springs))
+
+    def start(self) -> _Moment:
+        """Make the first moment: mass where it is told to be, the rest in balance, accelerations by what is not."""
+        motion = self.motion
+        scene, frame = motion.scene_at(0), motion.acceleration_at(0)
+        held, places = scene.dirichlet()
+        x = np.where(held, places, motion.positions)
+        moves = motion.fixed is not None or motion.scenes is not None
+        v = np.where(held & (not moves), 0.0, motion.velocities)
+        pinned = replace(scene, terms=(*scene.terms, Fixed(self.heavy, x[self.heavy])))
+        found = solve(pinned, solver=self.solver, start=x, tolerance=motion.tolerance, **self.options)
+        if not found.converged:
+            raise SceneError(f"march: the start has no balance of forces; {found.reason}")
+        heavy = self.mass > 0.0
+        gradient = np.where(heavy, found.reactions, 0.0)
+        pulls = gradient / np.where(heavy, self.mass, 1.0) + frame + motion.damping * v
+        a = np.where(heavy & ~held, -pulls, 0.0)
+        return _Moment(scene, found, frame, found.positions, v, a, gradient, np.zeros_like(x), found.energy)
+
+    def run(self) -> Trajectory:
+        """Make all steps, or those before one that fails."""
+        now, motion = self.start(), self.motion
+        moments, rows, iterations = [now], [(self._kinetic(now), now.potential, 0.0, 0.0)], []
+        reason = Reason.CONVERGED
+        for step in range(1, motion.steps + 1):
+            after = self._step(now, step)
+            if isinstance(after, Reason):
+                reason = after
+                break
+            dissipated, put_in = rows[-1][2] + self._dissipated(now, after), rows[-1][3] + self._put_in(now, after)
+            rows.append((self._kinetic(after), after.potential, dissipated, put_in))
+            iterations.append(after.solution.iterations)
+            moments.append(after)
+            now = after
+            if motion.on_step is not None and motion.on_step(step, step * self.h, now.x):
+                reason = Reason.INTERRUPTED
+                break
+        return Trajectory(
+            self.h,
+            self.h * np.arange(len(rows)),
+            np.array([moment.x[motion.vertices] for moment in moments]),
+            np.array([moment.v[motion.vertices] for moment in moments]),
+            motion.vertices,
+            Energies(*np.array(rows).T),
+            np.array(iterations, dtype=np.int64),
+            reason,
+        )
+
+    def _step(self, now: _Moment, number: int) -> _Moment | Reason:
+        """Make a step, or say why it failed."""
+        motion, rule, h, mass = self.motion, self.rule, self.h, self.mass
+        scene, frame = motion.scene_at(number), motion.acceleration_at(number)
+        still = now.x + h * now.v + h**2 * rule.by_acceleration[0] * now.a
+        v_still = now.v + h * rule.to_velocity[0] * now.a
+        before = now.gradient + mass * (now.frame + motion.damping * now.v)
+        forces = mass * (frame + motion.damping * v_still)
+        forces += (rule.alpha_m * mass * now.a + rule.alpha_f * before) / (1.0 - rule.alpha_f)
+        stiffness = self.stiffness
+        pull = still - forces / np.where(stiffness > 0.0, stiffness, 1.0)
+        found = self._solve(scene, pull, now)
+        if not found.converged:
+            return found.reason
+        a = (found.positions - still) / (rule.by_acceleration[1] * h**2)
+        v = v_still + h * rule.to_velocity[1] * a
+        springs = stiffness * (found.positions - pull)
+        potential = found.energy - 0.5 * float(np.sum(springs * (found.positions - pull)))
+        return _Moment(scene, found, frame, found.positions, v, a, -springs, springs, potential)
+
+    def _solve(self, scene: Scene, pull: Floats, now: _Moment) -> Solution:
+        """Solve from where the motion leads, or from where it is if no energy is finite there."""
+        free = ~scene.dirichlet()[0]
+        acting = np.where(free, now.gradient + self.stiffness * (now.x - pull), 0.0)
+        self.scale = max(self.scale, float(np.linalg.norm(acting)))
+        asked = {"tolerance": self.motion.tolerance, "absolute": self.motion.tolerance * self.scale or None}
+        posed = self._with_springs(scene, pull)
+        found = self.prepared.solve(posed, start=now.x + self.h * now.v, **asked)
+        if found.reason is Reason.NOT_FINITE:
+            found = self.prepared.solve(posed, start=now.x, **asked)
+        if scene is not now.scene:
+            self.scale = max(self.scale, float(found.history.gradient_norm[0]))
+        return found
+
+    def _kinetic(self, now: _Moment) -> float:
+        """v·M v / 2 [µJ]."""
+        return 0.5 * float(np.sum(self.mass * now.v**2))
+
+    def _dissipated(self, before: _Moment, now: _Moment) -> float:
+        """The damper's work in a step [µJ], by the mean velocity."""
+        v = 0.5 * (before.v + now.v)
+        return self.h * self.motion.damping * float(np.sum(self.mass * v**2))
+
+    def _put_in(self, before: _Moment, now: _Moment) -> float:
+        """The work of the frame, held vertices and targets in a step [µJ], by the mean of their forces."""
+        moved = now.x - before.x
+        work = -0.5 * float(np.sum(self.mass * moved @ (before.frame + now.frame)))
+        held = now.scene.dirichlet()[0]
+        if np.any(moved[held]):
+            work += 0.5 * float(np.sum(((self._reactions(before) + self._reactions(now)) * moved)[held]))
+        for old, new in zip(before.scene.of(Target), now.scene.of(Target), strict=True):
+            if new is not old:
+                away = 0.5 * ((before.x + now.x)[new.vertices] - old.positions - new.positions)
+                stiffness = np.broadcast_to(new.stiffness, len(new.vertices))
+                work -= float(np.sum(stiffness[:, None] * away * (new.positions - old.positions)))
+        return work
+
+    def _reactions(self, now: _Moment) -> Floats:
+        """The forces [mN] at held vertices, shape (n, 3): of the scene, of inertia and of the damper."""
+        inertia = self.mass * (now.a + now.frame + self.motion.damping * now.v)
+        return now.solution.reactions - now.springs + inertia
+
+
+def _lump_masses(motion: Motion) -> Floats:
+    """Share the mass of tets and skin among their vertices [kg], shape (n,)."""
+    scene, skin = motion.scene, motion.skin
+    a, b, c = (scene.vertices[skin[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    masses = np.zeros(len(scene.vertices))
+    np.add.at(masses, skin, (motion.skin_density * areas / 3.0)[:, None])
+    np.add.at(masses, scene.tets, (motion.density * scene.volumes / 4.0)[:, None])
+    return masses
 
 
 def _check(
-    scene, time_step, steps, rule, density, skin, skin_density, mass, damping, targets, fixed, scenes, acceleration,
+    scene, time_step, steps, rule, density, skin, skin_density, damping, targets, fixed, scenes, acceleration,
     positions, velocities, keep, tolerance, on_step,
 ) -> Motion:  # fmt: skip
     if not isinstance(scene, Scene):
         raise SceneError(f"march: expected a Scene, got {type(scene).__name__}")
     if not len(scene.tets):
         raise SceneError("march: the scene has no tets")
-    if scene.of(Inertia):
-        raise SceneError("march: the scene has an Inertia term; mass is given by density and skin_density")
+    if scene.of(RigidBody):
+        raise SceneError("march: cannot model RigidBody; hold its vertices by Fixed")
     step = np.asarray(time_step, dtype=np.float64)
     if step.shape != () or not 0.0 < step <= LONGEST:
         raise SceneError(f"time_step: must be above 0 s and at most {LONGEST:g}, got {time_step!r}")
@@ -242,8 +391,6 @@ def _check(
         MARCH_STEPS.check("steps", steps)
     except InputError as error:
         raise SceneError(str(error)) from None
-    if mass not in MASSES:
-        raise SceneError(f"mass {mass!r}: there are {', '.join(MASSES)}")
     triangles = np.empty((0, 3), dtype=np.int64) if skin is None else np.asarray(skin)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
         raise SceneError(f"skin: expected triangles of shape (k, 3), got {triangles.shape} of {triangles.dtype}")
@@ -253,9 +400,8 @@ def _check(
     area = _check_amounts("skin_density", skin_density, len(triangles))
     if not (volume.any() or area.any()):
         raise SceneError("march: nothing has mass; give density, or skin and skin_density")
-    rayleigh = np.asarray(damping, dtype=np.float64)
-    if rayleigh.shape != (2,) or not (np.isfinite(rayleigh).all() and (rayleigh >= 0.0).all()):
-        raise SceneError(f"damping: expected two finite numbers of at least 0, got {damping!r}")
+    if not (np.isfinite(damping) and damping >= 0.0):
+        raise SceneError(f"damping: expected a finite number of at least 0 per second, got {damping!r}")
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
     for name, course in (("targets", targets), ("fixed", fixed), ("acceleration", acceleration)):
@@ -274,8 +420,8 @@ def _check(
             f"parts: at most {MARCH_VALUES.most // 3:,} vertices times steps"
         )
     return Motion(
-        scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, mass,
-        (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, scenes, acceleration,
+        scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, float(damping),
+        targets, fixed, scenes, acceleration,
         _check_points("positions", positions, scene.vertices),
         _check_points("velocities", velocities, 0.0 * scene.vertices),
         vertices, tolerance, on_step,

@@ -105,10 +105,9 @@ class LinearPolicy:
 
 
 @dataclass(frozen=True)
-class MarchPolicy:
-    """A march through time; see `dynamics`."""
+class ChordPolicy:
+    """Newton's method by kept factors; see `chord`."""
 
-    max_iterations: int = 100  # of a time step
     fast: float = 0.3  # of the gradient norm that an iteration may leave for its factors to be kept
     rounding: float = 1e-12  # of the energy's scale, that an iteration may raise it by
 
@@ -123,7 +122,7 @@ class FenicsxPolicy:
     multipliers: MultiplierPolicy = MultiplierPolicy()
     saddle: SaddlePolicy = SaddlePolicy()
     linear: LinearPolicy = LinearPolicy()
-    march: MarchPolicy = MarchPolicy()
+    chord: ChordPolicy = ChordPolicy()
     start_bulk: float = 10.0  # lmbda by mu of a large scene's start: volumes nearly keep, linear tets do not lock yet
     # (2 mu + lmbda) / mu of a law, Poisson's ratio .49987, from which on CG's answer to a share of the forces is far
     # off. By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG

@@ -11,20 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from .. import materials
 from ..clock import Clock
-from ..march import Motion, Trajectory, march
 from ..materials import Incompressible, NeoHookean
 from ..materials.material import HasDensity, HasStretches
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Solution, first_positions
-from ..terms import Fixed, Gravity, Hyperelastic, Inertia, Pressure, RigidBody, Term, Traction
+from ..terms import Fixed, Gravity, Hyperelastic, Pressure, RigidBody, Term, Traction
 from .dolfinx_version import ALONE
 from .energy.solids import check_solids
 from .fields import Fields, NodalAnswer, Sampling, recover
@@ -37,19 +35,18 @@ from .mesh.parallel import anywhere, check_same
 from .policy import POLICY, FenicsxPolicy
 from .run import Attempt, Record, Run
 from .strategies.bodies import RigidProblem
-from .strategies.dynamics import March
+from .strategies.chord import KeptFactors
 from .strategies.load_path import Continuation
 from .strategies.minimise import Minimisation
 from .strategies.multipliers import Condensed, MultiplierDescent
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
 """Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""
-MOVING_TERMS = tuple(kind for kind in TERMS if kind not in (RigidBody, Pressure, Inertia))
-"""Those of a march: mass is given to it."""
 LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasStretches)))
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 """Reasons after which another strategy is tried."""
 FORCE_DEGREE = 6
+CHORD = "chord"
 
 
 @check_arguments
@@ -59,7 +56,8 @@ def prepare(
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
-    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). "cg" is
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes), "mumps" (direct) or "chord"
+    (direct, by factors that are kept from solve to solve, for solves that differ little, as time steps do). "cg" is
     direct too for nearly incompressible laws (see `policy.stiff`) below `policy.large_stiff` unknowns. With "P2P1",
     "cg" means a direct solver below `policy.saddle.large` unknowns and GMRES with a block preconditioner above; "block"
     asks for the latter at any size. `Continuation` always takes factors, whose inertia it needs. `policy` has all
@@ -71,7 +69,7 @@ def prepare(
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
     _check_terms(scene, element)
-    names = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
+    names = SADDLES if element == "P2P1" else (*LINEAR_SOLVERS, CHORD)
     if linear_solver not in names:
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {', '.join(names)}")
     if linear_solver == "block" and scene.of(Pressure):
@@ -111,13 +109,14 @@ class PreparedFenicsx:
         # Multigrid leaves too much of volumes in steps by a displacement alone.
         stiff = any(t.material.stiffness > policy.stiff * t.material.shear_modulus for t in scene.of(Hyperelastic))
         small = 3 * self._numbering.nodes.total < policy.large_stiff
-        by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
+        by_factors = linear_solver in ("mumps", CHORD) or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
         problem = self._problem
         self._direct = Mumps(problem.matrix, policy=linear)
         self._linear: LinearSolver = self._direct
         if not by_factors:
             self._linear = ConjugateGradients(problem.matrix, problem.levels, policy=linear)
+        self._kept = KeptFactors(problem.matrix, linear) if linear_solver == CHORD else None
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)
@@ -173,7 +172,7 @@ class PreparedFenicsx:
 
         def descent(find_start: Callable[[Run], Run] | None = None) -> Minimisation | MultiplierDescent:
             if self._condensed is None:
-                return Minimisation(run, problem, self._linear, self._direct, self._rigid, policy)
+                return Minimisation(run, problem, self._linear, self._direct, self._rigid, policy, self._kept)
             kind = self._linear_solver
             return MultiplierDescent(run, self._condensed, linear_solver=kind, find_start=find_start, policy=policy)
 
@@ -215,15 +214,6 @@ class PreparedFenicsx:
         sound = near.converged and not anywhere(self.comm, near.volume_ratio <= 0.0)
         return run.restart(near.positions if sound else run.scene.vertices)
 
-    def march(self, **course: Any) -> Trajectory:
-        """March the prepared scene through time, on its mesh, forms and matrix; see `softdeca.reference.march`."""
-        return march(self.scene, prepared=self, **course)
-
-    def carry_out(self, motion: Motion) -> Trajectory:
-        """March by a motion of the prepared scene."""
-        check_motion(motion, self._element)
-        return March(motion, self._problem, self._policy).run()
-
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""
         sampling = Sampling(self._numbering, FORCE_DEGREE)
@@ -247,16 +237,3 @@ def soften(scene: Scene, bulk: float = POLICY.start_bulk) -> Scene:
             term = replace(term, material=NeoHookean(mu, bulk * mu))
         terms.append(term)
     return replace(scene, terms=tuple(terms))
-
-
-def check_motion(motion: Motion, element: str):
-    """Raise SceneError for what a march cannot model."""
-    if element not in ("P1", "P2"):
-        raise SceneError(f"march: unknown element {element!r}; there are P1, P2")
-    refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
-
-
-def carry_out(motion: Motion, *, element: str = "P1", policy: FenicsxPolicy = POLICY) -> Trajectory:
-    """Prepare a motion's scene and march; see `softdeca.reference.march`."""
-    check_motion(motion, element)
-    return prepare(motion.scene, element=element, policy=policy).carry_out(motion)

@@ -54,14 +54,8 @@ class Springs:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Springs]:
-        """Make those of each Target, and of all inertia together."""
-        springs = [
-            cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)
-        ]
-        if scene.of(terms.Inertia):
-            stiffness, places = scene.inertia()
-            springs.append(cls(np.arange(len(places)), places, stiffness, discretisation))
-        return springs
+        """Make those of each Target."""
+        return [cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)]
 
     def _stretch(self, x: Floats) -> Floats:
         stretch = np.zeros(len(x))
@@ -123,7 +117,6 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.SurfaceStrain: Membranes,
     terms.Bending: Bends,
     terms.Target: Springs,
-    terms.Inertia: Springs,
     terms.Contact: Barrier,
 }
 """The class that models each term that has an energy."""

@@ -13,11 +13,12 @@ nearest to S is the eigenvector q of K(S) with the largest eigenvalue λ, and wi
     s/2 |l - R b|² = s/2 (|l|² + |b|²) - s f,   f(l, S) = q·T q,   T = K(l bᵀ).
 
 With P the pseudo-inverse of λ - K(S), q moves by P dK q. The energy's twelve variables at a vertex are B x with a
-constant sparse B, so that gradient and Hessian are Bᵀ φ' and Bᵀ φ'' B.
+constant sparse B, so that gradient and Hessian are Bᵀ φ' and Bᵀ φ'' B. φ'' is made by differences, as is a membrane's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,9 +28,10 @@ from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
 from .discretisation import Discretisation, rest_gradients
-from .solids import LEVI_CIVITA, Treatment
+from .solids import Treatment
 
 SMALL = 1e-12
+STEP = 1e-6  # of differences: of stretches, and of variables of the order of one
 GAP = 1e-9  # of the largest eigenvalue: below it a ring does not determine its rotation
 
 
@@ -79,13 +81,20 @@ class Membrane:
 
     def tangent(self, F: Floats) -> Floats:
         """dP/dF [mN/mm], shape (m, 3, 2, 3, 2)."""
-        squares, area, normal = _invariants(F)
-        total = np.maximum(np.sqrt(squares + 2 * area), SMALL)
-        direction = (F + _area_gradient(F, normal)) / total[:, None, None]
-        identity = np.einsum("ik,ab->iakb", np.eye(3), np.eye(2))
-        curvature = identity + _area_hessian(F, area, normal) - np.einsum("mia,mkb->miakb", direction, direction)
-        weight = (np.sqrt(self.growth) / total)[:, None, None, None, None]
-        return self.stiffness[:, None, None, None, None] * (identity - weight * curvature)
+        return differentiate(self.stress, F)
+
+
+def differentiate(gradient: Callable[[Floats], Floats], at: Floats) -> Floats:
+    """The derivative of a gradient, (m, *shape) at places (m, *shape), shape (m, *shape, *shape), by differences.
+
+    The gradient decides the answer, its derivative only the way there: ten digits do.
+    """
+    m, size = len(at), at[0].size
+    tangent = np.empty((m, size, size))
+    for k, step in enumerate(STEP * np.eye(size).reshape(size, *at.shape[1:])):
+        tangent[:, :, k] = ((gradient(at + step) - gradient(at - step)) / (2 * STEP)).reshape(m, size)
+    symmetric = (tangent + tangent.transpose(0, 2, 1)) / 2
+    return symmetric.reshape(m, *at.shape[1:], *at.shape[1:])
 
 
 def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
@@ -97,20 +106,6 @@ def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _area_gradient(F: Floats, normal: Floats) -> Floats:
     return np.stack([np.cross(F[:, :, 1], normal), np.cross(normal, F[:, :, 0])], axis=2)
-
-
-def _area_hessian(F: Floats, area: Floats, normal: Floats) -> Floats:
-    """Second derivative of J = |a x b|: of n . (a x b) by a and b, plus the turning of the normal n."""
-    by_first = np.einsum("pij,mj->mpi", LEVI_CIVITA, F[:, :, 1])
-    by_second = np.einsum("pji,mj->mpi", LEVI_CIVITA, F[:, :, 0])
-    gradient = np.stack([by_first, by_second], axis=3)  # of a x b, shape (m, 3, 3, 2)
-    projector = np.eye(3) - np.einsum("mp,mq->mpq", normal, normal)
-    turning = np.einsum("mpia,mpq,mqkb->miakb", gradient, projector, gradient, optimize=True)
-    hessian = turning / np.maximum(area, SMALL)[:, None, None, None, None]
-    mixed = np.einsum("pik,mp->mik", LEVI_CIVITA, normal)
-    hessian[:, :, 0, :, 1] += mixed
-    hessian[:, :, 1, :, 0] -= mixed
-    return hessian
 
 
 def _horn() -> Floats:
@@ -166,52 +161,44 @@ class Bends:
         """See Part."""
         return [cls(scene, term, discretisation) for term in scene.of(terms.Bending)]
 
-    def _evaluate(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Laplacians l (m, 3); T and P (m, 4, 4); K q for K of each unit of S (m, 9, 4); and q (m, 4)."""
-        variables = (self._variables @ x).reshape(-1, 4, 3)
-        laplacian = variables[:, 0]
+    def _evaluate(self, variables: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """T and P (m, 4, 4); K q for K of each unit of S (m, 9, 4); and q (m, 4)."""
         K = np.einsum("mjc,cjab->mab", variables[:, 1:], HORN)
-        T = np.einsum("mc,mj,cjab->mab", laplacian, self._rest, HORN, optimize=True)
+        T = np.einsum("mc,mj,cjab->mab", variables[:, 0], self._rest, HORN, optimize=True)
         values, vectors = np.linalg.eigh(K)
         gaps = np.maximum(values[:, 3:] - values[:, :3], GAP * np.abs(values).max(axis=1, keepdims=True))
         others = vectors[:, :, :3]
         P = (others / gaps[:, None, :]) @ others.transpose(0, 2, 1)
         q = vectors[:, :, 3]
         Kq = np.einsum("cjab,mb->mjca", HORN, q).reshape(len(q), 9, 4)
-        return laplacian, T, P, Kq, q
+        return T, P, Kq, q
+
+    def _place(self, x: Floats) -> Floats:
+        """The variables l and S at each vertex, shape (m, 4, 3)."""
+        return (self._variables @ x).reshape(-1, 4, 3)
+
+    def _slope(self, variables: Floats) -> Floats:
+        """The derivative of the energy per weight by the variables, shape (m, 4, 3)."""
+        T, P, Kq, q = self._evaluate(variables)
+        s = np.einsum("mab,mbc,mc->ma", P, T, q, optimize=True)
+        by_l = variables[:, 0] - np.einsum("mj,mjca,ma->mc", self._rest, Kq.reshape(-1, 3, 3, 4), q, optimize=True)
+        by_S = -2 * np.einsum("mva,ma->mv", Kq, s)
+        return np.concatenate([by_l, by_S], axis=1).reshape(-1, 4, 3)
 
     def value(self, x: Floats) -> float:
         """See Part."""
-        laplacian, T, _, _, q = self._evaluate(x)
+        variables = self._place(x)
+        T, _, _, q = self._evaluate(variables)
         turned = np.einsum("ma,mab,mb->m", q, T, q)
-        return float(self._weight @ (np.sum(laplacian**2 + self._rest**2, axis=1) / 2 - turned))
+        return float(self._weight @ (np.sum(variables[:, 0] ** 2 + self._rest**2, axis=1) / 2 - turned))
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
-        laplacian, T, P, Kq, q = self._evaluate(x)
-        s = np.einsum("mab,mbc,mc->ma", P, T, q, optimize=True)
-        by_l = laplacian - np.einsum("mj,mjca,ma->mc", self._rest, Kq.reshape(-1, 3, 3, 4), q, optimize=True)
-        by_S = -2 * np.einsum("mva,ma->mv", Kq, s)
-        return self._variables.T @ (self._weight[:, None] * np.concatenate([by_l, by_S], axis=1)).ravel()
+        return self._variables.T @ (self._weight[:, None, None] * self._slope(self._place(x))).ravel()
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; the tangent treated is that of a vertex' twelve variables."""
-        _, T, P, Kq, q = self._evaluate(x)
-        turn = np.einsum("mab,mvb->mva", P, Kq)  # dq by S
-        Tq = np.einsum("mab,mb->ma", T, q)
-        s = np.einsum("mab,mb->ma", P, Tq)
-        f = np.einsum("ma,ma->m", q, Tq)
-        slope = np.einsum("mva,ma->mv", Kq, q)  # dλ by S
-        Ks = np.einsum("cjab,mb->mjca", HORN, s).reshape(len(s), 9, 4)
-        half = Ks @ turn.transpose(0, 2, 1) - slope[:, :, None] * np.einsum("mva,ma->mv", turn, s)[:, None, :]
-        stretched = T - f[:, None, None] * np.eye(4)
-        by_S = half + half.transpose(0, 2, 1) + turn @ stretched @ turn.transpose(0, 2, 1)
-        mixed = np.einsum("mj,mjca,mva->mcv", self._rest, Kq.reshape(-1, 3, 3, 4), turn, optimize=True)
-        tangent = np.zeros((len(q), 12, 12))
-        tangent[:, :3, :3] = np.eye(3)
-        tangent[:, :3, 3:], tangent[:, 3:, :3] = -2 * mixed, -2 * mixed.transpose(0, 2, 1)
-        tangent[:, 3:, 3:] = -2 * by_S
-        tangent = treat(tangent.reshape(-1, 4, 3, 4, 3)).reshape(-1, 12, 12) * self._weight[:, None, None]
+        tangent = treat(differentiate(self._slope, self._place(x))).reshape(-1, 12, 12) * self._weight[:, None, None]
         m = len(tangent)
         blocks = bsr_matrix((tangent, np.arange(m), np.arange(m + 1)), (12 * m, 12 * m))
         return (self._variables.T @ (blocks @ self._variables)).tocsr()

@@ -8,7 +8,7 @@ from .loads import Gravity, Pressure, Traction
 from .solids import Hyperelastic, Solid, Strain, Volume
 from .surfaces import Bending, Contact, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
-from .vertices import Fixed, Inertia, RigidBody, Target
+from .vertices import Fixed, RigidBody, Target
 
 __all__ = [
     "Amount",
@@ -17,7 +17,6 @@ __all__ = [
     "Fixed",
     "Gravity",
     "Hyperelastic",
-    "Inertia",
     "Mesh",
     "OnTets",
     "OnTriangles",

@@ -1,7 +1,5 @@
 """softdeca bench dynamics: a small sphere, its report, and what its configuration refuses."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement.dynamics import RELEASED, SHAKEN, Dynamics, let_go, shake
 from softdeca.benchmarks.studies.agreement.release import Release, swing
 from softdeca.reference import Face, march
-from softdeca.reference.fenicsx.policy import FenicsxPolicy, MarchPolicy
+from softdeca.reference.fenicsx.policy import FenicsxPolicy, MinimisePolicy
 
 
 def test_a_swing_is_found_by_its_frequency_and_damping():
@@ -57,8 +55,12 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
 
 
 def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):
-    hasty = partial(march, policy=FenicsxPolicy(march=MarchPolicy(max_iterations=2)))
-    monkeypatch.setattr("softdeca.benchmarks.studies.agreement.release.march", hasty)
+    policy = FenicsxPolicy(minimise=MinimisePolicy(max_iterations=2))
+
+    def march_hastily(*given, solver="fenicsx", **named):
+        return march(*given, solver=solver, **named, **({"policy": policy} if solver == "fenicsx" else {}))
+
+    monkeypatch.setattr("softdeca.benchmarks.studies.agreement.release.march", march_hastily)
     rows, study = rows_of(Release(Face(spheres(1), choices={"bones": "prescribed"}), 0), 8), Dynamics()
     marches = [line for row in rows for line in row.values["rows"]]
     stopped = [line for line in marches if not line["converged"]]

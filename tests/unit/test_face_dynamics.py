@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.head.flesh import flesh_share
-from softdeca.reference import Face, Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
+from softdeca.reference import Face, Parameters, Scene, SceneError, Sequence, facial_scene, march, solve, terms
 from softdeca.reference.face.dynamics import (
     CLOSE,
     DEEP,
@@ -87,23 +87,23 @@ def test_implicit_euler_damps_and_slows(frequency, gamma, damping, slower):
     assert found / frequency == pytest.approx(slower, abs=3e-2)
 
 
-def test_implicit_euler_is_what_an_inertia_term_over_springs_does():
-    """Each step of Inertia + Target has the closed form (k S + m/h² (2 x₁ - x₂)) / (k + m/h²) at every vertex."""
+def test_implicit_euler_is_what_a_march_over_springs_does():
+    """Each step has the closed form (k S + m/h² (2 x₁ - x₂)) / (k + m/h²) at every vertex."""
     corners = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
     density, f = 1.04e-6, 5.0
     mass = density * 1000 / 6 / 4
     k = mass * (2 * np.pi * f) ** 2
     pulled = corners + [3.0, 0, 0]
     euler = from_implicit_euler(f, STEP)
-    last, before = corners, corners - [0.1, 0.2, 0]
-    for _ in range(30):
-        inertia = terms.Inertia(density, STEP, positions=last, velocities=(last - before) / STEP)
-        scene = Scene(corners, [[0, 1, 2, 3]], [inertia, terms.Target(range(4), pulled, k)])
-        spring, place = scene.inertia()
-        step = (k * pulled + spring[:, None] * place) / (k + spring)[:, None]
-        assert euler.target(pulled, last, before) == pytest.approx(step, abs=1e-10)
-        assert euler.stiffness(k) == pytest.approx(k + spring[0], rel=1e-12)
-        last, before = step, last
+    moving = np.tile([0.1, 0.2, 0.0], (4, 1)) / STEP
+    scene = Scene(corners, [[0, 1, 2, 3]], [terms.Strain(1e-3), terms.Target(range(4), pulled, k)])
+    run = march(
+        scene, time_step=STEP, steps=30, density=density, solver="projective", velocities=moving, tolerance=1e-13
+    )
+    places = [corners - STEP * moving, *run.positions]
+    for before, last, step in zip(places, places[1:], places[2:], strict=False):
+        assert euler.target(pulled, last, before) == pytest.approx(step, abs=1e-9)
+    assert euler.stiffness(k) == pytest.approx(k + mass / STEP**2, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,6 @@ def masked(values):
         lambda of: Scene(CORNERS, of(TETS), []),
         lambda of: terms.Strain(1.0, tets=of([0, 1])),
         lambda of: terms.Target([1], of([[0.0, 1.0, 2.0]]), 1.0),
-        lambda of: terms.Inertia(1.0, 0.1, velocities=of(CORNERS)),
         lambda of: materials.Guccione(1.0, 1.0, 1.0, 1.0, of([1.0, 0.0, 0.0]), 10.0),
         lambda of: prepare(Scene(CORNERS, TETS, [terms.Strain(1.0)])).solve(start=of(CORNERS)),
     ],

@@ -46,7 +46,6 @@ class Dynamics(OfPerson):
         Column("peak_mm", "peak [mm]"),
         Column("off_mm", "off the finest march [mm]"),
         Column("iterations", "iterations a step", cost=True),
-        Column("factorisations", "factorisations", cost=True),
         Column("stopped", "stopped"),
     )
     note = (
@@ -138,13 +137,13 @@ def let_go(release: Release, frames: int) -> dict:
         "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
         EQUATION_AS_EULER: Recurrence.from_implicit_euler(p.frequency, FRAME),
     }
-    frames_of = {name: release.play_recurrence(recurrence, frames) for name, recurrence in equation.items()}
-    frames_of[PROJECTIVE] = release.by_projective_dynamics(frames)
-    runs = {EULER: release.play_elements("implicit Euler", frames, tolerance=TIGHT)}
+    frames_of: dict[str, Frames | Trajectory] = {
+        name: release.play_recurrence(recurrence, frames) for name, recurrence in equation.items()
+    }
+    frames_of[PROJECTIVE] = release.play("implicit Euler", frames, solver="projective", tolerance=TIGHT)
+    runs = {EULER: release.play("implicit Euler", frames, tolerance=TIGHT)}
     runs |= {
-        _name_march(scheme, count): release.play_elements(scheme, frames, count)
-        for scheme in SCHEMES
-        for count in PER_FRAME
+        _name_march(scheme, count): release.play(scheme, frames, count) for scheme in SCHEMES for count in PER_FRAME
     }
     rows = [
         _describe_motion(release, name, run.positions, FRAME) | _describe_end(run) for name, run in frames_of.items()
@@ -199,10 +198,7 @@ def _describe_end(run: Trajectory | Frames) -> dict:
 
 
 def _count_work(run: Trajectory) -> dict:
-    return {
-        "iterations": float(run.iterations.mean()) if run.iterations.size else None,
-        "factorisations": int(run.factorisations.sum()),
-    }
+    return {"iterations": float(run.iterations.mean()) if run.iterations.size else None}
 
 
 def shake(release: Release, frames: int) -> dict:
@@ -213,10 +209,11 @@ def shake(release: Release, frames: int) -> dict:
         return np.array([-reach * pace**2 * np.sin(pace * t), 0.0, 0.0])
 
     rest = release.scene.vertices[: len(release.face.head.bone)]
-    runs: dict[str, Trajectory | Frames] = {PROJECTIVE: release.by_projective_dynamics(frames, shaken)}
-    runs[EULER] = release.play_elements("implicit Euler", frames, tolerance=TIGHT, shaken=shaken)
-    runs |= {f"FEM, {scheme}": release.play_elements(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
-    fine = release.play_elements("Newmark", frames, PER_FRAME[-1], shaken=shaken)
+    euler, tight = "implicit Euler", {"tolerance": TIGHT, "shaken": shaken}
+    runs = {PROJECTIVE: release.play(euler, frames, solver="projective", **tight)}
+    runs[EULER] = release.play(euler, frames, **tight)
+    runs |= {f"FEM, {scheme}": release.play(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
+    fine = release.play("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
     found = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
     rows = []

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,9 +17,7 @@ from ....reference import (
     Solution,
     Trajectory,
     march,
-    prepare,
     solve,
-    terms,
 )
 from ....reference.face.dynamics import Recurrence
 from ....reference.face.sequence import State
@@ -64,7 +62,7 @@ def swing(times: Floats, motion: Floats) -> Swing:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A motion by projective dynamics: positions [mm], shape (k + 1, n, 3), and why the frame after the last failed.
+    """A motion by Eq. 9: positions [mm], shape (k + 1, n, 3), and why the frame after the last failed.
 
     Of a whole motion the reason is CONVERGED.
     """
@@ -117,37 +115,23 @@ class Release:
         sequence.state = State(self.start, self.sought, self.start[: len(self.face.head.bone)])
         return _collect_frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
 
-    def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
-        """March frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
-        wrap = self.face.head.skin_wrap
-        n = len(wrap.vertices)
-        springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
-        prepared = prepare(replace(self.scene, terms=(*self.scene.terms, springs)))
-        start = self.start if shaken is None else np.array(self.scene.vertices)
-
-        def steps() -> Iterator[Solution]:
-            x, v = start, np.zeros_like(start)
-            for frame in range(1, frames + 1):
-                ahead = x + FRAME * v
-                if shaken is not None:
-                    ahead = ahead - FRAME**2 * shaken(frame * FRAME)
-                step = replace(springs, positions=ahead[:n])
-                scene = replace(self.scene, terms=(*self.scene.terms, step))
-                solution = prepared.solve(scene, start=x, tolerance=TIGHT)
-                yield solution
-                v, x = (solution.positions - x) / FRAME, solution.positions
-
-        return _collect_frames(start, steps())
-
-    def play_elements(
-        self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
+    def play(
+        self,
+        scheme: str,
+        frames: int,
+        per_frame: int = 1,
+        *,
+        solver: str = "fenicsx",
+        tolerance: float = FINE,
+        shaken: Callable[[float], Floats] | None = None,
     ) -> Trajectory:
-        """March the motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
+        """March the motion with mass on the skin, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
 
         Let go from the start, or shaken from rest.
         """
         return march(
             self.scene,
+            solver=solver,
             time_step=FRAME / per_frame,
             steps=frames * per_frame,
             scheme=scheme,

@@ -14,7 +14,6 @@ from ...scene import Scene
 from ...terms import (
     Bending,
     Hyperelastic,
-    Inertia,
     Pressure,
     RigidBody,
     Strain,
@@ -45,7 +44,6 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
     Bending: Rings,
     Pressure: FollowerPressure,
     Target: Springs,
-    Inertia: Springs,
 }
 """The class that models each term that has an energy, or a force that follows."""
 

@@ -13,6 +13,7 @@ from ..linear.solvers import LinearSolver
 from ..policy import POLICY, FenicsxPolicy
 from ..run import Attempt, Run
 from .bodies import RigidProblem
+from .chord import Chord, KeptFactors
 from .newton import AnyState, Newton, Work
 
 
@@ -20,8 +21,8 @@ class Minimisation:
     """From a run's start towards what is held.
 
     `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
-    the problem with bodies and its two. Bodies are brought to their first poses like held vertices, and set free once
-    all that is held is in place.
+    the problem with bodies and its two, `kept` the factors of earlier solves where they are to be used. Bodies are
+    brought to their first poses like held vertices, and set free once all that is held is in place.
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class Minimisation:
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
         policy: FenicsxPolicy = POLICY,
+        kept: KeptFactors | None = None,
     ):
         self._policy = policy
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
@@ -54,7 +56,8 @@ class Minimisation:
         near = np.abs(self._goal - run.u) <= rounding
         self._goal[near] = run.u[near]
         held_dofs = np.flatnonzero(held[:owned])
-        self._newton = Newton(problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
+        given = (problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
+        self._newton = Newton(*given) if kept is None else Chord(*given, factors=kept, chord=policy.chord)
 
     def attempt(self) -> Attempt:
         """Bring what is held to its goal, in load steps if need be, and minimise.

@@ -17,7 +17,6 @@ from ...solution import Stresses
 from ...terms import (
     Bending,
     Gravity,
-    Inertia,
     Strain,
     SurfaceStrain,
     Target,
@@ -39,7 +38,6 @@ PARTS: dict[type[Term], type[Part]] = {
     SurfaceStrain: Triangles,
     Bending: Rings,
     Target: Springs,
-    Inertia: Springs,
 }
 """The class that models each term that has an energy, in the order in which their energies are added up."""
 AnyPart = TypeVar("AnyPart", bound=Part)
