@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import ClassVar
 
 import numpy as np
 from conftest import layered_sphere, with_regions
@@ -19,9 +18,7 @@ from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
-from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
-from softdeca.benchmarks.studies.surrogate.dial import Dial
 from softdeca.lhm import expressions
 from softdeca.reference import Face
 from softdeca.surrogate.methods import READY
@@ -71,11 +68,6 @@ class SphereMinimal(OfSphere, Minimal):
 
 
 @dataclass(frozen=True)
-class SphereThroughput(OfSphere, Throughput):
-    pass
-
-
-@dataclass(frozen=True)
 class SphereWorkPrecision(OfSphere, WorkPrecision):
     def tasks(self):
         # No network knows spheres.
@@ -121,11 +113,6 @@ class Drawn(SimpleNamespace):
 class SphereShapes(OfSphere, Shapes):
     def person(self, level=None, seed=None):
         return replace(sphere(3), space=Drawn())
-
-
-@dataclass(frozen=True)
-class SphereDial(Dial):
-    people: ClassVar[str] = "spheres:2"
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from softdeca.lhm.template.depths.depths import DepthRegressor
 from softdeca.lhm.template.depths.pairs import POLICY, check_inside, inward_normals, move_wrap
 from softdeca.lhm.template.depths.prior import prior_pairs
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 DEEPER = 2.0
 BEATS = "error of the face's depths over that of one published depth everywhere"
 

@@ -27,13 +27,6 @@ def test_a_sphere_keeps_its_volume(spheres, law):
     assert all(gate["passed"] for gate in Mixed().gates([row]))
 
 
-def test_a_law_that_keeps_no_volume_fails_the_gate():
-    """The default law's answer in the place of the mixed element's."""
-    values = {"reason": "CONVERGED", "around": 0.02, "around_default": 0.02}
-    gates = Mixed().gates([Row("push", "0.499", "done", "", values, 1.0, 100.0, 0.0, "")])
-    assert [gate["passed"] for gate in gates] == [True, False, True]
-
-
 def test_volumes_are_summed_up_by_what_points_stand_for():
     J, weights = np.array([1.1, 0.8, 1.0]), np.array([1.0, 2.0, 97.0])
     kept = measure_volumes(J, weights)

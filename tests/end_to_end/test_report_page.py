@@ -84,6 +84,7 @@ def test_the_first_screen_has_the_question_answers_and_a_figure(browser, page):
     assert 3 <= tab.locator(".answers li").count() <= 5
     assert tab.locator("figure svg").first.bounding_box()["y"] < 500
     # Headings are questions in words.
+    assert all(f'<h2 id="{kept.stem}">' in page.read_text() for kept in RESULTS.glob("*.json"))
     headings = tab.locator("h2").all_inner_texts()
     assert len(headings) > 15 and all(text.endswith("?") and len(text.split()) > 3 for text in headings)
     tab.close()

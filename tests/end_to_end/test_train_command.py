@@ -13,6 +13,8 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.methods import NETWORK, READY
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 SPACE = Spheres(1)
 OF_THE_CHECKOUT = {"clean tree", "commit"}
 """What a results file may lack here: tests run on changed trees, and without git."""

@@ -7,6 +7,8 @@ import pytest
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies.heads.depth import Depth
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 
 @pytest.fixture(scope="module")
 def checked(data, tmp_path_factory):

@@ -3,8 +3,8 @@
     python tests/robustness/any_inputs.py [--every 1] [--drawn 500] [part of a name ...]
 
 prints what ended otherwise than it should, and counts at the end: of the cases of `bad_inputs.py` one in so many, and
-of each property so many draws, alike each time. A value is refused by a SoftdecaError of one line, or taken; a defect
-is another exception, or no end.
+of each property so many draws, alike each time. A value is refused by a SoftdecaError of one line, which names the
+argument of a listed case, or taken; a defect is another exception, or no end.
 """
 
 from __future__ import annotations
@@ -149,6 +149,8 @@ def try_listed(every: int, parts: list[str], counts: dict[str, int]) -> None:
     for case in islice((*calls(), *commands()), 0, None, every):
         if all(part in case.name for part in parts):
             how, said = outcome(case)
+            if how == "refused" and case.named and not any(word in said for word in case.named):
+                how = "not named"
             fine = how == "refused" or how == "accepted" and bool(case.why)
             counts[how if fine else "defects"] += 1
             if not fine:

@@ -45,11 +45,12 @@ MEMORY = 6 * 10**9
 
 @dataclass(frozen=True)
 class Case:
-    """Something that has to be refused, or `why` it is accepted on purpose."""
+    """Something that has to be refused, by one of the words `named` if there are any, or `why` it is accepted."""
 
     name: str
     call: Callable[[], object]
     why: str = ""
+    named: tuple[str, ...] = ()
 
 
 # What every argument is given in place of its good value.
@@ -66,6 +67,11 @@ WRONG: dict[str, object] = {
     "a dict": {"a": 1},
     "a function": print,
 }
+CALLED = {
+    "scene": "a Scene", "young": "Young's modulus", "poisson": "Poisson's ratio", "named": "weights",
+    "shapes": "expressions", "seconds": "take", "time_step": "frames per second", "contact": "region",
+}  # fmt: skip
+"""What a refusal calls an argument where it says another word than its name."""
 EMPTY_OF = {
     "terms",
     "without",
@@ -298,7 +304,8 @@ def calls() -> Iterator[Case]:
                 why = why_accepted(function.name, argument, what)
                 arguments = function.good | {argument: value}
                 name = f"{function.name}({argument} = {what})"
-                yield Case(name, lambda f=function, a=arguments: f.call(**a), why)
+                named = (argument, CALLED.get(argument, argument), *([value] if what == "a text" else []))
+                yield Case(name, lambda f=function, a=arguments: f.call(**a), why, named)
 
 
 def outcome(case: Case) -> tuple[str, str]:

@@ -15,7 +15,6 @@ from scipy.sparse import identity
 from softdeca.lhm import InputError, SoftdecaError, Surface, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
 from softdeca.lhm.base.files.resumable import RowStore, lock_folder
-from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.template.fit import is_upright
 from softdeca.reference import Face, Parameters, Scene, facial_scene, terms
@@ -146,11 +145,6 @@ def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused(r"head\.npz: .*2,010,000,000 bytes unpacked; expected at most 2,000,000,000", load_head, file)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kB"
-
-
-@pytest.mark.parametrize("weight", [5.0, -1.0, float("nan"), float("inf"), "much", None, True, [0.5]])
-def test_a_weight_outside_0_to_1_is_named(weight):
-    refused("the weight of jawOpen is .*expected a number in", weights_of, {"jawOpen": weight})
 
 
 @pytest.mark.parametrize(
@@ -319,16 +313,9 @@ def with_targets(head, move):
         (lambda head: Scene(CORNERS, [[0, 2, 1, 3]], []), "scene: tets: 1 are inverted"),
         (lambda head: fixed_at(4), r"term 1 \(Fixed\): vertex 4 is outside 0..3"),
         (lambda head: fixed_at(-1), r"term 1 \(Fixed\): vertex -1 is outside 0..3"),
-        (lambda head: facial_scene(head, Parameters(), head.skin.vertices[:-1]), "targets: expected the skin's shape"),
-        (lambda head: facial_scene(head, Parameters(), head.skin.vertices * np.nan), "targets: .* not finite"),
         (lambda head: Scene(np.ma.masked_array(CORNERS, False), [[0, 1, 2, 3]], []), "vertices: expected numbers"),
-        (
-            lambda head: Scene(CORNERS, np.ma.masked_array([[0, 1, 2, 3]], True), []),
-            "tets: expected integers, got Masked",
-        ),
         (lambda head: terms.Strain(np.ma.masked_array([1.0, 2.0])), "stiffness: expected numbers"),
         (lambda head: Parameters(soft_volume=np.ma.masked_array([1.0, 1.1])), "soft_volume: .* masked array"),
-        (lambda head: Parameters(soft_volume=np.array([1.0 + 1j])), "soft_volume: expected a number, got complex128"),
         (lambda head: with_targets(head, lambda x: x + 101.0), "targets: .*at most 100 mm"),
         (lambda head: with_targets(head, lambda x: x * 1e9), "targets: 1e.09 times as large as the neutral skin"),
         (lambda head: with_targets(head, lambda x: x / 1000), "targets: 0.001 times as large .* are its units off"),

@@ -1,6 +1,5 @@
 """Every hard case by projective dynamics, and by Newton where it is quick; the case "hard" of a study runs all."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ CASES = [
     for way in case.ways
     if not any(word in case.name for word in SLOW.get(way[0], ()))
     and (way[0] == "projective" or not any(seed in case.name for seed in FEW_SEEDS))
-    and not (way[1] == "P2" and "from rest x10" in case.name)
+    and not (way[1] != "P1" and "from rest" in case.name)
 ]
 
 
@@ -103,16 +102,3 @@ def test_recovery_is_judged_by_shape_and_by_every_tet():
     bent[-1] += 1e-4
     assert 1e-5 < recovery.away_from_rest(scene, replace(solution, positions=bent)) < np.inf
     assert recovery.away_from_rest(scene, replace(solution, volume_ratio=solution.volume_ratio * 0.99)) == np.inf
-
-
-def test_bench_hard_prints_a_row_per_case_and_solver(command, tmp_path):
-    solvers, out = ("--solver", "projective", "--solver", "skfem"), ("--out", tmp_path)
-    ended = command("bench", "hard", "--match", "time step of 1000 s: static", *solvers, *out)
-    assert ended.status == 0
-    assert sum("time step of 1000 s: static" in line for line in ended.out.splitlines()) == 2
-    assert "outcome passed" in ended.out and "iterations" in ended.out
-    rows = json.loads(command("bench", "hard", "--match", "free fall", *solvers[:2], *out, "--json").out)["rows"]
-    assert [row["values"]["outcome"] for row in rows] == ["passed"]
-    assert rows[0]["values"]["error"] <= rows[0]["values"]["bound"]
-    refused = command("bench", "hard", "--match", "nothing of the kind", *out)
-    assert refused.status != 0 and "no case and method matches" in refused.errors[-1]

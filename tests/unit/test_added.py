@@ -30,6 +30,8 @@ from softdeca.reference.materials.material import EnergyLaw, LameLaw
 from softdeca.reference.skfem.solids import ByInvariants
 from softdeca.surrogate import Surrogate, methods
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
 LAW, SOLVER = TUTORIALS / "gent.py", TUTORIALS / "quasi_newton.py"
 MAIN = "from softdeca.cli import main; main()"

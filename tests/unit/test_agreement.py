@@ -38,6 +38,8 @@ from softdeca.surrogate.methods import (
     SKFEM_NEO_HOOKEAN,
 )
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 
 def test_difference_is_that_of_two_points_by_hand():
     rest = np.zeros((2, 3))
@@ -117,50 +119,6 @@ def test_all_gates_are_passed_by_good_rows(rows):
 def test_a_miss_is_a_miss(rows, method, key, value, missed, answer):
     found = [gate for gate in Agreement().gates(edited(rows, method, key, value)) if not gate["passed"]]
     assert len(found) == 1 and missed in found[0]["what"] and found[0]["answer"] is answer
-
-
-def test_what_failed_is_left_out_of_the_gates(rows):
-    """A solver without a row has no statement; that its case failed is one of every study."""
-    assert len(Agreement().gates([row for row in rows if row.method not in (SKFEM, PD_PLAIN)])) == 6
-
-
-def test_a_second_minimum_stands_in_the_words(rows):
-    assert "two minima" not in Agreement().words(rows)
-    words = Agreement().words(edited(rows, FENICSX, "another_minimum_mm", 0.226))
-    assert "PD's energy has two minima on jawOpen, up to 0.23 mm apart" in words
-
-
-def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides):
-    """Skin that targets hold differs least: its mean alone is no answer to how far two laws are apart."""
-    held = next(row for row in rows if row.method == FENICSX_NEO_HOOKEAN)
-    held.values["compared"][0]["max"], held.values["inside"] = 1.74, insides
-    free = replace(held, case="jaw-by-bone", values=copy.deepcopy(held.values) | {"without_targets": True})
-    words = Agreement().words([*rows, free])
-    for where in ("where targets hold it", "where none does"):
-        assert f"by at most 0.100 mm on average {where}, and any vertex by at most 1.74 mm" in words
-    assert len(words.split()) < 130
-    _, inside, jaw = Agreement().tables([free])
-    assert inside.rows[0][:3] == (free.case, 0.03, 1.74) and jaw.rows[0][-4:] == (900.0, 700.0, 80.0, 70.0)
-
-
-def test_a_case_that_the_network_loses_is_named(rows):
-    assert "loses" not in Agreement().words(rows)
-    lost = edited(rows, NETWORK, "mean", 0.3)
-    assert "The network loses to settled + blendshapes on jawOpen." in Agreement().words(lost)
-    effects, faces, methods = Agreement().tables(rows)
-    assert effects.rows[0][:2] == ("jawOpen", "Figure 7") and faces.rows[0][-3:] == (0.2, 0.9, 1.5)
-    assert methods.rows[-1][:3] == ("jawOpen", SETTLED, 0.2)
-
-
-@pytest.fixture
-def insides():
-    stress = {law: {layer: {"mean": mean, "p95": 1.0} for layer in ("soft", "muscle")} for law, mean in LAW_STRESS}
-    loads = {"PD": {"force": 900.0, "torque": 80.0}, "neo-Hookean": {"force": 700.0, "torque": 70.0}}
-    vertices = {"mean": 0.03, "max": 1.74}
-    return {"vertices": vertices, "stress": stress, "mandible": None, "held_at_pd": None, "prescribed": loads}
-
-
-LAW_STRESS = (("PD", 0.3), ("neo-Hookean", 0.4))
 
 
 @pytest.fixture

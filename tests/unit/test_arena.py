@@ -22,6 +22,8 @@ from softdeca.reference import Parameters, facial_scene, solve, terms
 from softdeca.reference.face.tissue import Guard
 from softdeca.reference.problems.meshes import block, vertices_at
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 HEAD = """
 TITLE, PACKAGES, LAW, DTYPE, TOLERANCE = {title!r}, {packages!r}, "neo-Hookean", "float64", 1.0
 SETTINGS = {{"default": {{}}}}

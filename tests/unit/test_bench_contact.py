@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement.contact import (
-    BOTH,
-    Contact,
     compare_contact,
     measure_pushes,
     solve_by_barrier,
 )
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
-from softdeca.reference import Reason, solve, terms
+from softdeca.reference import solve, terms
 from softdeca.reference.problems import meshes
 
 from .test_contact import two_bars
@@ -44,25 +41,6 @@ def test_without_contact_nothing_is_pushed():
     free = solve(without, tolerance=1e-10)
     ids = np.unique(scene.of(terms.Contact)[0].triangles)
     assert measure_pushes(without, ids, free.positions).max() < 1e-6
-
-
-def rows_of(**changes):
-    values = {
-        "done": True, "reasons": [str(Reason.CONVERGED)] * 2, "depth_after_mm": 0.1, "moved_mean_mm": 0.4,
-        "apart_mean_mm": 0.02, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
-    }  # fmt: skip
-    return [Row("lips pressed", BOTH, "done", "", values | changes, 1.0, None, 0.0, "")]
-
-
-def test_gates_miss_a_code_without_contact_and_one_that_stops():
-    """Without contact the distance is all that contact moves: a share of 1."""
-    study = Contact()
-    assert all(gate["passed"] for gate in study.gates(rows_of()))
-    assert [gate["passed"] for gate in study.gates(rows_of(apart_mean_mm=0.4))] == [True, False]
-    stopped = rows_of(done=False, reasons=[str(Reason.CONVERGED), str(Reason.LINE_SEARCH)])
-    assert [gate["passed"] for gate in study.gates(stopped)] == [False, True]
-    assert "PD leaves an overlap of 0.10 mm" in study.words(rows_of(done=False))
-    assert "0.020 mm apart, and push with 9 and 8 mN" in study.words(rows_of())
 
 
 def test_a_cut_box_has_the_area_of_its_side():

@@ -12,11 +12,6 @@ from softdeca.benchmarks.studies.mesh.limits import SPLIT, compare_finer_meshes
 from softdeca.benchmarks.studies.mesh.study import (
     ACCEPTED,
     FINER,
-    FREE,
-    LOCKS,
-    MIRRORED,
-    QUADRATIC,
-    TWO_MESHES,
     MeshError,
 )
 
@@ -84,45 +79,3 @@ def test_the_head_of_the_level_below_fails_and_ours_passes_with_little_to_spare(
     assert finer[-1]["what"] == SPLIT
     finer[-1] |= {"energy": 1.1 * own["energy"]}
     assert passed([row(smile.case, FINER, own, *finer)]) == [False, True]
-
-
-def line(what, mean, over_all=1.0):
-    return {"what": what, "mean": mean, "max": 1.0, "over_all": over_all, "reference": "P2"}
-
-
-def rows(*, lowest=1.0, highest=6.9, linear=0.018, free_linear=0.01, free_quadratic=0.001):
-    return [
-        row("level 1, nu 0.38", QUADRATIC, line("P1, 1 sub-layer", linear, lowest)),
-        row("level 1, nu 0.45", QUADRATIC, line("P1, 1 sub-layer", linear, lowest)),
-        row("level 1, nu 0.499", QUADRATIC, line("P1, 1 sub-layer", linear, highest)),
-        row("level 1, nu 0.45", FREE, line("P1", free_linear), line("P2", free_quadratic)),
-    ]
-
-
-def test_every_case_is_a_task_of_its_own():
-    tasks = MeshError(expressions=(), poisson=("0.45", "0.499"), finer=("0.45",), free=("0.45",)).tasks()
-    assert [(task.case, task.method) for task in tasks] == [
-        ("level 1, nu 0.45", QUADRATIC),
-        ("level 1, nu 0.499", QUADRATIC),
-        ("level 2, nu 0.45", QUADRATIC),
-        ("level 1, nu 0.45", FREE),
-        ("level 1, mean head", MIRRORED),
-        ("level 2, mean head", MIRRORED),
-    ]
-
-
-def test_one_law_at_every_ratio_and_linear_tets_as_the_reference_fail():
-    assert passed(rows()) == [True, True]
-    assert passed(rows(highest=1.0)) == [False, True]
-    assert passed(rows(highest=0.99 * LOCKS)) == [False, True]
-    # Linear tets in the place of the quadratic ones of the free mesh.
-    assert passed(rows(free_quadratic=0.01)) == [True, False]
-    assert passed(rows(free_quadratic=1.01 * TWO_MESHES * 0.018)) == [True, False]
-
-
-def test_tables_and_words_are_of_the_rows():
-    study = MeshError()
-    (table,) = study.tables(rows())
-    assert table.rows[2][:3] == ("level 1, nu 0.499", "P2", "0.0180 / 1.000 / 6.90")
-    assert "level 1, nu 0.499: linear tets are 0.018 mm from quadratic ones" in study.words(rows())
-    assert "<svg" in "".join(study.pictures(rows()).values())

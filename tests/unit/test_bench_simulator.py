@@ -8,27 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.processes import held_megabytes, peak_megabytes
-from softdeca.benchmarks.studies.arena.contest import ACCURACIES, Lines, run_outside, summarise, summarise_repeats
+from softdeca.benchmarks.studies.arena.contest import Lines, run_outside, summarise, summarise_repeats
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
-from softdeca.benchmarks.studies.arena.work_precision import FACE, WorkPrecision, measure_lead
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.measures import Trace, largest_distance, time_solve, trace_solve, trace_to_itself
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling import floor
-from softdeca.benchmarks.studies.scaling.throughput import (
-    COLD,
-    ITERATION,
-    LOCAL_58K,
-    RATIO,
-    SEQUENCE,
-    WORKER,
-    Throughput,
-)
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import NotModelledError, Parameters, facial_scene, prepare, terms
-from softdeca.surrogate.methods import FENICSX, METHODS, NETWORK, PD, PD_PLAIN
+from softdeca.surrogate.methods import METHODS, NETWORK
 
 
 @pytest.fixture(scope="module")
@@ -61,31 +51,6 @@ def test_a_solve_seen_from_its_end_is_seen_from_the_truth(sphere_head, targets):
     assert largest_distance(answer.positions, solution.positions) <= 0.01
     assert cost["iterations"] >= trace.iterations_to(0.01)
     assert min(cost[f"{part}_s"] for part in ("scene", "prepare", "solve", "cpu")) > 0
-
-
-def curve(label: str, energy: str, set_up_s: float, seconds: float | None) -> Row:
-    times = [None if seconds is None else seconds * (1 + k) for k in range(len(ACCURACIES))]
-    values = {"law": energy, "solver": label, "setting": "default", "start": "from rest", "set_up_s": [set_up_s]}
-    values |= {"seconds_to": times, "max_mm": 1e-7, "solve_s": [1.0]}
-    return Row(f"a, {energy}", label, "done", "", values, 1.0, None, 0.0, "")
-
-
-def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
-    assert ACCURACIES[0] == 1.0 and ACCURACIES[1] == 0.1 and ACCURACIES[-1] == 1e-6
-    rows = [curve(PD, FACE, 1.0, 1.0), curve(FENICSX, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)]
-    # Prepared: 1 to 1.5 at each; with preparation (1 + k + 1) / 1.5 (k + 1), worst at 0.1 mm, where k = 1.
-    assert measure_lead(rows, FENICSX, prepared=True) == pytest.approx(1 / 1.5)
-    assert measure_lead(rows, FENICSX, prepared=False) == pytest.approx(3 / 3.0)
-    assert measure_lead(rows, "slow", prepared=False) == 0.0 and measure_lead(rows, PD_PLAIN, prepared=True) is None
-    # The worst of two expressions counts.
-    slower = [replace(curve(PD, FACE, 0.0, 3.0), case="b"), replace(curve(FENICSX, FACE, 0.0, 1.5), case="b")]
-    assert measure_lead([*rows, *slower], FENICSX, prepared=True) == pytest.approx(2.0)
-    behind = [curve(PD, FACE, 0.0, None), curve(FENICSX, FACE, 0.0, 1.0)]
-    with_preparation, prepared, agreement = WorkPrecision().gates(behind)
-    assert (with_preparation["value"], with_preparation["passed"], prepared["answer"]) == (None, False, False)
-    assert agreement["passed"] and agreement["answer"]
-    behind[1].values["max_mm"] = 0.02
-    assert not WorkPrecision().gates(behind)[-1]["passed"]
 
 
 def test_a_rig_that_refuses_a_face_is_left_out(sphere_head, monkeypatch):
@@ -147,31 +112,3 @@ def test_memory_is_seen_in_a_process_of_its_own():
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         megabytes, total = pool.submit(grown, 10_000_000).result()
     assert total == 1e7 and 75.0 < megabytes < 120.0
-
-
-def cold_row(**changes) -> Row:
-    line = {"seconds": 0.5, "error_mm": 0.004, "converged": True} | changes
-    return Row(COLD, "default p", "done", "", {"rows": [line]}, 1.0, None, 0.0, "")
-
-
-def row(case: str, *lines: dict) -> Row:
-    return Row(case, "PD", "done", "", {"rows": list(lines)}, 1.0, None, 0.0, "")
-
-
-@pytest.mark.parametrize(
-    ("rows", "missed"),
-    [
-        ([cold_row()], []),
-        ([cold_row(seconds=1.01)], ["slowest, scene to solution", "cold frames per core-hour"]),
-        ([cold_row(error_mm=0.011)], ["default p: largest error"]),
-        ([cold_row(converged=False)], ["default p: not converged"]),
-        ([row(SEQUENCE, {"solve_s": [0.3], "per_hour": 12000.0, "error_mm": 0.003})], ["median", "warm frames per"]),
-        ([row(SEQUENCE, {"solve_s": [0.1], "per_hour": 36000.0, "error_mm": float("nan")})], ["warm frame: largest"]),
-        ([row(WORKER, {"value": 601.0})], ["memory of a worker"]),
-        ([row(ITERATION, {"what": RATIO, "value": 2.1}, {"what": LOCAL_58K, "value": 7.0})], ["over its floor"]),
-        ([row(ITERATION, {"what": RATIO, "value": 1.9}, {"what": LOCAL_58K, "value": 9.0})], ["local step"]),
-    ],
-)
-def test_a_miss_of_throughput_is_a_miss(rows, missed):
-    found = [gate["what"] for gate in Throughput().gates(rows) if not gate["passed"]]
-    assert len(found) == len(missed) and all(part in what for part, what in zip(missed, found, strict=True))

@@ -29,6 +29,8 @@ from ..refusals import refused
 
 pytest.importorskip("dolfinx")
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
 
 @pytest.fixture(scope="module")
 def study():

@@ -39,18 +39,6 @@ def rolled(recurrence, targets, last, before):
     return np.array(frames[2:])
 
 
-@pytest.mark.parametrize(
-    ("frequency", "damping", "alpha", "beta", "gamma"),
-    # Poles of the continuous oscillator at 60 Hz, worked out apart, to four digits.
-    [(3, 0.1, 0.9221, 0.9391, 0.0949), (5, 0.2, 0.7846, 0.8110, 0.2418), (8, 0.4, 0.5146, 0.5116, 0.4824)],
-)
-def test_coefficients_are_those_of_the_poles(frequency, damping, alpha, beta, gamma):
-    found = from_oscillator(frequency, damping, STEP)
-    assert [found.alpha, found.beta, found.gamma] == pytest.approx([alpha, beta, gamma], abs=5.1e-5)
-    f, zeta = found.oscillation(STEP)
-    assert (f, zeta) == (pytest.approx(frequency, rel=1e-12), pytest.approx(damping, rel=1e-12))
-
-
 def test_the_free_skin_passes_through_the_continuous_motion_at_any_frame_rate():
     """The poles are exact, so samples at 24 Hz lie on those at 240 Hz."""
     f, zeta = 4.0, 0.3
@@ -63,28 +51,6 @@ def test_the_free_skin_passes_through_the_continuous_motion_at_any_frame_rate():
         times = np.arange(1, rate) / rate
         found = rolled(from_oscillator(f, zeta, 1 / rate), np.zeros((len(times), 1, 3)), exact(0), exact(-1 / rate))
         assert found == pytest.approx(np.array([exact(t) for t in times]), abs=1e-12)
-
-
-def test_at_rest_the_target_is_the_expression_exactly():
-    x = np.random.default_rng(1).normal(scale=100, size=(50, 3))
-    for f, zeta in CORNERS:
-        assert from_oscillator(f, zeta, STEP).target(x, x, x) == pytest.approx(x, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("frequency", "gamma", "damping", "slower"),
-    # γ = (ωh)²/(1 + (ωh)²) at 60 Hz, and the damping and frequency of its poles, worked out apart.
-    [(2, 0.042, 0.103, 0.99), (4, 0.149, 0.200, 0.97), (8, 0.412, 0.356, 0.89)],
-)
-def test_implicit_euler_damps_and_slows(frequency, gamma, damping, slower):
-    euler = from_implicit_euler(frequency, STEP)
-    found, ratio = euler.oscillation(STEP)
-    assert euler.gamma == pytest.approx(gamma, abs=6e-4)
-    assert ratio == pytest.approx(damping, abs=6e-4)
-    # The poles are √(1-γ) e^(±i atan(ωh)): the damped frequency is that angle over the step.
-    turned = found * np.sqrt(1 - ratio**2)
-    assert turned == pytest.approx(np.arctan(2 * np.pi * frequency * STEP) / (2 * np.pi * STEP), rel=1e-12)
-    assert found / frequency == pytest.approx(slower, abs=3e-2)
 
 
 def test_implicit_euler_is_what_a_march_over_springs_does():

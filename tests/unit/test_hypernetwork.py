@@ -35,8 +35,6 @@ from softdeca.surrogate.networks.gradient_training import (
 )
 from softdeca.surrogate.networks.gradients import Widths
 from softdeca.surrogate.networks.trainer import Lesson, Trainer, TrainerConfig, draw_positions
-from softdeca.surrogate.networks.weights import Weights
-from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)
@@ -115,16 +113,6 @@ def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weigh
     assert held < training and len(training - held) == weights.note.people
 
 
-def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
-    state = tmp_path / "state.pt"
-    halted = train_gradients(faces["train"], replace(CONFIG, seconds=1e-9), state=state)
-    assert halted.note.steps == 1  # not a step more than the time that is given
-    resumed = train_gradients(faces["train"], CONFIG, state=state)
-    assert [p["network"] for p in resumed.note.curve[1:]] == [p["network"] for p in weights.note.curve]
-    for name, value in weights.network.items():
-        assert np.array_equal(value, resumed.network[name]), name
-
-
 @pytest.mark.parametrize("name", [*NETWORKS])
 def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, tmp_path):
     weights = train_gradients(faces["train"], replace(NETWORKS[name], **QUICK))
@@ -145,19 +133,6 @@ def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, 
         face = faces["test"].face(int(FrameSource(faces["test"]).face[number]))
         frame = surrogate.bind_face(face).frame(test.weights[k], blended=test.blended[k])
         assert np.abs(frame - expected[k]).max() < 1e-4
-
-
-def test_saved_and_loaded_is_the_same_to_half_precision(weights, surrogate, tmp_path):
-    weights.save(tmp_path / "paper.safetensors")
-    loaded, expression = Surrogate.load(tmp_path / "paper.safetensors"), np.linspace(0.0, 1.0, 52)
-    before, after = (bind(one, parameters=Parameters(target_stiffness=2.0)) for one in (surrogate, loaded))
-    assert np.abs(before.frame(expression) - after.frame(expression)).max() < 0.02
-    assert np.abs(before.frame(expression) - before.frame(expression, blended=before.blend(expression))).max() == 0.0
-    assert loaded.weights.note == weights.note and loaded.weights.kind == "hypernetwork"
-    damaged = {**weights.network, "middle.bias": weights.network["middle.bias"][:-1]}
-    replace(weights, network=damaged).save(tmp_path / "paper.safetensors")
-    with pytest.raises(InputError, match="network middle.bias: expected shape|where others have"):
-        Weights.load(tmp_path / "paper.safetensors")
 
 
 def test_parameters_per_face(surrogate):
@@ -186,15 +161,6 @@ def test_parameters_per_face(surrogate):
 def test_bad_bindings_are_named(surrogate, changes, message):
     with pytest.raises(InputError, match=message):
         bind(surrogate, **changes)
-
-
-def test_it_swings_where_weights_know_what_is_loose(weights, surrogate):
-    with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
-        bind(surrogate).dynamic()
-    rig = bind(Surrogate(replace(weights, looseness=Looseness.from_people(PEOPLE, count=8))))
-    moving = rig.dynamic()
-    moving.frame(np.zeros(52))
-    assert np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max() > 0.0
 
 
 class Endless:

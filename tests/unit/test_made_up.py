@@ -41,14 +41,9 @@ NEVER_BOTH_LARGE = [
     ("mouthPucker", "mouthStretchLeft"),
     ("mouthPucker", "mouthSmileRight"),
 ]
-PAIRS = [
-    (name, name.removesuffix("Left") + "Right")
-    for name in ARKIT
-    if name.endswith("Left") and name not in ("jawLeft", "mouthLeft", "eyeLookInLeft", "eyeLookOutLeft")
-]
 
 
-@pytest.fixture(scope="module", params=[0, 1, 2])
+@pytest.fixture(scope="module", params=[0, 1])
 def talk(request):
     return conversation(np.random.default_rng(request.param), round(MINUTES * 3600))
 
@@ -76,14 +71,6 @@ def test_contradictory_expressions_are_not_made(talk):
     assert (of(talk, "mouthClose") <= of(talk, "jawOpen")).all()
 
 
-def test_both_sides_move_alike_but_not_the_same(talk):
-    for left, right in PAIRS:
-        assert 0.9 < np.corrcoef(of(talk, left), of(talk, right))[0, 1], left
-    assert np.abs(of(talk, "mouthSmileLeft") - of(talk, "mouthSmileRight")).max() > 0.02
-    gaze = [of(talk, name) for name in ("eyeLookOutLeft", "eyeLookInRight")]
-    assert np.corrcoef(*gaze)[0, 1] > 0.9  # both eyes look the same way
-
-
 def test_blinks_come_every_few_seconds_and_are_short(talk):
     """A blink and the pause after it last between 2.1 and 6.4 s: 9.4 to 28.6 per minute."""
     lids = of(talk, "eyeBlinkLeft")
@@ -95,29 +82,11 @@ def test_blinks_come_every_few_seconds_and_are_short(talk):
 
 @pytest.mark.parametrize(("seconds", "rate"), [(2.0, 60.0), (2.0, 30.0), (10.0, 60.0)])
 def test_every_conversation_closes_its_lids_and_smiles_broadly(seconds, rate):
-    for seed in range(200):
+    for seed in range(50):
         talk = conversation(np.random.default_rng(seed), round(seconds * rate), rate=rate)
         lids = np.minimum(of(talk, "eyeBlinkLeft"), of(talk, "eyeBlinkRight"))
         smile = np.minimum(of(talk, "mouthSmileLeft"), of(talk, "mouthSmileRight"))
         assert lids.max() > 0.999 and smile.max() > 0.6, seed
-
-
-def test_lids_follow_the_gaze_and_gazes_reach_far(talk):
-    """Between blinks, which are a tenth of the time, eyeBlink is 0.4 of eyeLookDown: so its median at any gaze is."""
-    down, lids = of(talk, "eyeLookDownLeft"), of(talk, "eyeBlinkLeft")
-    far = down > 0.2
-    assert np.median(lids[far] / down[far]) == pytest.approx(0.4, abs=0.05)
-    for name in ("eyeLookDownLeft", "eyeLookUpLeft", "eyeLookOutLeft", "eyeLookInLeft"):
-        assert of(talk, name).max() > 0.3, name
-
-
-def test_the_jaw_opens_a_few_times_per_second_of_talk(talk):
-    """At most one visible opening per syllable, of which there are 3 to 6 per second."""
-    jaw = of(talk, "jawOpen")
-    speaking = np.convolve(jaw > 0.12, np.ones(60), "same") > 8
-    openings = find_peaks(jaw, prominence=0.04)[0]
-    assert 1.5 < speaking[openings].sum() / (speaking.sum() / 60.0) < 6.0
-    assert 0.4 < speaking.mean() < 0.95  # the rest is listening
 
 
 def test_range_and_speed_are_those_of_a_real_take(talk, data):
@@ -128,15 +97,6 @@ def test_range_and_speed_are_those_of_a_real_take(talk, data):
     fast_talk, fast_real = (np.percentile(60 * np.abs(np.diff(w, axis=0)), 99, axis=0) for w in (talk, real))
     assert 0.4 < np.median(spread) < 1.0  # measured .64 to .70
     assert 0.67 < np.median((fast_talk / fast_real)[face]) < 1.5  # measured 1.00 to 1.05
-
-
-def test_statistics_do_not_depend_on_the_rate():
-    slow, fast = (
-        np.concatenate([conversation(np.random.default_rng(s), round(300 * rate), rate=rate) for s in range(2)])
-        for rate in (30.0, 120.0)
-    )
-    ratio = slow.std(axis=0) / fast.std(axis=0)
-    assert abs(np.median(ratio) - 1) < 0.08 and ratio.min() > 0.6 and ratio.max() < 1.6
 
 
 def test_edges():
@@ -158,15 +118,6 @@ def test_angles_spread_as_stated_about_straight_ahead_from_the_first_on(rate):
     assert np.all(np.abs(found.mean(axis=0)) < 0.1 * spread)
     first = np.array([head_motion(np.random.default_rng(k), 1, rate=rate)[0] for k in range(400)])
     assert first.std(axis=0) == pytest.approx(spread, rel=0.15)
-
-
-def test_it_moves_as_a_head_does_without_jerks():
-    """Some 10 deg/s, at most 100; the acceleration goes on from frame to frame: it is no noise."""
-    found = head_motion(np.random.default_rng(1), 60 * 600)
-    speed = np.degrees(np.linalg.norm(np.diff(found, axis=0), axis=1)) * 60
-    assert 5 < np.median(speed) < 20 and speed.max() < 100
-    bent = np.diff(found, n=2, axis=0)
-    assert np.all(np.sum(bent[1:] * bent[:-1], axis=0) > 0.7 * np.sum(bent**2, axis=0))
 
 
 def test_a_conversation_as_a_take_has_its_weights_and_a_head():

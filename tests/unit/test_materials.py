@@ -31,37 +31,14 @@ def test_young_and_poisson_give_lame(law):
     assert lmbda / (2 * (lmbda + mu)) == pytest.approx(0.45)
 
 
-@pytest.mark.parametrize("law", FROM_YOUNG)
-@pytest.mark.parametrize("young, poisson", [(1.0, 0.5), (1.0, -1.0), (0.0, 0.3), (np.nan, 0.3), (1.0, np.nan)])
-def test_moduli_out_of_range_are_refused(law, young, poisson):
-    with pytest.raises(SceneError, match="Young's modulus must be positive|Poisson's ratio must lie in"):
-        law.from_young(young, poisson)
-
-
-@pytest.mark.parametrize("law", [NeoHookean, StableNeoHookean, Corotated, StVenantKirchhoff])
-@pytest.mark.parametrize(
-    "mu, lmbda", [(-1.0, 1.0), (np.nan, 1.0), (1.0, -1.0), (1.0, np.inf), ("1", 1.0), ([1.0], 1.0)]
-)
-def test_lame_parameters_out_of_range_are_named(law, mu, lmbda):
-    with pytest.raises(SceneError, match=rf"{law.__name__}: (mu|lmbda) must"):
-        law(mu, lmbda)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: IsochoricNeoHookean(0.0, 1.0), "IsochoricNeoHookean: mu must be positive and finite, got 0.0"),
-        (lambda: IsochoricNeoHookean(1.0, -1.0), "kappa must be positive and finite, got -1.0"),
         (lambda: IsochoricNeoHookean(1.0, 1.0, "ln J"), r"volumetric must be 'kappa/2 \(J-1\)\^2' or .*, got 'ln J'"),
-        (lambda: MooneyRivlin(-1.0, 2.0, 1.0), "MooneyRivlin: C10 must be at least 0"),
         (lambda: MooneyRivlin(0.0, 0.0, 1.0), "C10 \\+ C01 must be positive"),
-        (lambda: MooneyRivlin(1.0, 0.0, 1.0, C20=np.nan), "C20 must be at least 0 and finite, got nan"),
         (lambda: Guccione(2.0, 8.0, 2.0, 4.0), r"Guccione: needs fibres of shape \(3,\) or \(m, 3\), got shape \(0,\)"),
-        (lambda: Guccione(2.0, 8.0, 2.0, 4.0, "x"), "Guccione: needs fibres"),
         (lambda: Guccione(2.0, 8.0, 2.0, 4.0, [1.0, 0.0]), r"needs fibres .* got shape \(2,\)"),
         (lambda: Guccione(2.0, 8.0, 2.0, 4.0, [[1.0, 0, 0], [0, 0, 0]]), r"not zero \(number 1\)"),
-        (lambda: Guccione(2.0, 8.0, 0.0, 4.0, [1.0, 0, 0]), "bt must be positive"),
-        (lambda: Incompressible("rubber"), "Incompressible: expected a compressible law, got str"),
         (lambda: Incompressible(Incompressible(NeoHookean(1.0, 1.0))), "got Incompressible"),
         (lambda: terms.Hyperelastic(MooneyRivlin(1.0, 0.5)), "MooneyRivlin without kappa must be made Incompressible"),
     ],

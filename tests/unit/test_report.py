@@ -120,13 +120,3 @@ def test_a_table_as_markdown_and_latex():
     ]
     text = to_latex(table, "laws, by hand")
     assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-by-hand}" in text
-
-
-KEPT = sorted(RESULTS.glob("*.json"))
-
-
-def test_results_that_are_kept_can_be_reported(tmp_path):
-    assert {path.stem for path in KEPT} >= {"material", "split", "verification"}
-    made = [read_part(path, load_study) for path in KEPT]
-    text = write_report(made, tmp_path, "kept")[0].read_text()
-    assert all(f'<h2 id="{path.stem}">' in text for path in KEPT)

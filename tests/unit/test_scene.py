@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, MeshError, Surface, TetMesh
+from softdeca.lhm import MeshError, Surface, TetMesh
 from softdeca.lhm.head.layers import prism_tets
-from softdeca.reference import Scene, SceneError, materials, prepare, terms
+from softdeca.reference import Scene, SceneError, prepare, terms
 from softdeca.reference.problems.meshes import box
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
@@ -94,38 +94,12 @@ def test_a_scene_names_columns_that_do_not_fit(columns, message):
         Scene(CORNERS, TETS, [], columns=columns)
 
 
-def masked(values):
-    return np.ma.masked_less(np.asarray(values), 1)
-
-
-@pytest.mark.parametrize("kind", [masked, lambda values: np.asarray(values) + 1j])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda of: Scene(of(CORNERS), TETS, []),
-        lambda of: Scene(CORNERS, of(TETS), []),
-        lambda of: terms.Strain(1.0, tets=of([0, 1])),
-        lambda of: terms.Target([1], of([[0.0, 1.0, 2.0]]), 1.0),
-        lambda of: materials.Guccione(1.0, 1.0, 1.0, 1.0, of([1.0, 0.0, 0.0]), 10.0),
-        lambda of: prepare(Scene(CORNERS, TETS, [terms.Strain(1.0)])).solve(start=of(CORNERS)),
-    ],
-)
-def test_numbers_that_numpy_would_lose_are_refused(make, kind):
-    with pytest.raises((SceneError, InputError), match="expected"):
-        make(kind)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: terms.Strain(1.0, limit=0.9), "Strain.limit: must be finite and at least 1"),
         (lambda: terms.Volume([1.0, np.nan], tets=[0, 1]), r"Volume.stiffness.*number 1"),
-        (lambda: terms.Gravity((0, -9810), 1e-6), "three finite numbers"),
         (lambda: terms.Target([0, 1], [[0, 0, 0]], 1.0), "expected 2 rows, got 1"),
-        (lambda: terms.Fixed([0], components=(0, 3)), "Fixed.components"),
         (lambda: terms.Fixed([0, 0]), "appears twice"),
-        (lambda: terms.Hyperelastic("rubber"), "expected a material"),
-        (lambda: materials.NeoHookean.from_young(1.0, 0.5), r"\(-1, 0.5\)"),
     ],
 )
 def test_a_term_names_the_value_out_of_range(make, message):

@@ -72,8 +72,7 @@ def test_bad_schedules_are_named(options, message):
         Schedule(**options)
 
 
-@pytest.mark.parametrize("address", ["nowhere.invalid:8786", "tcp://127.0.0.1:1"])
-def test_a_scheduler_that_is_not_there_is_named(address, monkeypatch):
-    monkeypatch.setattr("softdeca.surrogate.corpus.schedule.PATIENCE", "2s")
-    with pytest.raises(InputError, match=f"scheduler {address}: no Dask scheduler answers"):
-        list(run_items(operator.neg, [1, 2], on=make_schedule(1, address)))
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setattr("softdeca.surrogate.corpus.schedule.PATIENCE", "1s")
+    with pytest.raises(InputError, match="scheduler nowhere.invalid:8786: no Dask scheduler answers"):
+        list(run_items(operator.neg, [1, 2], on=make_schedule(1, "nowhere.invalid:8786")))

@@ -139,24 +139,6 @@ def test_vertices_of_no_tet_stay_or_are_held(solver, element, place):
     np.testing.assert_allclose(solve_by(solver, pulled, tolerance=1e-9, **options).positions, expected, atol=1e-8)
 
 
-BAD_START = np.where((np.arange(len(X)) == 17)[:, None] & np.array([False, True, False]), np.nan, X)
-
-
-@each_solver
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        *(({"tolerance": bad}, "tolerance must lie between 0 and 1, got") for bad in (0.0, np.nan)),
-        ({"start": X[:-1]}, "start: expected shape"),
-        ({"start": BAD_START}, "start: 1 rows are not finite, the first is 17"),
-    ],
-)
-def test_options_of_a_solve_out_of_range_are_named(solver, options, message):
-    prepared = prepare_by(solver, pulled_block())
-    with pytest.raises(SceneError, match=message):
-        prepared.solve(**options)
-
-
 class Wind(terms.Term):
     """No solver's."""
 

@@ -25,6 +25,9 @@ from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
 
 from ..refusals import refused
 
+pytestmark = pytest.mark.usefixtures("measured_here")
+
+# What else there is test_study runs, in the main study.
 CHEAP = {
     "SphereUnknowns": {"up_to": 50_000},
     "SphereMeshError": {
@@ -36,13 +39,11 @@ CHEAP = {
         "size": 20.0,
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
-    "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
     "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
-    "SphereDial": {"faces": 1, "frames": 1},
     "SphereRanks": {"level": 1, "processes": ("1", "2"), "rounds": 1, "repeats": 1},
-    "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1, "slow": True},
+    "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1},
 }
 
 
