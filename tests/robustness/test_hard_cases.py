@@ -79,12 +79,12 @@ def test_recovery_is_judged_by_shape_and_by_every_tet():
 
 def test_bench_hard_prints_a_row_per_case_and_solver(command, tmp_path):
     solvers, out = ("--solver", "projective", "--solver", "skfem"), ("--out", tmp_path)
-    ended = command("bench", "hard", "--match", "of stiffness 1:1e+06", *solvers, *out)
+    ended = command("bench", "hard", "of stiffness 1:1e+06", *solvers, *out)
     assert ended.status == 0
     assert sum("layers of stiffness 1:1e+06" in line for line in ended.out.splitlines()) == 2
     assert "outcome passed" in ended.out and "iterations" in ended.out
-    rows = json.loads(command("bench", "hard", "--match", "free fall", *solvers[:2], *out, "--json").out)["rows"]
+    rows = json.loads(command("bench", "hard", "free fall", *solvers[:2], *out, "--json").out)["rows"]
     assert [row["values"]["outcome"] for row in rows] == ["passed"]
     assert rows[0]["values"]["error"] <= rows[0]["values"]["bound"]
-    refused = command("bench", "hard", "--match", "nothing of the kind", *out)
+    refused = command("bench", "hard", "nothing of the kind", *out)
     assert refused.status != 0 and "no case and method matches" in refused.errors[-1]
