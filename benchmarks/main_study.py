@@ -19,7 +19,6 @@ from ..surrogate.corpus.schedule import count_processors, make_schedule
 from .harness import Results, RunRequest, Study, run_together
 from .harness.processes import read_cpu_seconds
 from .harness.report import ReportPart, write_report
-from .harness.runner import Only
 from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
 from .studies.arena.work_precision import FACE, WorkPrecision
@@ -95,9 +94,7 @@ class Done:
         return not self.failed and all(row.status != "failed" for row in rows)
 
 
-def run_study(
-    agreement: Agreement, out: Path, *, small: bool = False, only: Only = "missing", progress: OnProgress
-) -> Done:
+def run_study(agreement: Agreement, out: Path, *, small: bool = False, progress: OnProgress) -> Done:
     """Run all of it, each study in its folder of `out`, and write the report of all there; see `choose_studies`.
 
     Rows that are there are kept, as by `harness.run`. A study that cannot be run is told with its reason, and the rest
@@ -120,7 +117,7 @@ def run_study(
                 schedule = make_schedule(min(2, count_processors()))
                 begun = Corpus.from_plan(corpus, plan, people, made_with)
                 begun.generate(on=schedule, on_progress=progress)
-            for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
+            for each, results in zip(asked, run_together(asked, progress=progress), strict=True):
                 if isinstance(results, SoftdecaError):
                     failed.append((each.study.name, str(results)))
                 else:

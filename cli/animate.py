@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..lhm.base.limits import BAKED_TARGETS, SEED
+from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.expressions import Take
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .options import FILE, LEVEL, argument, count_range, make_command, option, refuse_given
+from .options import FILE, LEVEL, argument, count_range, make_command, option
 from .take_options import HeadChoice, load_take
 from .terminal import show_progress
 from .written_file import FOLDER
@@ -67,11 +67,10 @@ class Animate:
         "0.05", f"largest mean error of a frame [mm]; '{TIGHT}' is {TIGHT_MM}, '{NONE}' takes the rig alone",
         type=Accuracy(),
     )  # fmt: skip
-    head: Path | None = option(None, "head from `head fit`; default: one fitted to --identities", type=FILE)
+    head: Path | None = option(None, "head from `head fit`; default: the mean of --identities", type=FILE)
     identities: str | None = option(
         None, "identity space of the head (anny or ict:FILE); with --head: of the expressions", type=str
     )
-    seed: int | None = option(None, "random seed of the identity; default: mean face", type=count_range(SEED))
     level: int | None = option(None, "1,212, 4,842 (default) or 19,362 vertices per wrap", type=LEVEL)
     parameters: Path | None = option(
         None, "TOML file of parameters p; default: all defaults. Local values are one per face of the skin", type=FILE
@@ -87,10 +86,6 @@ class Animate:
         (), "region of the skin that must not cross itself, as lips; repeat", name="--contact"
     )
     surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
-    exact: bool = option(False, f"with --accuracy {NONE}: take the simulator's derivatives on any head, in seconds")
-    beyond: str = option(
-        "refuse", f"with --accuracy {NONE}: what the network has not seen", type=click.Choice(["refuse", "clamp"])
-    )  # fmt: skip
     targets: int | None = option(
         None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
     )
@@ -100,7 +95,7 @@ class Animate:
     def run(self) -> int:
         """Animate, and say how it went."""
         self._check()
-        which = HeadChoice(self.head, self.identities, self.seed, self.level)
+        which = HeadChoice(self.head, self.identities, self.level)
         take = load_take(self.take, self.fps, self.frames, self.turned)
         parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
         result = (self._animate_by_rig if self.accuracy is None else self._within)(which, take, parameters)
@@ -114,8 +109,6 @@ class Animate:
             self._refuse("--targets are of static frames; leave out --dynamic, --bones and --contact")
         if self.accuracy is None and (self.bones != "rigid" or self.contact):
             self._refuse(f"--bones and --contact are the simulator's: they need --accuracy, not {NONE!r}")
-        if self.accuracy is not None:
-            refuse_given(f"without --accuracy {NONE} no rig is alone", "exact", "beyond")
 
     def _refuse(self, words: str) -> None:
         raise click.UsageError(words, click.get_current_context())
@@ -148,7 +141,7 @@ class Animate:
 
         network = Surrogate.load(self.surrogate)
         with show_progress() as progress:
-            bind = partial(bind_cheaply, surrogate=network, exact=self.exact, beyond=self.beyond)  # type: ignore
+            bind = partial(bind_cheaply, surrogate=network)
             result, rig = animate_rig(Output(**self._files), which.face(parameters, progress), bind, take, progress)
             return result if self.targets is None else self._bake(rig, take, result)
 

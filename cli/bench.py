@@ -9,11 +9,13 @@ import click
 
 from ..benchmarks.studies import group_studies, list_studies, load_study
 from ..lhm.base.errors import InputError, quote
-from ..lhm.base.limits import WORKERS
 from .options import FILE, argument, as_command, option
 from .study_command import command_of_study, print_results
 from .terminal import show_progress
 from .written_file import FOLDER, ZIP
+
+TITLE = "the fast simulator, finite elements and the network"
+"""Of a report."""
 
 
 class Studies(click.Group):
@@ -106,7 +108,6 @@ class WriteReport:
     """
 
     results: tuple[Path, ...] = argument("[RESULTS]...", (), type=FILE)
-    title: str = option("the fast simulator, finite elements and the network", "of the page")
     out: Path = option("out/report", "folder of the report", type=FOLDER)
 
     def run(self) -> int:
@@ -117,7 +118,7 @@ class WriteReport:
         paths = self.results or tuple(path for path in known if path.is_file())
         if not paths:
             raise InputError("report: no results in out/; run a study first, as `softdeca bench verification`")
-        for path in write_report([read_part(each, load_study) for each in paths], self.out, self.title):
+        for path in write_report([read_part(each, load_study) for each in paths], self.out, TITLE):
             click.echo(f"wrote {path}")
         return 0
 
@@ -133,7 +134,6 @@ class ExportFaceBenchmark:
 
     out: Path = argument("OUT", type=ZIP)
     results: Path = option(Path("out/face-benchmark"), "folder of the solved rows", type=FOLDER)
-    workers: int = option(1, "processes; each takes some 4 GB", bound=WORKERS)
 
     def run(self) -> int:
         """Solve and write."""
@@ -142,7 +142,7 @@ class ExportFaceBenchmark:
 
         study = FaceBenchmark()
         with show_progress() as progress:
-            results, size = export(self.out, study, self.results, workers=self.workers, progress=progress)
+            results, size = export(self.out, study, self.results, progress=progress)
         print_results(study, results, self.results)
         click.echo(f"wrote {self.out} ({size / 1e6:.1f} MB)")
         return 0 if results.passed else 1

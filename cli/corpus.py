@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.limits import PEOPLE, SEED, WORKERS
+from ..lhm.base.limits import PEOPLE, WORKERS
 from ..lhm.base.progress import OnProgress
 from .options import LEVEL, argument, as_command, count_range, option
 from .terminal import show_progress
@@ -218,7 +218,6 @@ class DrawSample:
 
     folder: Path = argument("FOLDER", type=CorpusFolder())
     count: int = option(12, "frames", type=click.IntRange(1, 200))
-    seed: int = option(0, "random seed of the choice", bound=SEED)
     out: Path | None = option(None, "default: FOLDER/sample.png", type=PNG)
 
     def run(self) -> int:
@@ -228,7 +227,7 @@ class DrawSample:
 
         out = self.folder / "sample.png" if self.out is None else self.out
         with show_progress() as progress:
-            write_whole(out, draw_contact_sheet(self.folder, self.count, self.seed, progress))
+            write_whole(out, draw_contact_sheet(self.folder, self.count, progress))
         click.echo(out)
         return 0
 

@@ -14,7 +14,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.base.errors import FitError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.progress import OnProgress
-from ..lhm.head.file import export_vtk, load_head, naming_damage, save_head
+from ..lhm.head.file import load_head, naming_damage, save_head
 from ..lhm.head.gates import Figure
 from ..lhm.identities.arkit import ARKIT
 from ..lhm.template.depths.depths import DepthRegressor
@@ -23,7 +23,7 @@ from ..lhm.template.registration import landmark_ids, read_landmarks
 from ..lhm.template.template import DEFAULT_LEVEL
 from .options import FILE, LEVEL, argument, as_command, option, refuse_given
 from .terminal import show_progress
-from .written_file import ANY, FOLDER, NPZ, PNG
+from .written_file import ANY, NPZ
 
 ROUGH = (
     "the skin is rougher than a wrap can follow, or the template lies badly on it: `head show` draws where. Smooth "
@@ -82,8 +82,6 @@ class Fit:
         None, "random seed of the identity; default: --skin, or the mean face", type=click.IntRange(min=0)
     )
     out: Path = option("out/head.npz", "file of the head", type=NPZ)
-    vtk: Path | None = option(None, "also write .vtu files into this folder", type=FOLDER)
-    picture: Path | None = option(None, "also draw the layers into this PNG", type=PNG)
     json: bool = option(False, "print the report as JSON")
 
     def run(self) -> int:
@@ -118,13 +116,7 @@ class Fit:
         for note in fitted.notes:
             click.echo(f"softdeca: {self.skin}: {note}", err=True)
         save_head(self.out, fitted)
-        written = [self.out, *(export_vtk(self.vtk, fitted) if self.vtk is not None else ())]
-        if self.picture is not None:
-            from ..animation.pictures import draw_cut_away
-
-            write_whole(self.picture, draw_cut_away(fitted))
-            written.append(self.picture)
-        report_gates(check_head(fitted), self.json, written, notes=fitted.notes, posed=check_posed(fitted))
+        report_gates(check_head(fitted), self.json, [self.out], notes=fitted.notes, posed=check_posed(fitted))
         return 0
 
     def _check(self) -> None:
@@ -137,7 +129,7 @@ class Fit:
         if self.find_landmarks is not None:
             refuse_given(
                 "--find-landmarks writes landmarks of --skin or the mean alone",
-                "landmarks", "seed", "regressor", "out", "vtk", "picture", "json",
+                "landmarks", "seed", "regressor", "out", "json",
             )  # fmt: skip
 
     def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:

@@ -21,6 +21,7 @@ __all__ = [
     "check_needs",
     "count_range",
     "list_given",
+    "list_options",
     "make_command",
     "make_option",
     "option",
@@ -64,11 +65,16 @@ def make_command(name: str, kind: type[Request]) -> click.Command:
     """Make the command that a dataclass describes."""
 
     def run(**options: Any) -> int:
-        check_needs(fields(kind), list_given())  # type: ignore[arg-type]  # a dataclass
+        check_needs(list_options(kind), list_given())
         return kind(**options).run()
 
-    params = [make_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # a dataclass
+    params = [make_option(field) for field in list_options(kind)]
     return click.Command(name, params=params, callback=run, help=kind.__doc__)
+
+
+def list_options(kind: type) -> list[Field]:
+    """List the fields of a dataclass that are options or arguments; others are values that only Python gives."""
+    return [field for field in fields(kind) if field.metadata]
 
 
 def make_option(field: Field, **more: Any) -> click.Parameter:
@@ -76,9 +82,11 @@ def make_option(field: Field, **more: Any) -> click.Parameter:
     words = {key: value for key, value in field.metadata.items() if key not in _OURS} | more
     shown = field.metadata.get("argument")
     if shown is not None:
-        count = -1 if isinstance(field.default, tuple) else 1
-        required = field.default is MISSING
-        return click.Argument([field.name], metavar=shown, required=required, nargs=count, type=words["type"])
+        form: dict[str, Any] = {"metavar": shown, "type": words["type"]}
+        if isinstance(field.default, tuple):
+            return click.Argument([field.name], required=False, nargs=-1, **form)
+        default = {} if field.default is MISSING else {"default": field.default}
+        return click.Argument([field.name], required=not default, **default, **form)
     names = [name_option(field), field.name]
     if not words.get("required"):
         words.setdefault("default", field.default)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from .options import FILE, make_command, option
-from .study_command import ONLY, describe_gate
+from .study_command import describe_gate
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -18,7 +17,8 @@ from .written_file import FOLDER
 class MainStudy:
     """Compare every solver and the surrogate on one head: OUT/index.html and OUT/report.json.
 
-    It runs quick versions of the studies of `softdeca bench`, each in a folder of OUT. An interrupted run resumes. Exit
+    It runs quick versions of the studies of `softdeca bench`, each in a folder of OUT. An interrupted run resumes;
+    what failed is tried again. Exit
     status 1 if an answer misses its bound or a study could not run. Missed aims of speed are printed only.
     """
 
@@ -33,7 +33,6 @@ class MainStudy:
         None, "weights to test, from `softdeca train`; default: the shipped network", type=FILE
     )
     small: bool = option(False, "a look in minutes: the coarsest head, few cases of its own, no gate that counts")
-    only: Any = option("missing", "rows to make: missing ones, failed ones again, or all", type=click.Choice(ONLY))
     json: bool = option(False, "print the results of all studies to stdout")
 
     def run(self) -> int:
@@ -47,7 +46,7 @@ class MainStudy:
         level = min(LEVELS) if self.small else DEFAULT_LEVEL
         asked = Agreement(identities=self.identities, level=level, cases=cases, weights=weights)
         with show_progress() as progress:
-            done = run_study(asked, self.out, small=self.small, only=self.only, progress=progress)
+            done = run_study(asked, self.out, small=self.small, progress=progress)
         status = 0 if (done.complete if self.small else done.passed) else 1
         if self.json:
             click.echo((self.out / "report.json").read_text())

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.limits import WORKERS
-from .options import check_needs, list_given, make_option, option
+from .options import argument, check_needs, list_given, list_options, make_option, option
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
     from ..benchmarks.harness.runner import Results
     from ..benchmarks.harness.study import Study
 
-ONLY = ("missing", "failed", "all")
 WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.jsonl. Rows in OUT are kept.
+    What failed is tried again. With PART only cases and methods that have it in their name are measured.
     Exit status 1 if a gate is missed or a case could not be measured."""
 
 
@@ -31,9 +30,7 @@ WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.
 class RunOptions:
     """The options of every run of a study; `judged`: whether a missed gate makes exit status 1."""
 
-    match: str = option("", "only cases and methods with this in their name")
-    only: Any = option("missing", "which to do: failed again, or all", type=click.Choice(ONLY))
-    workers: int | None = option(None, "processes side by side; default: all", bound=WORKERS)
+    match: str = argument("[PART]", "", type=str)
     out: Path | None = option(None, "folder of the report; default: out/ and the study's name", type=FOLDER)
     json: bool = option(False, "print the results file to stdout")
 
@@ -42,7 +39,7 @@ class RunOptions:
         from ..benchmarks.harness import run
 
         with show_progress() as progress:
-            results = run(study, folder, only=self.only, workers=self.workers, match=self.match, progress=progress)
+            results = run(study, folder, match=self.match, progress=progress)
         if self.json:
             click.echo((folder / "results.json").read_text())
         else:
@@ -51,29 +48,28 @@ class RunOptions:
         return 1 if failed or (judged and not results.passed) else 0
 
 
-RUN_OPTIONS = tuple(field.name for field in fields(RunOptions))
+RUN_OPTIONS = tuple(field.name for field in list_options(RunOptions))
 
 
-def command_of_study(kind: type[Study], *, out: str = "", argument: str = "", judged: bool = True) -> click.Command:
+def command_of_study(kind: type[Study], *, out: str = "", named: str = "", judged: bool = True) -> click.Command:
     """Make the command of a study, whose options are its fields and those of every run.
 
-    out: the default folder, by default out/NAME. argument: the field that is one, in place of an option. judged:
+    out: the default folder, by default out/NAME. named: the field that is an argument, in place of an option. judged:
     whether a missed gate makes exit status 1, as a case that could not be measured does.
     """
     out = out or f"out/{kind.name}"
 
     def run(**values: Any) -> int:
-        check_needs(fields(kind), list_given())  # type: ignore[arg-type]  # a dataclass
+        check_needs(list_options(kind), list_given())
         asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
         return asked.run_study(make_study(kind, values), asked.out or Path(out), judged=judged)
 
-    # Where seconds are compared one task runs at a time, so that --workers would do nothing.
-    of_run = [field for field in fields(RunOptions) if not (kind.timed and field.name == "workers")]
     params = [
-        click.Argument([field.name]) if field.name == argument else make_option(field)
-        for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
+        click.Argument([field.name]) if field.name == named else make_option(field) for field in list_options(kind)
     ]
-    params += [make_option(field, **({"default": out} if field.name == "out" else {})) for field in of_run]
+    params += [
+        make_option(field, **({"default": out} if field.name == "out" else {})) for field in list_options(RunOptions)
+    ]
     text = f"""{kind.question}
 
     {WRITES}

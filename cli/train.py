@@ -24,27 +24,13 @@ from .written_file import FOLDER
     "quick; softsmpl-small, softsmpl-large, face-wise: its rivals",
 )
 @click.option("--steps", type=count_range(TRAINING_STEPS), help="training steps; default: the network's own number")
-@click.option(
-    "--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after this time [s]; default: no limit"
-)
 @click.option("--batch", type=click.IntRange(1, 4096), help="frames a step, not of modal; default: the network's own")
-@click.option(
-    "--learning-rate",
-    type=click.FloatRange(0.0, 1.0, min_open=True),
-    help="highest learning rate; default: the network's own",
-)
 @click.option(
     "--recurrence-steps",
     type=click.IntRange(0, 1_000_000),
     help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
 @click.option("--device", default="cpu", help="torch device: cpu; of modal also cuda")
-@click.option(
-    "--precision",
-    type=click.Choice(["float32", "bfloat16"]),
-    default="float32",
-    help="precision of matrix products; GPUs are faster in bfloat16",
-)
 @click.option(
     "--neutrals", type=click.Path(path_type=Path), help="second corpus of settled neutral faces (preset neutral)"
 )
@@ -65,12 +51,9 @@ def train(
     out: Path,
     network: str,
     steps: int | None,
-    seconds: float | None,
     batch: int | None,
-    learning_rate: float | None,
     recurrence_steps: int | None,
     device: str,
-    precision: str,
     neutrals: Path | None,
     start: Path | None,
     share: float,
@@ -80,18 +63,12 @@ def train(
 
     Writes OUT/NETWORK.safetensors, which `Surrogate.load` and `--surrogate` read, and the learning curve as
     OUT/curve.json and curve.png. An option that a network cannot honour is refused.
-
-    Several processes, a device each, share a training of the modal network under
-    `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
     from ..animation.plots import draw_learning_curve
 
     options = {
         "steps": steps,
         "device": device,
-        "precision": precision,
-        "seconds": seconds,
-        "learning_rate": learning_rate,
     }
     given = {name: value for name, value in options.items() if value is not None}
     read = {"partial": partial, "share": share}
@@ -173,7 +150,7 @@ class Evaluate(click.Command):
         from .study_command import command_of_study
 
         if not self.params:
-            whole = command_of_study(SurrogateOnCorpus, out="out/evaluate", argument="corpus", judged=False)
+            whole = command_of_study(SurrogateOnCorpus, out="out/evaluate", named="corpus", judged=False)
             self.params, self.callback = whole.params, whole.callback
         return super().get_params(ctx)
 

@@ -10,7 +10,6 @@ import click
 import numpy as np
 
 from ..lhm import identities, load_template
-from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.surface_file import MILLIMETRES
 from ..lhm.template.depths.depths import SKULL_PLACES, DepthRegressor, leave_one_out
 from ..lhm.template.depths.pairs import PairReport, read_pairs
@@ -18,7 +17,7 @@ from ..lhm.template.depths.prior import PAIRS, SEED, prior_pairs
 from .head import head
 from .options import FILE, argument, as_command, option
 from .terminal import show_progress
-from .written_file import NPZ, PNG
+from .written_file import NPZ
 
 
 @as_command(head, "train-regressor")
@@ -35,7 +34,6 @@ class TrainRegressor:
     identities: str = option("anny", "identity space: anny or ict:FILE")
     unit: str = option("mm", "unit of the files in DIR", type=click.Choice(list(MILLIMETRES)), needs="folder")
     out: Path = option("out/depth_regressor.npz", "file of the regressor", type=NPZ)
-    picture: Path | None = option(None, "also draw the error per vertex into this PNG", type=PNG)
     json: bool = option(False, "print the report as JSON")
 
     def run(self) -> int:
@@ -56,12 +54,6 @@ class TrainRegressor:
             tested = leave_one_out(pairs, template.skin_wrap, progress=progress)
             trained = DepthRegressor.fit(pairs, template.skin_wrap)
         trained.save(self.out)
-        if self.picture is not None:
-            from ..animation.head_pictures import draw_depth_error
-
-            caption = "mean error with each pair left out"
-            write_whole(self.picture, draw_depth_error(template.skin_wrap, tested.per_vertex, caption))
-        files = [str(path) for path in (self.out, self.picture) if path is not None]
         regions = {name: float(tested.per_vertex[mask].mean()) for name, mask in template.regions.items()}
         if self.json:
             report = {
@@ -75,7 +67,7 @@ class TrainRegressor:
                 "registered_skin_off_mm": {pair.name: pair.off for pair in measured},
                 "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in SKULL_PLACES],
                 "regressor": str(self.out),
-                "files": files,
+                "files": [str(self.out)],
             }
             click.echo(json.dumps(report, indent=1))
             return 0
@@ -93,6 +85,5 @@ class TrainRegressor:
             registered = f"; registered {pair.off:.2f} mm off the skin" if pair.off else ""
             rays = f"at {pair.missed} vertices no ray met bone, whose closest point was taken"
             click.echo(f"pair {pair.name}: {rays}{registered}")
-        for path in files:
-            click.echo(f"wrote {path}")
+        click.echo(f"wrote {self.out}")
         return 0

@@ -1,12 +1,11 @@
 """softdeca view: a head in a browser with sliders for weights and p, served live; or a page of it as one file."""
 
-import webbrowser
 from pathlib import Path
 
 import click
 
 from ..lhm.base.files.atomic import write_whole
-from ..lhm.base.limits import PORT, SEED
+from ..lhm.base.limits import PORT
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import count_range, refuse_given
@@ -23,21 +22,17 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 @click.option(
     "--identities", "space_name", help="identity space of the head (anny or ict:FILE); with HEAD: of the expressions"
 )
-@click.option("--seed", type=count_range(SEED), help="random seed of the identity; default: mean face")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
 @click.option("--port", type=count_range(PORT), help="port of the live page; default: a free one")
-@click.option("--open", "opens", is_flag=True, help="open the live page in the browser")
 @click.option("--out", type=HTML, help="export a page to this file instead, with fixed parameters")
 def view(
     head_file: Path | None,
     space_name: str | None,
-    seed: int | None,
     parameter_file: Path | None,
     port: int | None,
-    opens: bool,
     out: Path | None,
 ) -> int:
-    """Show HEAD, or one of --identities, in 3D, with sliders for the 52 expressions and the parameters p.
+    """Show HEAD, or the mean of --identities, in 3D, with sliders for the 52 expressions and the parameters p.
 
     The address is printed; only browsers on this machine reach it. The network answers while a slider moves. The
     simulator's derivatives and the simulator itself then refine the frame, and the page shows the falling error [mm].
@@ -47,25 +42,23 @@ def view(
     expressions alone: by blendshapes, derivatives, and the network if the head has the triangles of its people.
     """
     if out is not None:
-        refuse_given("--out is no live page", "port", "opens")
-    which = HeadChoice(head_file, space_name, seed, None)
+        refuse_given("--out is no live page", "port")
+    which = HeadChoice(head_file, space_name)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     title = which.space.name if head_file is None else head_file.stem
     if out is None:
-        _serve(which, parameters, title, port, opens)
+        _serve(which, parameters, title, port)
     else:
         words = WORDS.format("default parameters" if parameter_file is None else parameter_file.name)
         _export(which, parameters, title, words, out)
     return 0
 
 
-def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None, opens: bool) -> None:
+def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None) -> None:
     from ..animation.live.server import serve_face
 
     def tell(address: str) -> None:
         click.echo(f"{title}: {address} (Ctrl-C ends it)")
-        if opens:
-            webbrowser.open(address)
 
     with show_progress() as progress:
         face = which.face(parameters, progress)

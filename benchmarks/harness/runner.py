@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from .page import render_study
 from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
 
-Only = Literal["missing", "failed", "all"]
 FIRST_BYTES = {".png": b"\x89PNG", ".npy": b"\x93NUMPY"}
 """By which a file's kind is known; what has none of them is a page."""
 
@@ -44,19 +43,18 @@ def run(
     study: Study,
     out: Path,
     *,
-    only: Only = "missing",
     workers: int | None = None,
     match: str = "",
     progress: OnProgress = silent,
 ) -> Results:
-    """Do the tasks of a study that are not done yet; write OUT/rows.jsonl, results.json and index.html.
+    """Do the tasks of a study that are not done yet, or failed; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed
-    again, "all" every one. `match` chooses tasks by a part of their names. `workers` processes side by side, by default
+    Rows of the same options, study version and package versions are kept. `match` chooses tasks by a part of their
+    names. `workers` processes side by side, by default
     all processors, and one where seconds are compared. Raises InputError where nothing matches and where the folder is
     in use.
     """
-    (results,) = run_together([RunRequest(study, out, match)], only=only, workers=workers, progress=progress)
+    (results,) = run_together([RunRequest(study, out, match)], workers=workers, progress=progress)
     if isinstance(results, SoftdecaError):
         raise results
     return results
@@ -65,7 +63,6 @@ def run(
 def run_together(
     requests: Sequence[RunRequest],
     *,
-    only: Only = "missing",
     workers: int | None = None,
     progress: OnProgress = silent,
 ) -> list[Results | SoftdecaError]:
@@ -78,7 +75,7 @@ def run_together(
     with ExitStack() as folders:
         for number, request in enumerate(requests):
             try:
-                runs[number] = _Run(request, only, folders)
+                runs[number] = _Run(request, folders)
             except SoftdecaError as error:
                 ends[number] = error
         jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
@@ -103,7 +100,7 @@ class _Run:
     Rows on disk that were written with other options, versions or files are ignored.
     """
 
-    def __init__(self, request: RunRequest, only: Only, folders: ExitStack):
+    def __init__(self, request: RunRequest, folders: ExitStack):
         self.study, self._out = request.study, request.out
         self.tasks = [task for task in self.study.tasks() if request.match.lower() in str(task).lower()]
         if not self.tasks:
@@ -117,8 +114,7 @@ class _Run:
             for record in self._store.rows()
             if record.get("of") == self._digest and record.keys() == names
         }
-        again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
-        self.left = [task for task in self.tasks if task not in self._rows or self._rows[task].status in again]
+        self.left = [task for task in self.tasks if task not in self._rows or not self._rows[task].done]
 
     def add(self, outcome: Outcome) -> None:
         """Keep what a task gave; pictures, pages and arrays become files, whose names stand in the row."""

@@ -10,9 +10,7 @@ import numpy as np
 
 from ...lhm import expressions, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
-from ...lhm.base.limits import LEVEL, SEED
 from ...lhm.base.mesh import Floats
-from ...lhm.base.option import option
 from ...lhm.head.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.template.template import DEFAULT_LEVEL, LEVELS
@@ -74,13 +72,17 @@ class Person:
         return expressions.blend(self.space, self.code, weights)
 
 
+WHOSE = "'anny' (the default head), ict:FILE or flame:FILE"
+"""Help of an option that says whose heads."""
+
+
 @dataclass(frozen=True)
 class OfPerson(Study):
-    """A study of one head; a subclass may say whose."""
+    """A study of one head, by default the default space's of seed 0; a subclass may make options of whose it is."""
 
-    identities: str = option("anny", "'anny' (the default head), ict:FILE or flame:FILE")
-    seed: int = option(0, "seed of the identity", bound=SEED)
-    level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    identities: str = "anny"
+    seed: int = 0
+    level: int = DEFAULT_LEVEL
 
     def person(self, level: int | None = None, seed: int | None = None) -> Person:
         """Give the head of the study's seed and level, or of others; made once per process."""

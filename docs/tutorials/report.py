@@ -37,7 +37,6 @@ asked = (
     "projective",
     "--solver",
     "skfem",
-    "--match",
     "layers",
     "--out",
     out / "verification",

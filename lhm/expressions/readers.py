@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 import math
 import os
@@ -24,14 +23,12 @@ from ..base.files.text import parse_json as load_json
 from ..base.files.text import parse_number, read_bytes
 from ..base.limits import TAKE_BYTES, TAKE_FRAMES
 from ..base.mesh import Floats
-from ..identities.arkit import ARKIT, arkit_name, index
+from ..identities.arkit import ARKIT, index
 from .takes import Take, angles_from_rotations, take_from_columns
 
 Row = tuple[int, list[str]]
 """A line's number, from 1, and its cells."""
 BY_LOWER = {name.lower(): name for name in ARKIT}
-LIKE = 0.85
-"""Similarity of names from which an unknown one counts as a misspelt one that the file lacks."""
 
 
 @check_arguments
@@ -86,10 +83,9 @@ _DAY = 24 * 3600
 def read_livelink(text: str) -> Take:
     """Read a LiveLink CSV's text; InputError names line and column.
 
-    Columns are found by name, whatever their order and case. Others are ignored, unless the name is nearly one of the
-    52 that the file lacks. Where the phone loses the face it writes BlendShapeCount 0, by itself or with values that
-    say nothing: such lines are left out and counted, and a gap stands where they were. Head angles are radians; a head
-    whose angles are all zero was not tracked.
+    Columns are found by name, whatever their order and case; others are ignored. Where the phone loses the face it
+    writes BlendShapeCount 0, by itself or with values that say nothing: such lines are left out and counted, and a gap
+    stands where they were. Head angles are radians; a head whose angles are all zero was not tracked.
     """
     rows = _rows(text)
     header = [name.strip() for name in rows[0][1]] if rows else []
@@ -148,8 +144,6 @@ def _expression_columns(header: list[str]) -> dict[int, str]:
     twice = [name for name in (*ARKIT, *sorted(OTHER_COLUMNS)) if listed.count(name) > 1]
     if twice:
         raise InputError(f"line 1: column {twice[0]} stands there {listed.count(twice[0])} times")
-    others = [name for name in header if name.lower() not in BY_LOWER and name.lower() not in OTHER_COLUMNS]
-    _refuse_misspelt([(1, name) for name in others], names, "column")
     return columns
 
 
@@ -213,7 +207,6 @@ def read_recorder(text: str) -> Take:
     in any order; those of the eyes and others are ignored.
     """
     named: dict[str, Row] = {}
-    unknown = []
     rows = _rows(text)
     if rows and not rows[0][1][0].strip():
         line, row = rows[0]
@@ -227,13 +220,10 @@ def read_recorder(text: str) -> Take:
     for line, row in rows:
         name = row[0].strip()
         known = BY_LOWER.get(name.lower(), name.lower())
-        if known not in (*ARKIT, TIME, *HEAD):
-            unknown.append((line, name))
-        elif known in named:
+        if known in named:
             raise InputError(f"line {line}: {known} stands in line {named[known][0]} already")
-        else:
+        if known in (*ARKIT, TIME, *HEAD):
             named[known] = line, row
-    _refuse_misspelt(unknown, named, "quantity")
     if not any(name in ARKIT for name in named):
         raise InputError("not a take: no line begins with one of ARKit's 52 expressions")
     counts = {len(row) for _, row in named.values()}
@@ -274,43 +264,25 @@ def _check_rate(rate: float) -> float:
     return rate
 
 
-# JSON: an object with `frames`, and `rate` (or `fps`) [Hz] unless the frames carry their times.
+# JSON, as the data set BEAT has it: the expressions' names, and frames of weights with their times.
 
 
 def read_json_take(text: str) -> Take:
-    """Read a take in a JSON text, of one of these forms; InputError names frame and expression.
+    """Read a take in a JSON text, as BEAT's; InputError names frame and expression.
 
-    {"rate": 30, "frames": [{"jawOpen": 0.2, "mouthFunnel": 0.1}, {}, ...]}     what is not named is 0
-    {"rate": 30, "names": ["jawOpen", ...], "frames": [[0.2, ...], ...]}        one value per name
-    {"names": ["jawOpen", ...], "frames": [{"weights": [0.2, ...], "time": 0.0}, ...]}     times [s], as BEAT's
+    {"names": ["jawOpen", ...], "frames": [{"weights": [0.2, ...], "time": 0.0}, ...]}
 
-    Names are ARKit's, whatever their order and case; an unknown one is an error. Of `rate` and `time` the times win.
+    Names are ARKit's, whatever their order and case; an unknown one is an error. Times [s] rise.
     """
-    content = load_json(
-        text, allow_nan=True, entries=TAKE_FRAMES
-    )  # weights and times that are not finite are named with their frame
+    # Weights and times that are not finite are named with their frame.
+    content = load_json(text, allow_nan=True, entries=TAKE_FRAMES)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError('not a take: expected an object with a list "frames" that is not empty')
     TAKE_FRAMES.check('"frames"', len(frames))
-    if isinstance(frames[0], dict) and "weights" not in frames[0]:
-        names, values = _values_by_name(frames)
-    else:
-        names = _list_names(content.get("names"))
-        for number, frame in enumerate(frames):
-            beside = [name for name in frame if name.lower() in BY_LOWER] if isinstance(frame, dict) else []
-            if beside:
-                raise InputError(f"frame {number}: {beside[0]} stands there beside weights")
-        values = _values_in_order(
-            [f["weights"] if isinstance(f, dict) and "weights" in f else f for f in frames], names
-        )
-    times = [frame.get("time") if isinstance(frame, dict) and "weights" in frame else None for frame in frames]
-    if all(time is None for time in times):
-        if "rate" in content and "fps" in content:
-            raise InputError('"rate" and "fps" are the same, and both stand there')
-        rate = _check_rate(_finite_number(content.get("rate", content.get("fps")), '"rate"'))
-        return take_from_columns(values, names, rate, np.arange(len(frames)) / rate)
-    stamps = np.array([_finite_number(time, f"frame {number}, time") for number, time in enumerate(times)])
+    names = _list_names(content.get("names"))
+    values = np.array([_list_weights(frame, f"frame {number}", names) for number, frame in enumerate(frames)])
+    stamps = np.array([_finite_number(frame.get("time"), f"frame {n}, time") for n, frame in enumerate(frames)])
     steps = np.diff(stamps)
     if not len(steps) or (steps <= 0).any():
         where = int(np.argmax(steps <= 0)) + 1 if len(steps) else 0
@@ -318,34 +290,11 @@ def read_json_take(text: str) -> Take:
     return take_from_columns(values, names, _check_rate(1.0 / float(np.median(steps))), stamps - stamps[0])
 
 
-def _values_by_name(frames: list[Any]) -> tuple[list[str], Floats]:
-    values = np.zeros((len(frames), len(ARKIT)))
-    used: set[str] = set()
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, dict):
-            raise InputError(f"frame {number}: expected an object of names and weights, as in frame 0")
-        here: set[str] = set()
-        for name, value in frame.items():
-            known = _find_name(name, f"frame {number}")
-            if known in here:
-                raise InputError(f"frame {number}: {known} stands there twice")
-            here.add(known)
-            values[number, ARKIT.index(known)] = _finite_number(value, f"frame {number}, {name}")
-        used |= here
-    names = [name for name in ARKIT if name in used]
-    return names, values[:, [ARKIT.index(name) for name in names]]
-
-
-def _values_in_order(frames: list[Any], names: list[str]) -> Floats:
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, list) or len(frame) != len(names):
-            raise InputError(f"frame {number}: expected a list of {len(names)} weights, one for each of names")
-    return np.array(
-        [
-            [_finite_number(value, f"frame {number}, {name}") for value, name in zip(frame, names, strict=True)]
-            for number, frame in enumerate(frames)
-        ]
-    )
+def _list_weights(frame: Any, where: str, names: list[str]) -> list[float]:
+    listed = frame.get("weights") if isinstance(frame, dict) else None
+    if not isinstance(listed, list) or len(listed) != len(names):
+        raise InputError(f"{where}: expected an object with a list of {len(names)} weights, one for each of names")
+    return [_finite_number(value, f"{where}, {name}") for value, name in zip(listed, names, strict=True)]
 
 
 def _list_names(listed: Any) -> list[str]:
@@ -400,16 +349,6 @@ def _number(cell: str, where: str) -> float:
     if not math.isfinite(number):
         raise InputError(f"{where}: {quote(cell)} is not finite")
     return number
-
-
-def _refuse_misspelt(unknown: Sequence[tuple[int, str]], present: Any, kind: str) -> None:
-    """Raise InputError for an unknown name that is nearly one of the 52 that the file lacks, or another spelling."""
-    lacking = {name.lower(): name for name in ARKIT if name not in present}
-    for line, name in unknown:
-        meant = (arkit_name(name) or "").lower()
-        near = [meant] if meant in lacking else difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=LIKE)
-        if near:
-            raise InputError(f"line {line}: unknown {kind} {quote(name)!r}; did you mean {lacking[near[0]]}?")
 
 
 def _refuse_partial(wanted: Sequence[str], present: Any) -> None:

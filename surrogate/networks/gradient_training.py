@@ -39,7 +39,6 @@ from .trainer import (
     draw_layers,
     draw_positions,
     hold_out_people,
-    start_processes,
     torch,
 )
 from .weights import TrainingNote, Weights
@@ -107,15 +106,14 @@ def train_gradients(
     """Fit a network to a corpus' training frames; return the weights of least error on held-out people.
 
     Frames are read as batches need them. With `state`, a file, the training is kept there now and then and goes on from
-    there when called again. Raises InputError for fewer than two people, a device that is not there, a loss that is not
-    finite, and for a state of another training.
+    there when called again. Raises InputError for fewer than two people, another device than the cpu, a loss that is
+    not finite, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
-    with start_processes(config.device) as group:
-        lesson = GradientLesson(faces, config)
-        trainer = Trainer(lesson, config, group)
-        trainer.train(state, on_progress if group.first else silent)
-        return lesson.weights(trainer)
+    lesson = GradientLesson(faces, config)
+    trainer = Trainer(lesson, config)
+    trainer.train(state, on_progress)
+    return lesson.weights(trainer)
 
 
 class GradientLesson(Lesson):
@@ -124,8 +122,6 @@ class GradientLesson(Lesson):
     def __init__(self, faces: Faces, config: GradientTraining):
         if config.device != "cpu":
             raise InputError(f"training: the transfer of this network is solved on the cpu, not on {config.device!r}")
-        if config.precision != "float32":
-            raise InputError(f"training: the transfer of this network needs float32, not {config.precision}")
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]

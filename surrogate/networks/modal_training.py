@@ -21,7 +21,7 @@ from .modal import ModalConfig, basis, bind_modal, hidden_features, neutral, rem
 from .modal_faces import FaceInputs, FaceTensors, LessonFaces, settling
 from .modal_start import continue_network, draw_network
 from .response_tables import compress, mix, solve_tables
-from .trainer import Lesson, Trainer, TrainerConfig, start_processes, torch
+from .trainer import Lesson, Trainer, TrainerConfig, open_device, torch
 from .weights import TrainingNote, Weights
 
 EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
@@ -78,17 +78,15 @@ def train_modal(
     It begins with principal components of what it learns, or with `start`, weights of another corpus of the same
     space, whose ranges then count as seen. From a start without `neutrals` it learns what w does alone: neutral faces
     stay those of the start. With `state`, a file, the training is kept there now and then, and goes on from there when
-    called again. Under torchrun each process takes a batch of its own, and all end with the same weights. Raises
-    InputError for fewer than ten people, a device that is not there, a `start` of another mesh or of other sizes than
-    the config's, and a state of another training.
+    called again. Raises InputError for fewer than ten people, a device that is not there, a `start` of another mesh or
+    of other sizes than the config's, and a state of another training.
     """
     config = ModalTraining() if config is None else config
-    with start_processes(config.device) as group:
-        lesson = ModalLesson(faces, config, neutrals=neutrals, start=start, device=group.device)
-        rate = config.learning_rate if start is None else lesson.policy.begun_rate * config.learning_rate
-        trainer = Trainer(lesson, replace(config, learning_rate=rate), group)
-        trainer.train(state, on_progress if group.first else silent)
-        return export_weights(lesson, trainer, start)
+    lesson = ModalLesson(faces, config, neutrals=neutrals, start=start, device=open_device(config.device))
+    rate = config.learning_rate if start is None else lesson.policy.begun_rate * config.learning_rate
+    trainer = Trainer(lesson, replace(config, learning_rate=rate))
+    trainer.train(state, on_progress)
+    return export_weights(lesson, trainer, start)
 
 
 class _Batch(NamedTuple):
@@ -213,10 +211,8 @@ class ModalLesson(Lesson):
             weights.append(frames.weights)
             motions.append(motion[:, batch.vertices])
             scales.append(self.policy.frame_floor + float(np.linalg.norm(motion, axis=2).mean()))
-        w, nonlinear = self.tensors.stack(weights), self.tensors.stack(motions).flatten(2)
-        device = torch.device(self.tensors.device).type
-        with torch.autocast(device, enabled=False):  # the little that large numbers leave
-            nonlinear = nonlinear - w @ exact.flatten(2)
+        w = self.tensors.stack(weights)
+        nonlinear = self.tensors.stack(motions).flatten(2) - w @ exact.flatten(2)
         predicted = remainder(self.network, batch.inputs.summary)(w) @ basis(
             self.network, 2, batch.hidden, batch.vertices
         )

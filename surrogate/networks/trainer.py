@@ -1,17 +1,15 @@
-"""The one trainer: options, a visible loop, a state that resumes, and the processes of torchrun."""
+"""The one trainer: options, a visible loop, and a state that resumes."""
 
 from __future__ import annotations
 
 import io
-import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,20 +25,17 @@ except ImportError as error:
     raise MissingDependencyError(f"training needs torch ({error}): pip install 'softdeca[train]'") from None
 
 __all__ = [
-    "ALONE",
     "Lesson",
-    "Processes",
     "Trainer",
     "TrainerConfig",
     "draw_layers",
     "draw_positions",
     "hold_out_people",
     "nn",
-    "start_processes",
+    "open_device",
     "torch",
 ]
 
-Precision = Literal["float32", "bfloat16"]
 Tensors = dict[str, torch.Tensor]
 
 
@@ -61,7 +56,6 @@ class TrainerConfig:
     best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
     seconds: float | None = None  # stop after these, for slow machines
     device: str = "cpu"
-    precision: Precision = "float32"  # "bfloat16": of products of matrices, which GPUs do faster
 
 
 class Lesson(ABC):
@@ -85,10 +79,8 @@ class Lesson(ABC):
 class Trainer:
     """A training between two steps, which depend on seed and number alone; `curve` has a point per validation."""
 
-    def __init__(self, lesson: Lesson, config: TrainerConfig, group: Processes | None = None):
-        if config.precision not in get_args(Precision):
-            raise InputError(f"training precision {config.precision!r}: there are {', '.join(get_args(Precision))}")
-        self.lesson, self.config, self.group = lesson, config, ALONE if group is None else group
+    def __init__(self, lesson: Lesson, config: TrainerConfig):
+        self.lesson, self.config = lesson, config
         learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
         slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
         rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
@@ -113,10 +105,9 @@ class Trainer:
         config = self.config
         if state is not None and Path(state).is_file():
             self.restore(state)
-        self.group.wait()
         while self.step < config.steps and not (config.seconds is not None and self.seconds >= config.seconds):
             self.run(min(config.validate_every - self.step % config.validate_every, config.steps - self.step))
-            if state is not None and self.group.first:
+            if state is not None:
                 self.keep(state)
             errors = {name: value for name, value in self.curve[-1].items() if name not in ("step", "seconds", "loss")}
             on_progress(
@@ -130,17 +121,11 @@ class Trainer:
         Raises InputError for a loss that is not finite.
         """
         begin, total = time.perf_counter(), 0.0
-        device, precision = self.group.device.type, self.config.precision
         first = self.step
         for _ in range(steps):
-            # The first of several processes draws what one alone would.
-            own = [self.group.number] if self.group.number else []
-            rng = np.random.default_rng([self.config.seed, 1, self.step, *own])
-            with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
-                loss = self.lesson.loss(self.step, rng)
+            loss = self.lesson.loss(self.step, np.random.default_rng([self.config.seed, 1, self.step]))
             self.optimiser.zero_grad()
             loss.backward()
-            self.group.average(self.learned)
             if self.config.clip is not None:
                 torch.nn.utils.clip_grad_norm_(self.learned, self.config.clip)
             self.optimiser.step()
@@ -150,8 +135,8 @@ class Trainer:
             if not np.isfinite(total):
                 raise InputError(f"training: the loss is not finite at step {self.step}; take a lower learning rate")
             spent = self.seconds + time.perf_counter() - begin
-            if self.config.seconds is not None and self.group.count == 1 and spent >= self.config.seconds:
-                break  # of several processes none may stop before the others
+            if self.config.seconds is not None and spent >= self.config.seconds:
+                break
         self.seconds += time.perf_counter() - begin
         errors = {name: float(value) for name, value in self.lesson.errors().items()}
         if self.config.best_by and errors[self.config.best_by] < self.least:
@@ -243,63 +228,12 @@ def draw_positions(places: Floats, normals: Floats, size: int, rng: np.random.Ge
     return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class Processes:
-    """The processes that torchrun starts for one training: the number of this one among `count`, and its device.
-
-    Each takes its own batch; the mean of gradients makes one network.
-    """
-
-    number: int
-    count: int
-    device: torch.device
-
-    @property
-    def first(self) -> bool:
-        """Whether this is the one that writes and speaks."""
-        return self.number == 0
-
-    def average(self, parameters: Iterable[torch.Tensor]) -> None:
-        """Give every process the mean of all gradients."""
-        if self.count == 1:
-            return
-        gradients = [value.grad for value in parameters if value.grad is not None]
-        flat = torch.cat([gradient.flatten() for gradient in gradients])
-        torch.distributed.all_reduce(flat)
-        begin = 0
-        for gradient in gradients:
-            gradient.copy_(flat[begin : begin + gradient.numel()].view_as(gradient) / self.count)
-            begin += gradient.numel()
-
-    def wait(self) -> None:
-        """Wait until all are here."""
-        if self.count > 1:
-            torch.distributed.barrier()
-
-
-ALONE = Processes(0, 1, torch.device("cpu"))
-
-
-@contextmanager
-def start_processes(device: str) -> Iterator[Processes]:
-    """Join those of torchrun, or work alone; of several each has its own "cuda" device.
-
-    Raises InputError for a device that is not there.
-    """
-    number, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    if count > 1 and device == "cuda":
-        device = f"cuda:{os.environ.get('LOCAL_RANK', number)}"
+def open_device(name: str) -> torch.device:
+    """Return a device by name, as "cpu" or "cuda"; InputError for one that is not there."""
     try:
-        own = torch.device(device)
-        torch.zeros(1, device=own)
+        device = torch.device(name)
+        torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         said = str(error).splitlines()[0][:80]
-        raise InputError(f"training: no device {device!r} ({said})") from None
-    if count == 1:
-        yield Processes(0, 1, own)
-        return
-    torch.distributed.init_process_group("nccl" if own.type == "cuda" else "gloo")
-    try:
-        yield Processes(number, count, own)
-    finally:
-        torch.distributed.destroy_process_group()
+        raise InputError(f"training: no device {name!r} ({said})") from None
+    return device

@@ -60,12 +60,12 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert kept["words"].startswith("The network loses to a rival without learning on")
     page = (scores / "index.html").read_text()
     assert "<svg" in page and list(scores.glob("*worst-frame*.png"))
-    everybody = command(*asked, "--people", "all", "--match", "network", "--out", tmp_path / "everybody", "--json")
+    everybody = command(*asked, "network", "--people", "all", "--out", tmp_path / "everybody", "--json")
     frames = [max(line["frames"] for row in json.loads(run.out)["rows"] for line in row["values"]["rows"])
               for run in (ended, everybody)]  # fmt: skip
     assert everybody.status == 0 and frames[1] > frames[0] > 0
     # As `bench surrogate` its gates are judged; so little training passes none.
-    judged = command("bench", "surrogate", "--corpus", corpus, *asked[2:], "--match", "network", "--out",
+    judged = command("bench", "surrogate", "--corpus", corpus, *asked[2:], "network", "--out",
                      tmp_path / "study", "--json")  # fmt: skip
     assert judged.status == 1 and judged.errors == [] and not json.loads(judged.out)["gates"][1]["passed"]
 
@@ -75,7 +75,7 @@ def test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares
     for share, out in shares.items():
         assert command("train", corpus, "--share", share, "--out", out, "--steps", "4").status == 0
     few, every = (out / "modal.safetensors" for out in shares.values())
-    given = ("evaluate", corpus, "--surrogate", every, "--match", "number of people", "--out", tmp_path / "scores")
+    given = ("evaluate", corpus, "--surrogate", every, "number of people", "--out", tmp_path / "scores")
     ended = command(*given, "--curve", every, "--curve", few, "--json")
     points = {row["values"]["trained_on"]["people"]: row["values"]["rows"] for row in json.loads(ended.out)["rows"]}
     assert ended.status == 0 and len(points) == 2 and max(points) <= 11
@@ -102,8 +102,8 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
 
 def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_path):
     assert command("train", corpus, "--steps", "2", "--out", tmp_path).status == 0
-    given = ("bench", "table-1", "--corpus", corpus, "--match", "SoftDECA as printed", "--json")
-    given += ("--surrogate", tmp_path / "modal.safetensors", "--trained", tmp_path / "kept", "--batch", "4")
+    given = ("bench", "table-1", "--corpus", corpus, "SoftDECA as printed", "--json")
+    given += ("--surrogate", tmp_path / "modal.safetensors", "--trained", tmp_path / "kept")
     ended = command(*given, "--steps", "3", "--out", tmp_path / "once")
     (row,) = json.loads(ended.out)["rows"]
     assert ended.status == 0 and row["values"]["steps"] == 3 and row["values"]["people"] == {"train": 11, "test": 1}

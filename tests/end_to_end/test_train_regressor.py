@@ -26,9 +26,9 @@ def folder(tmp_path, space):
     return out
 
 
-def test_pairs_become_a_regressor_a_report_and_a_picture(command, folder, tmp_path, space):
-    file, picture = tmp_path / "d.npz", tmp_path / "d.png"
-    ended = command("head", "train-regressor", folder, "--out", file, "--picture", picture, "--json")
+def test_pairs_become_a_regressor_and_a_report(command, folder, tmp_path, space):
+    file = tmp_path / "d.npz"
+    ended = command("head", "train-regressor", folder, "--out", file, "--json")
     assert ended.status == 0 and ended.errors == []
     report = json.loads(ended.out)
     assert report["pairs"] == 4 and report["trained_on"] == f"4 pairs from {folder}"
@@ -36,7 +36,6 @@ def test_pairs_become_a_regressor_a_report_and_a_picture(command, folder, tmp_pa
     assert 0 < report["leave_one_out_mm"] < 5 and 0 < report["predicting_the_mean_mm"] < 5
     assert report["leave_one_out_mm"] == pytest.approx(np.mean(list(report["per_pair_mm"].values())))
     assert [row["mean_mm"] for row in report["published"]] == [3.83, 1.98]
-    assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 20_000
 
     template = load_template(space)
     depths = DepthRegressor.load(file, template.skin_wrap).predict(template.skin_wrap.vertices)

@@ -189,11 +189,8 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made["people/parts.json", "whole"] = json.dumps([0] * len(wrap.vertices)).encode()
     made["landmarks.json", "whole"] = b'{"nose tip": [0, 1.5, 90], "chin": [0, -50, 70]}'
     made["guesses.json", "whole"] = b'{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 0.5}}'
-    lists = {"rate": 30, "names": ["jawOpen", "cheekPuff"], "frames": [[0.2, 0.1], [0.3, 0], [0, 1]]}
-    objects = {"fps": 30, "frames": [{"jawOpen": 0.5}, {}, {"cheekPuff": 1}]}
     timed = {"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0.0}, {"weights": [0.6], "time": 0.04}]}
-    for name, take in {"lists": lists, "objects": objects, "timed": timed}.items():
-        made["take.json", name] = json.dumps(take).encode()
+    made["take.json", "timed"] = json.dumps(timed).encode()
     made |= {("take.csv", "live link"): live_link(), ("take.csv", "recorder"): recorder()}
     made["options.toml", "whole"] = b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\nsoft_stiffness = 4\n"
     made["local/cheek.npy", "whole"] = npy(np.linspace(5.0, 6.0, 40))

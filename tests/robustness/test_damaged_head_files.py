@@ -173,7 +173,7 @@ def test_a_scan_in_its_own_triangles_of_an_earlier_version_is_to_be_fitted_again
 def test_a_simulation_of_a_damaged_head_ends_before_it_begins(tmp_path, whole, command):
     """Weights NaN or a million times gave takes of NaN, and points 1.7 km away, with status 0."""
     take = tmp_path / "take.json"
-    take.write_text('{"rate": 30, "frames": [{"jawOpen": 0.5}, {}]}')
+    take.write_text('{"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0}, {"weights": [0], "time": 0.1}]}')
     for name in ("weight NaN", "weights a million times", "vertex far off"):
         path, out = tmp_path / "damaged.npz", tmp_path / "out"
         np.savez(path, **whole["head"] | HEADS[name][0](whole["head"]))

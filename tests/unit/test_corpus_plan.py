@@ -136,6 +136,7 @@ def test_a_single_effect_is_alone_and_hard_expressions_are_in_no_sequence():
 
 
 def test_one_recording_of_a_source_cannot_be_split(tmp_path):
-    (tmp_path / "take.json").write_text('{"rate": 30, "frames": [{"jawOpen": 0.5}, {}, {}]}')
+    frames = '{"weights": [0.5], "time": 0}, {"weights": [0], "time": 0.1}'
+    (tmp_path / "take.json").write_text(f'{{"names": ["jawOpen"], "frames": [{frames}]}}')
     with pytest.raises(InputError, match=r"one real recording \(real/take.json\) cannot be in training and in test"):
         replace(MADE_UP, sources={"real": 1.0}, takes=str(tmp_path), sequences=0).static(0, 0)

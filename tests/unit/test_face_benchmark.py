@@ -44,7 +44,7 @@ def study():
 @pytest.fixture(scope="module")
 def exported(study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("face")
-    results, size = export(folder / "benchmark.zip", study, folder / "rows", workers=1)
+    results, size = export(folder / "benchmark.zip", study, folder / "rows")
     assert size == (folder / "benchmark.zip").stat().st_size
     return folder, results
 
@@ -113,7 +113,7 @@ def test_every_problem_has_a_limit_and_its_band(exported):
 def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     folder, results = exported
     before = (folder / "rows" / "rows.jsonl").read_bytes()
-    export(folder / "again.zip", study, folder / "rows", workers=1)
+    export(folder / "again.zip", study, folder / "rows")
     assert (folder / "rows" / "rows.jsonl").read_bytes() == before
     names = [set(zipfile.ZipFile(folder / name).namelist()) for name in ("benchmark.zip", "again.zip")]
     meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
@@ -126,7 +126,7 @@ def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
     (file,) = (tmp_path / "rows").glob("*jaw*FEniCSx-linear-fine*.npy")
     np.save(file, np.load(file)[:126])
     with pytest.raises(InputError, match=r"expected shape \(5778, 3\), got \(126, 3\)\); use an empty folder"):
-        export(tmp_path / "benchmark.zip", study, tmp_path / "rows", workers=1)
+        export(tmp_path / "benchmark.zip", study, tmp_path / "rows")
     assert not (tmp_path / "benchmark.zip").exists()
 
 

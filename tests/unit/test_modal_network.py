@@ -1,9 +1,5 @@
 """The modal surrogate, its rivals and its run time, on a small corpus of layered spheres."""
 
-import os
-import pickle
-import subprocess
-import sys
 import warnings
 from dataclasses import replace
 
@@ -167,45 +163,6 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
         train_modal(faces["train"], CONFIG, state=state)
     with pytest.raises(InputError, match="no device 'abacus'"):
         train_modal(faces["train"], ModalTraining(device="abacus"))
-
-
-PARALLEL = """
-import os, pickle, sys
-from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.networks.modal_training import train_modal
-folder, out = sys.argv[1:]
-config = pickle.load(open(out + "/config", "rb"))
-weights = train_modal(Faces(folder, "train"), config, state=out + "/state.pt")
-weights.save(f"{out}/{os.environ['RANK']}.safetensors")
-"""
-
-
-def test_processes_of_torchrun_end_with_one_network(faces, tmp_path):
-    (tmp_path / "work.py").write_text(PARALLEL)
-    config = replace(CONFIG, steps=6, validate_every=3)
-    (tmp_path / "config").write_bytes(pickle.dumps(config))
-    words = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", tmp_path / "work.py"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    folder = faces["train"].folder
-    ended = subprocess.run(
-        [sys.executable, *words, folder, tmp_path], capture_output=True, text=True, env=environment, timeout=300
-    )
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    one, two = (Weights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
-    for name, value in one.network.items():
-        np.testing.assert_array_equal(value, two.network[name])
-    # Two batches a step teach something else than one.
-    alone = train_modal(faces["train"], config)
-    assert any(np.abs(value - one.network[name]).max() > 1e-6 for name, value in alone.network.items())
-
-
-def test_bfloat16_learns_alike(faces):
-    config = replace(CONFIG, steps=30, validate_every=30)
-    fine, rough = (train_modal(faces["train"], replace(config, precision=p)) for p in ("float32", "bfloat16"))
-    errors = [weights.note.curve[-1]["network"] for weights in (fine, rough)]
-    assert errors[1] == pytest.approx(errors[0], rel=0.1)
-    with pytest.raises(InputError, match="precision 'float8'"):
-        train_modal(faces["train"], replace(config, precision="float8"))
 
 
 def test_training_goes_on_from_weights(faces, weights, tmp_path):

@@ -1,5 +1,7 @@
 """A pool of recordings known by name."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -36,14 +38,21 @@ def test_hard_expressions_are_recordings_too():
     assert list(pool) == ["hard/0", "hard/1"] and pool["hard/1"].take().weights.shape == (60, 52)
 
 
+def write_json_take(path, weights):
+    """A take of jawOpen alone at 30 Hz."""
+    frames = [{"weights": [weight], "time": number / 30} for number, weight in enumerate(weights)]
+    path.write_text(json.dumps({"names": ["jawOpen"], "frames": frames}))
+
+
 def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "geom.csv").write_text("1 2 3\n4 5 6\n")
-    (tmp_path / "a.json").write_text('{"rate": 30, "frames": [{"jawOpen": 0.2}, {}]}')
+    weights = [0.2, 0.0, 0.0]
+    write_json_take(tmp_path / "a.json", weights[:2])
     with pytest.warns(UserWarning, match=r"left out .*geom\.csv"):
         pool = recordings(tmp_path, spoken=(), conversations=0, random=0)
     assert list(pool) == ["real/a.json"] and pool["real/a.json"].frames == 3
-    (tmp_path / "a.json").write_text('{"rate": 30, "frames": [{"jawOpen": 0.2}, {}, {}]}')
+    write_json_take(tmp_path / "a.json", weights)
     refused("'real/a.json': 5 frames at 60 Hz, not 3", pool["real/a.json"].take)
     refused("none: no such folder", recordings, tmp_path / "none")
     refused("conversations: -1 recordings; expected 0 to 10,000", recordings, conversations=-1)

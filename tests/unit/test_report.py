@@ -18,10 +18,13 @@ RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 
 
 def test_a_report_of_studies_says_what_they_found(verified, command, tmp_path):
-    ended = command("bench", "report", verified, "--title", "mine & <yours>", "--out", tmp_path)
+    ended = command("bench", "report", verified, "--out", tmp_path)
     assert ended.status == 0 and len(ended.out.splitlines()) == 4
     text = (tmp_path / "index.html").read_text()
-    assert "mine &amp; &lt;yours&gt;" in text and "4 of 4 values by skfem are within their bounds." in text
+    assert (
+        "the fast simulator, finite elements and the network" in text
+        and "4 of 4 values by skfem are within their bounds." in text
+    )
     assert "Is the fast simulator right?" in text and "Every statement holds within its bound." in text
     text = text.replace('<link rel="icon" href="data:,">', "")
     assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)

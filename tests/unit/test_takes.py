@@ -195,7 +195,6 @@ def milliseconds(text):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.replace("JawOpen,", "JawOpn,"), "unknown quantity 'JawOpn'; did you mean jawOpen"),
         (lambda t: t.replace("JawOpen,", "JawLeft,"), "jawLeft stands in line"),
         (lambda t: t.replace("JawOpen,0", "JawOpen,x0"), "jawOpen, frame 0: 'x0"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,inf,"), "jawOpen, frame 0: inf is not finite"),
@@ -250,8 +249,6 @@ def broken_csv():
     yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
     yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
-    yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
-    yield "\n".join(good).replace("MouthSmileLeft", "MouthSmile_L"), "'MouthSmile_L'; did you mean mouthSmileLeft"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
     yield "\n".join(good).replace(",61,", ",x,"), "line 2, column BlendShapeCount: 'x' is no number"
@@ -276,25 +273,14 @@ def test_other_files_are_refused(write, tmp_path):
     refused("folder.csv: not a plain file", read_take, tmp_path / "folder.csv")
 
 
-def test_the_three_forms_of_json_say_the_same(write):
-    frames = [{"jawOpen": 0.2}, {"jawOpen": 0.4, "mouthFunnel": 0.1}, {}]
-    lists = [[0.2, 0], [0.4, 0.1], [0, 0.0]]
-    names = ["JawOpen", "mouthFunnel"]
-    timed = [{"weights": row, "time": 2.0 + n / 30, "rotation": []} for n, row in enumerate(lists)]
-    takes = [
-        read_take(write(json.dumps(content), "take.json"))
-        for content in (
-            {"rate": 30, "frames": frames},
-            {"fps": 30, "names": names, "frames": lists},
-            {"names": names, "frames": timed},
-        )
-    ]
-    expected = np.stack([expressions.weights_of(frame) for frame in frames])
-    for take in takes:
-        np.testing.assert_array_equal(take.weights, expected)
-        np.testing.assert_allclose(take.times, np.arange(3) / 30, atol=1e-12)
-        assert take.rate == pytest.approx(30)
-        assert len(take.missing) == 50 and "jawOpen" not in take.missing
+def test_json_is_read_with_its_times(write):
+    rows = [[0.2, 0], [0.4, 0.1], [0, 0.0]]
+    frames = [{"weights": row, "time": 2.0 + n / 30, "rotation": []} for n, row in enumerate(rows)]
+    take = read_take(write(json.dumps({"names": ["JawOpen", "mouthFunnel"], "frames": frames}), "take.json"))
+    expected = [{"jawOpen": 0.2}, {"jawOpen": 0.4, "mouthFunnel": 0.1}, {}]
+    np.testing.assert_array_equal(take.weights, [expressions.weights_of(frame) for frame in expected])
+    np.testing.assert_allclose(take.times, np.arange(3) / 30, atol=1e-12)
+    assert take.rate == pytest.approx(30) and len(take.missing) == 50 and "jawOpen" not in take.missing
 
 
 def timed(*times):
@@ -307,43 +293,28 @@ def timed(*times):
         ("{", "not JSON"),
         ("[" * 100_000, "JSON: 100,000 levels of brackets; expected at most 64"),
         ("[1, 2]", "not a take"),
-        ('{"rate": 30, "frames": []}', "not a take"),
-        ('{"frames": [{"jawOpen": 1}]}', '"rate": None'),
-        ('{"rate": 0, "frames": [{"jawOpen": 1}]}', "rate: 0 Hz"),
-        ('{"rate": 30, "frames": [{"jawOpn": 1}]}', "frame 0: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
-        ('{"rate": 30, "frames": [{}, {"jawOpen": "x"}]}', "frame 1, jawOpen: x is no finite"),
-        ('{"rate": 30, "frames": [{"jawOpen": NaN}]}', "frame 0, jawOpen: nan is no finite"),
+        ('{"names": ["jawOpen"], "frames": []}', "not a take"),
+        ('{"rate": 30, "frames": [{"jawOpen": 0.5}]}', '"names": expected the list of the expressions'),
+        ('{"names": ["jawOpen"], "frames": [[1], [1]]}', "frame 0: expected an object with a list of 1 weights"),
+        ('{"names": ["jawOpen"], "frames": [3]}', "frame 0: expected an object with a list of 1 weights"),
         (
-            '{"rate": 30, "frames": [{"jawOpen": 1' + "0" * 400 + "}]}",
-            "JSON: 401 digits in an integer; expected at most 18",
+            '{"names": ["jawOpen"], "frames": [{"weights": [1, 2], "time": 0}]}',
+            "frame 0: expected an object with a list",
         ),
-        ('{"rate": 30, "frames": [{"jawOpen": true}]}', "frame 0, jawOpen: True"),
-        ('{"rate": 30, "frames": [{"jawOpen": 1}, 3]}', "frame 1"),
-        ('{"rate": 30, "frames": [[1]]}', '"names"'),
-        ('{"rate": 30, "names": ["jawOpen"], "frames": [[1], [1, 2]]}', "frame 1: expected a list of 1"),
-        ('{"rate": 30, "names": ["jawOpen", "JawOpen"], "frames": [[1, 1]]}', "jawOpen stands there 2 times"),
-        ('{"rate": 30, "names": ["smile"], "frames": [[1]]}', "names: unknown ARKit expression 'smile'"),
-        (
-            '{"names": ["jawOpen"], "frames": [{"weights": [1], "time": 1}, {"weights": [1], "time": 1}]}',
-            "frame 1, time",
-        ),
-        ('{"rate": 30, "frames": [{"jawOpen": 0.1, "JawOpen": 0.9}]}', "frame 0: jawOpen stands there twice"),
-        ('{"rate": 30, "frames": [{"jawOpen": 0.1, "jawOpen": 0.9}]}', "the key 'jawOpen' stands there twice"),
-        ('{"rate": 30, "frames": [{}], "frames": [{"jawOpen": 1}]}', "the key 'frames' stands there twice"),
-        ('{"rate": 30, "fps": 25, "frames": [{"jawOpen": 1}]}', '"rate" and "fps" are the same'),
-        (
-            '{"rate": 0.06, "frames": [{"jawOpen": 1}]}',
-            "rate: 0.06 Hz, expected 1 to 1,000; are its times milli",
-        ),
-        ('{"rate": 60000, "frames": [{"jawOpen": 1}]}', "are its times milliseconds?"),
+        ('{"names": ["jawOpen", "JawOpen"], "frames": [3]}', "jawOpen stands there 2 times"),
+        ('{"names": ["jawOpn"], "frames": [3]}', "names: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
+        (timed(0, 0.1).replace("[1]", '["x"]'), "frame 0, jawOpen: x is no finite"),
+        (timed(0, 0.1).replace("[1]", "[NaN]"), "frame 0, jawOpen: nan is no finite"),
+        (timed(0, 0.1).replace("[1]", "[true]"), "frame 0, jawOpen: True"),
+        (timed(0, 0.1).replace("[1]", f"[1{'0' * 400}]"), "JSON: 401 digits in an integer; expected at most 18"),
+        (timed(0, 0.1).replace('"time"', '"weights": [1], "time"'), "the key 'weights' stands there twice"),
+        (timed(1, 1), "frame 1, time: expected two frames or more whose times rise"),
+        (timed(1), "frame 0, time: expected two frames or more whose times rise"),
         (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
         (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
-        (timed(0, 0.1).replace("1],", '1], "JawOpen": 0.9,'), "frame 0: JawOpen stands there beside weights"),
         (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
-        (timed(0.0, None, 0.2), "frame 1, time: None is no finite number"),
         (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),
-        ('{"rate": 30, "names": ["jawOpen"], "frames": [' + "[1]," * 1_000_000 + "[1]]}", "1,000,001 frames; expected"),
-        ('{"rate": 30, "frames": [' + '{"\\"": 1},' * 1_000_000 + "{}]}", "1,000,001 frames; expected"),
+        ('{"names": ["jawOpen"], "frames": [' + "{}," * 1_000_000 + "{}]}", "1,000,001 frames; expected"),
     ],
     ids=itertools.count(),
 )

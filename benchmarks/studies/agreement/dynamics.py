@@ -11,9 +11,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import LayeredHead
 from ....lhm.base.errors import InputError
-from ....lhm.base.limits import LEVEL, STUDIED_FRAMES
 from ....lhm.base.mesh import Floats
-from ....lhm.base.option import option
 from ....reference import Face, Trajectory
 from ....reference.face.dynamics import Recurrence
 from ....reference.march import SCHEMES
@@ -55,8 +53,8 @@ class Dynamics(OfPerson):
         "2 Hz; only Eq. 9 sees no acceleration of the head. A march that stopped is compared up to there."
     )
 
-    level: int = option(1, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
-    frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}", bound=STUDIED_FRAMES)
+    level: int = 1
+    frames: int = 24
 
     def tasks(self) -> Sequence[Task]:
         """List the motions; InputError for too few frames."""

@@ -53,7 +53,7 @@ class Material(Study):
     )
 
     poisson: tuple[str, ...] = option(("0.3", "0.4", "0.45", "0.49"), "repeat for several", name="--poisson")
-    modes: tuple[str, ...] = option(tuple(MODES), f"one of {', '.join(MODES)}; repeat")
+    modes: tuple[str, ...] = tuple(MODES)
 
     def tasks(self) -> Sequence[Task]:
         """List each Poisson's ratio and mode by each law; InputError for a ratio or a mode that there is not."""

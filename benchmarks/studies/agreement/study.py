@@ -13,8 +13,9 @@ from ....animation.page import Pose, Rig, render_face_page
 from ....animation.pictures import draw_cut_away
 from ....animation.plots import subplots, to_svg
 from ....lhm import check_head, identities
-from ....lhm.base.limits import SEED
+from ....lhm.base.limits import LEVEL, SEED
 from ....lhm.base.option import option
+from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Parameters
 from ....surrogate import Surrogate
 from ....surrogate.methods import (
@@ -34,7 +35,7 @@ from ...harness.first_screen import ALL_VERTICES, SKIN, select_comparisons
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..cases import CASES, Case, get_case
 from ..measures import ACCURACY, NEO_HOOKEAN, PD_ENERGY
-from ..person import OfPerson
+from ..person import WHOSE, OfPerson
 from .insides import tabulate_insides
 from .pictures import draw_case
 from .solved import ROUNDING, TRUTHS, SolvedCase
@@ -88,6 +89,8 @@ class Agreement(OfPerson):
     )
     version = 3
 
+    identities: str = option("anny", WHOSE)
+    level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
     seed: int | None = option(None, "seed of the identity; default: the mean head", bound=SEED)  # type: ignore[assignment]
     cases: tuple[str, ...] = option(
         (), f"one of {', '.join(CASES)}, or an expression as jawOpen*0.5+cheekPuff; repeat for several  [all]"

@@ -82,7 +82,7 @@ class Arena(Study):
     seeds: int = option(
         0, f"with --whole: random heads on each of three meshes, up to {SEEDS}, for the spread of times", chooses=True
     )
-    budget: float = option(0.0, "processor time [s] per solve; default: 1, and 4 to 32 of the whole")
+    budget: float = 0.0
     files: tuple[str, ...] = option(
         (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
     )

@@ -13,7 +13,6 @@ import numpy as np
 from ....animation.plots import to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.limits import REPEATS
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
@@ -113,7 +112,7 @@ class WorkPrecision(OfPerson):
     expressions: tuple[str, ...] = option(
         ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker"), "as jawOpen*0.5+cheekPuff; repeat for several"
     )
-    repeats: int = option(5, "how often each is solved, after a solve that does not count", bound=REPEATS)
+    repeats: int = 5
     slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:

@@ -29,7 +29,7 @@ from ....lhm import (
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.geometry.topology import find_openings
-from ....lhm.base.limits import DRAWN_HEADS, STUDIED_HEADS
+from ....lhm.base.limits import DRAWN_HEADS, SEED, STUDIED_HEADS
 from ....lhm.base.option import option
 from ....lhm.head.file import load_head
 from ....lhm.head.gates import Figure
@@ -37,7 +37,7 @@ from ....lhm.identities.space import CLIP, LinearSpace
 from ....reference import Parameters, facial_scene, solve
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import Stopwatch
-from ..person import OfPerson
+from ..person import WHOSE, OfPerson
 
 POSES = {
     "jawOpen": ("jawOpen",),
@@ -103,8 +103,10 @@ class Heads(OfPerson):
         "expressions at full weight, simulated by projective dynamics with default parameters."
     )
 
+    identities: str = option("anny", WHOSE)
+    seed: int = option(0, "seed of the first identity", bound=SEED)
     count: int = option(1000, "how many random identities", bound=STUDIED_HEADS)
-    sigma: float = option(CLIP, "largest coefficient, in standard deviations")
+    sigma: float = CLIP
     gallery: int = option(2, "how many of them are simulated and drawn", bound=DRAWN_HEADS)
     heads: tuple[str, ...] = option((), "a head file, drawn as well; repeat for several")
 

@@ -83,9 +83,9 @@ class MeshError(OfPerson):
         ("0.38", "0.45", "0.47", "0.49", "0.499"),
         f"a Poisson's ratio, beside quadratic tets of level {COARSE}; repeat for several",
     )
-    finer: tuple[str, ...] = option(("0.45",), "a Poisson's ratio, also on the study's level; repeat for several")
-    free: tuple[str, ...] = option(("0.45",), "a Poisson's ratio, also on free tets by gmsh; repeat for several")
-    size: float = option(8.0, "largest free tets inside [mm]")
+    finer: tuple[str, ...] = ("0.45",)
+    free: tuple[str, ...] = ("0.45",)
+    size: float = 8.0
 
     def tasks(self) -> Sequence[Task]:
         """List what linear tets are compared with. Raises InputError for options out of range."""

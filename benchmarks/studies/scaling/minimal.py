@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import ClassVar
 
-import numpy as np
-
 from ....animation.plots import subplots, to_svg
-from ....lhm import expressions
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Face, Parameters, smallest_facial_scene
 from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE, choose, solve_skin
-from ....reference.face.sequence import Sequence as Simulation
 from ....reference.face.tissue import bone_points
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
-from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, count_work, distances, measure_megabytes, time_solve
+from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, distances, measure_megabytes, time_solve
 from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -28,8 +22,6 @@ EFFECTS: Mapping[str, Parameters] = {
 }
 SMILE = "mouthSmileLeft*0.6+mouthSmileRight*0.6+jawOpen*0.2"
 WHOLE, SMALLEST = "whole scene", "smallest scene"
-TALK, STATIC, DYNAMIC = "talk at 60 Hz", "without inertia", "with the dynamics of Eq. 9"
-TALK_FRAMES, RATE = 12, 60.0
 
 Change = Callable[[Face], Face]
 ADDED: Mapping[str, Change] = {
@@ -68,7 +60,7 @@ class Minimal(OfPerson):
         "beside head and libraries. Under an effect the neutral face settles first, by the same scene as the "
         "expression. The change is the distance of the skin's vertices to those of the whole scene. The whole scene "
         "has three wraps, membrane, rigid cranium and mandible. `reference.smallest_facial_scene` chooses the "
-        "smallest. Seconds and iterations of talk are those of a frame."
+        "smallest."
     )
     timed = True
     alone = True
@@ -88,7 +80,7 @@ class Minimal(OfPerson):
     within: float = option(0.1, "mm that the smallest scene may change a vertex of the skin")
 
     def tasks(self) -> Sequence[Task]:
-        """List each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""
+        """List each scene whole, with a piece more or less, and smallest."""
         self.check(self.expressions)
         check_known("effect", self.effects, EFFECTS)
         if not self.within > 0.0:
@@ -96,13 +88,10 @@ class Minimal(OfPerson):
         methods = (WHOLE, *LEFT_OUT, *ADDED, SMALLEST)
         heavy = {name for name in self.effects if EFFECTS[name].added_gravity.any()}
         pairs = [(case, method) for case in (*self.expressions, *self.effects) for method in methods]
-        tasks = [Task(case, method) for case, method in pairs if method != ADDED_GRAVITY or case in heavy]
-        return [*tasks, Task(TALK, STATIC), Task(TALK, DYNAMIC)]
+        return [Task(case, method) for case, method in pairs if method != ADDED_GRAVITY or case in heavy]
 
     def measure(self, task: Task) -> Values:
         """Measure costs, and the change from the whole."""
-        if task.case == TALK:
-            return self._talk(task.method)
         whole, expression = self.face(task.case), self.expression(task.case)
         if task.method == SMALLEST:
             smallest = smallest_facial_scene(whole, expression, within=self.within)
@@ -122,13 +111,6 @@ class Minimal(OfPerson):
     def expression(self, case: str) -> Floats:
         """Give the skin [mm], shape (n, 3), of a case's expression: a smile under an effect."""
         return self.person().shape(SMILE if case in EFFECTS else case)
-
-    def _talk(self, method: str) -> Values:
-        skins, rows = _talk(self, method == DYNAMIC)
-        if method == STATIC:
-            return rows
-        apart = np.array([distances(a, b) for a, b in zip(skins, _talk(self, False)[0], strict=True)])
-        return {**rows, "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all can be compared, and the smallest scene is as near as it has to be."""
@@ -189,22 +171,3 @@ def _measure_costs(model: Face, whole: Face, expression: Floats) -> dict:
     apart = distances(face.expression_skin(expression, solution.positions), solve_skin(whole, expression))
     return {"tets": len(face.expression_scene(expression).tets), **costs, "scene_mb": held,
             "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}  # fmt: skip
-
-
-@lru_cache(maxsize=2)
-def _talk(study: Minimal, dynamic: bool) -> tuple[list[Floats], dict]:
-    """Skins [mm] of frames of talk, and what a frame costs on average."""
-    of = study.person()
-    targets = of.blend(expressions.conversation(np.random.default_rng(3), TALK_FRAMES, rate=RATE))
-    running = Simulation(Face(of.head), time_step=1.0 / RATE, dynamic=dynamic)
-    running.frame(targets[0])
-    skins, laps, solutions = [], [], []
-    for shape in targets[1:]:
-        watch = Stopwatch()
-        solutions.append(running.frame(shape))
-        laps.append(watch.lap())
-        skins.append(running.skin(shape, solutions[-1]))
-    wall, cpu = np.mean(laps, axis=0)
-    ended = next((s for s in solutions if not s.converged), solutions[-1])
-    iterations = float(np.mean([s.iterations for s in solutions]))
-    return skins, {"solve_s": wall, "cpu_s": cpu, **count_work(ended), "iterations": iterations}

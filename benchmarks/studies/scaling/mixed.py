@@ -68,7 +68,7 @@ class Mixed(OfPerson):
 
     expressions: tuple[str, ...] = option(("mouthPucker",), "as jawOpen*0.5+cheekPuff; repeat for several")
     laws: tuple[str, ...] = option((INCOMPRESSIBLE, "0.499"), "incompressible or a Poisson's ratio; repeat")
-    tolerance: float = option(1e-6, "gradient norm over its start")
+    tolerance: float = 1e-6
 
     def tasks(self) -> Sequence[Task]:
         """List each expression by each law."""

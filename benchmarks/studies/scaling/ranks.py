@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
-from ....lhm.base.limits import REPEATS
 from ....lhm.base.option import option
 from ....reference import Parameters, apply_law, facial_scene
 from ...harness.study import Column, Row, Task, Values, at_most
@@ -43,9 +42,9 @@ class Ranks(OfPerson):
     processes: tuple[str, ...] = option(
         ("1", "2", "4"), "counts to compare, the first is 1; repeat", name="--processes"
     )
-    expression: str = option("jawOpen*0.5", "of the head, as jawOpen*0.5+cheekPuff")
-    rounds: int = option(2, "rounds, in each of which every count has its turn", bound=REPEATS)
-    repeats: int = option(5, "how often a phase is repeated in each round", bound=REPEATS)
+    expression: str = "jawOpen*0.5"
+    rounds: int = 2
+    repeats: int = 5
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -12,9 +12,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
-from ....lhm.base.limits import STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats
-from ....lhm.base.option import option
 from ....reference import Face, Parameters, Prepared, facial_scene, prepare, projective
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
@@ -74,8 +72,8 @@ class Throughput(OfPerson):
     timed = True
     alone = True
 
-    people: int = option(3, "how many people, from the study's seed on, have cold frames", bound=STUDIED_PEOPLE)
-    frames: int = option(49, "length of the sequence at 60 Hz, at least 13", bound=STUDIED_FRAMES)
+    people: int = 3
+    frames: int = 49
 
     def tasks(self) -> Sequence[Task]:
         """List each kind of cold frames, the sequence, the memory, the floor."""

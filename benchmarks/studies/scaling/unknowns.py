@@ -127,7 +127,7 @@ class Unknowns(OfPerson):
 
     level: ClassVar[int] = DEFAULT_MESH[0]  # type: ignore[misc]  # no option: each mesh has its own
     up_to: int = option(USUAL, "unknowns of a mesh; 640000 for all: forty minutes", bound=UNKNOWNS)
-    expression: str = option("mouthSmileLeft+mouthSmileRight", "as jawOpen*0.5+cheekPuff")
+    expression: str = "mouthSmileLeft+mouthSmileRight"
 
     @property
     def meshes(self) -> dict[str, Mesh]:

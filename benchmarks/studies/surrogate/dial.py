@@ -13,7 +13,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm import identities
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.limits import LEVEL, SEED, STUDIED_FRAMES, STUDIED_PEOPLE
+from ....lhm.base.limits import STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats, Floats32
 from ....lhm.base.option import option
 from ....lhm.expressions import sample_weights
@@ -74,10 +74,10 @@ class Dial(Study):
     """Who is held out, as `people_from_text` has them."""
 
     faces: int = option(6, "people of each kind: held-out, external, out of range", bound=STUDIED_PEOPLE)
-    frames: int = option(4, "expressions of each", bound=STUDIED_FRAMES)
-    seed: int = option(7000, "seed of people, parameters and expressions", bound=SEED)
+    frames: int = 4
+    seed: int = 7000
     external: str = option("", "space of external people, as ict:FILE; default: none")
-    level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
+    level: int = DEFAULT_LEVEL
 
     def tasks(self) -> Sequence[Task]:
         """List each person; InputError for none, for no frame, and for a space that cannot be read."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Face, Parameters, Scene
@@ -106,7 +105,7 @@ class Split(OfPerson):
         "as jawOpen*0.5+cheekPuff; repeat for several",
     )
     effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
-    seed: int = option(1_000_003, "seed of the person", bound=SEED)
+    seed: int = 1_000_003
     refined: tuple[str, ...] = option(
         ("defaults", "40 % more soft tissue"),
         "an effect with quadratic tets on the study's own level, first expression: minutes each",

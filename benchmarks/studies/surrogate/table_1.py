@@ -92,13 +92,13 @@ class Table1(Study):
     external: str = option("", "another corpus to score, such as external:ict:FILE")
     trained: str = option("", "folder with NETWORK.safetensors of `softdeca train`; what is there is not trained")
     weights: str = option("", "weights of the modal network; default: the shipped", name="--surrogate")
-    partial: bool = option(False, "take the people that an incomplete corpus has")
+    partial: bool = False
     steps: int = option(0, "steps of each network; 0: those of its own protocol")
-    batch: int = option(0, "frames a step of networks of deformation gradients; 0: of each protocol")
-    learning_rate: float = option(0.0, "rate of networks of deformation gradients; 0: that of each protocol")
-    recurrence_steps: int = option(300, "steps that learn Eq. 21's coefficients")
-    energy_steps: int = option(1000, "steps of the network that the energy trains")
-    energy_faces: int = option(16, "faces that are settled for it, seconds each")
+    batch: int = 0
+    learning_rate: float = 0.0
+    recurrence_steps: int = 300
+    energy_steps: int = 1000
+    energy_faces: int = 16
 
     def tasks(self) -> Sequence[Task]:
         """Every method; InputError for no corpus, options out of range and a split without frames."""
@@ -106,7 +106,7 @@ class Table1(Study):
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
         for name in ("steps", "batch", "learning_rate", "recurrence_steps", "energy_steps", "energy_faces"):
             if getattr(self, name) < 0:
-                raise InputError(f"--{name.replace('_', '-')}: expected 0 or more, got {getattr(self, name)}")
+                raise InputError(f"{name}: expected 0 or more, got {getattr(self, name)}")
         tested = self._open(self.corpus, "test").tested
         if not len(tested.faces):
             raise InputError(f"corpus {self.corpus}: no test people")
