@@ -67,6 +67,10 @@ class Observer(Protocol):
         """Take note of a point."""
         ...
 
+    def forget(self) -> None:
+        """Start anew to look for the best point."""
+        ...
+
 
 class Watch:
     """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation."""
@@ -130,6 +134,10 @@ class Untangling:
             return Reason.CONVERGED
         self.stopped = self._watch.see(self._problem.at(point.place))
         return self.stopped
+
+    def forget(self):
+        """See `Watch`."""
+        self._watch.forget()
 
 
 Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]

@@ -23,12 +23,13 @@ from .hessian.newton_step import newton_step
 from .hessian.tangent import Pattern, Tangent
 from .policy import POLICY, ProjectivePolicy
 from .terms.energy import PARTS, Energy, recover
+from .terms.gaps import Pairs
 from .terms.tets import TetBlocks
 from .unknowns.coordinates import Coordinates, Place
 from .unknowns.system import System
 
 if TYPE_CHECKING:
-    from .contact import ContactSolver
+    from .contact import ContactDescent
 
 Method = Literal["lbfgs", "anderson", "plain"]
 METHODS: dict[str, Descent] = {
@@ -37,7 +38,7 @@ METHODS: dict[str, Descent] = {
     "plain": plain,
 }
 TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
-"""Those with an energy, those that restrict `Coordinates`, and contact, which is solved for afterwards."""
+"""Those with an energy, those that restrict `Coordinates`, and contact, which has a descent of its own."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
 
@@ -85,7 +86,7 @@ class ProjectivePrepared:
     method: Method
     energy: Energy
     system: System
-    contact: ContactSolver | None
+    contact: ContactDescent | None
     spent: Seconds
     policy: ProjectivePolicy = POLICY
 
@@ -111,7 +112,7 @@ class ProjectivePrepared:
         every frame, wherever it starts. `metric`, from `tangent`, is the Hessian at an answer near by, in place of the
         PD matrix: from there to here far fewer iterations are left, each of about twice the price.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
-        scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
+        scene, whose descent is L-BFGS by whatever method, see `contact.descent.ContactDescent.summarise`.
         Raises SceneError if `scene` needs a new preparation, if start, tolerance or `absolute` are out of range, if the
         metric is of other unknowns, or if loads push a part that nothing holds.
         """
@@ -137,13 +138,12 @@ class ProjectivePrepared:
         first = problem.at(place)
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
         watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
-        point, reason = METHODS[self.method](problem, first, watch)
+        descend = METHODS[self.method] if self.contact is None else self.contact.descend
+        point, reason = descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
-        outcome: dict[str, float] = {}
-        if self.contact is not None and reason in (Reason.CONVERGED, Reason.STAGNATED):
-            point, reason, outcome = self.contact.solve(problem, point, scene.vertices, watch)
         positions = np.where(held, values, scene.vertices + point.u)
+        contact = {} if self.contact is None else self.contact.summarise(positions)
         return Solution(
             positions=positions,
             reason=reason,
@@ -151,10 +151,22 @@ class ProjectivePrepared:
             energy=point.energy,
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
-            detail=work.counts() | outcome,
+            detail=work.counts() | contact,
             recovery=partial(recover, scene, positions),
             times=recorder.times(self.spent),
         )
+
+    def freeze_contact(self, positions: Floats, scene: Scene | None = None) -> Scene:
+        """Return a scene whose Contact is that of the pairs near at positions [mm], shape (n, 3), as Gaps.
+
+        There it has the same energy, and as long as no other pair comes near: for solvers that look for none. A scene
+        without Contact is left as it is; scene as of `solve`.
+        """
+        scene = self.scene if scene is None else scene
+        if self.contact is None:
+            return scene
+        others = (term for term in scene.terms if not isinstance(term, Contact))
+        return replace(scene, terms=(*others, self.contact.freeze(positions)))
 
     def tangent(
         self,
@@ -169,13 +181,16 @@ class ProjectivePrepared:
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
         where the system has it (see `factorise_definite`); `like`, another tangent of the same
-        topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
+        topology, such as of another identity, lends its analysis. Contact is that of the pairs near at the solution.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
         place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
         energy = self.energy.for_scene(scene)
+        if self.contact is not None:
+            scene = self.freeze_contact(solution.positions, scene)
+            energy = Energy((*energy.parts, *filter(None, [Pairs.from_scene(scene)])))
         return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
 
     def estimate_left(
@@ -214,9 +229,9 @@ def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy 
     system = System.from_matrix(matrix, anchored, Coordinates.from_scene(scene))
     contact = None
     if scene.of(Contact):
-        from .contact import ContactSolver  # costs an import of its own, which few scenes need
+        from .contact import ContactDescent  # costs an import of its own, which few scenes need
 
-        contact = ContactSolver.from_scene(scene, system, policy.contact)
+        contact = ContactDescent.from_scene(scene, system, policy.contact)
     return ProjectivePrepared(scene, method, energy, system, contact, clock.read(), policy)
 
 

@@ -16,6 +16,7 @@ from ...scene import Scene
 from ...solution import Stresses
 from ...terms import (
     Bending,
+    Gaps,
     Gravity,
     Inertia,
     Strain,
@@ -26,6 +27,7 @@ from ...terms import (
     Volume,
 )
 from .bending import Rings
+from .gaps import Pairs
 from .part import Part
 from .springs import DeadLoads, Springs
 from .tets import TetBlocks, shape_gradients
@@ -40,6 +42,7 @@ PARTS: dict[type[Term], type[Part]] = {
     Bending: Rings,
     Target: Springs,
     Inertia: Springs,
+    Gaps: Pairs,
 }
 """The class that models each term that has an energy, in the order in which their energies are added up."""
 AnyPart = TypeVar("AnyPart", bound=Part)
