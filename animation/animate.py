@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take
-from ..reference import Face, Reason, settle
+from ..reference import Face, Reason
 from ..reference.face.bones import Bones
 from ..reference.face.dynamics import find_pivot
 from ..surrogate import BoundRig, Surrogate, certify
@@ -84,11 +84,9 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
         choices: dict[str, Any] = {"bones": config.bones} | (
             {"contact": list(config.contact)} if config.contact else {}
         )
-        neutral = settle(head, face.on_wraps, **choices)
-        reason = neutral.reason
-        frames = SimulatedFrames(
-            neutral, face.shapes, take, config.accuracy, dynamic=config.dynamic, contact=bool(config.contact)
-        )
+        simulated = replace(face, choices=choices, settling={})
+        reason = simulated.settled().reason
+        frames = SimulatedFrames(simulated, take, config.accuracy, dynamic=config.dynamic)
     else:
         frames = certified_frames(certify(face, surrogate), take, config.accuracy)
     progress("settling: neutral face", 1.0)

@@ -11,10 +11,9 @@ import numpy as np
 from ..lhm.base.errors import SoftdecaError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.expressions import Take, rotations
-from ..reference import Sequence, SettledFace, Solution
+from ..reference import Face, Sequence, Solution
 from ..reference.face.dynamics import extrapolate_turns
 from ..reference.face.sequence import TOLERANCE
-from ..reference.face.settle import carry_skin
 from ..surrogate import BoundRig
 from ..surrogate.certified import POLICY, CertifiedFace, find_counted
 
@@ -71,19 +70,15 @@ class SimulatedFrames:
     Iterating raises SoftdecaError where the first frame fails, for there is nothing to begin from.
     """
 
-    def __init__(
-        self, neutral: SettledFace, deltas: Floats, take: Take, accuracy: float, *, dynamic: bool, contact: bool
-    ):
-        self._sequence = Sequence.from_face(neutral, time_step=1.0 / take.rate, dynamic=dynamic)
-        self._neutral, self._deltas, self._take = neutral, deltas, take
-        self._accuracy, self._has_contact = accuracy, contact
-        self._carried = carry_skin(neutral.head, neutral.parameters)
+    def __init__(self, face: Face, take: Take, accuracy: float, *, dynamic: bool):
+        self._sequence = Sequence(face, time_step=1.0 / take.rate, dynamic=dynamic)
+        self._face, self._take, self._accuracy = face, take, accuracy
         turned = dynamic and take.head is not None
         self._bases = rotations(take.head) if turned else np.array([np.eye(3)] * len(take.times))
 
     def __iter__(self) -> Iterator[TakeFrame]:
         for number, weights in enumerate(self._take.weights):
-            expression = blend_linearly(self._neutral.head.skin, self._deltas, weights)
+            expression = blend_linearly(self._face.skin, self._face.shapes, weights)
             skin, record = self._solve(expression, self._bases[number:])
             if self._sequence.state is None:
                 raise SoftdecaError(f"frame {number}: {record['reason']}; nothing to begin from")
@@ -96,7 +91,7 @@ class SimulatedFrames:
                 sequence.begin(expression, base=extrapolate_turns(bases))
             solution = sequence.frame(expression, base=bases[0])
             if not np.isfinite(solution.positions).all():
-                return self._neutral.targets(expression), _record(solution.reason.name, solution)
+                return self._face.settled().targets(expression), _record(solution.reason.name, solution)
             error, certain = self._estimate(expression, solution)
             while (
                 error is not None
@@ -108,7 +103,7 @@ class SimulatedFrames:
                 solution = sequence.refine(tolerance)
                 error, certain = self._estimate(expression, solution)
         except SoftdecaError as failure:
-            return self._neutral.targets(expression), _record(str(failure))
+            return self._face.settled().targets(expression), _record(str(failure))
         reason = "" if solution.converged else solution.reason.name
         if not reason and error is not None and error > self._accuracy:
             reason = f"error {error:.2g} mm, expected {self._accuracy:g}"
@@ -117,11 +112,11 @@ class SimulatedFrames:
 
     def _estimate(self, expression: Floats, solution: Solution) -> tuple[float | None, bool]:
         """Return a frame's error [mm], and whether it is certain; None where surfaces in contact hide it."""
-        estimate = None if self._has_contact else self._sequence.estimate_left()
+        estimate = None if self._face.choices.get("contact") else self._sequence.estimate_left()
         if estimate is None:
             return None, False
         left, certain = estimate
-        counted = find_counted(self._sequence.skin(expression, solution) + left, expression + self._carried)
+        counted = find_counted(self._sequence.skin(expression, solution) + left, expression + self._face.carried)
         return float(np.linalg.norm(left, axis=1)[counted].mean()), certain
 
 

@@ -118,7 +118,8 @@ def run_study(
                 people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
                 made_with = {"identities": agreement.identities, "level": level}
                 schedule = make_schedule(min(2, count_processors()))
-                Corpus(corpus, plan, people, made_with).generate(on=schedule, on_progress=progress)
+                begun = Corpus.from_plan(corpus, plan, people, made_with)
+                begun.generate(on=schedule, on_progress=progress)
             for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
                 if isinstance(results, SoftdecaError):
                     failed.append((each.study.name, str(results)))

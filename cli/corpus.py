@@ -99,7 +99,7 @@ class Generate:
                 on = make_schedule(self.workers, self.scheduler)
                 check_scheduler(on)
             people = people_from_text(made_with["identities"], level=made_with["level"], on_progress=progress)
-            corpus = Corpus(self.out, plan, people, made_with)
+            corpus = Corpus.from_plan(self.out, plan, people, made_with)
             if self.dry_run:
                 self._foretell(corpus, progress)
                 return 0
@@ -110,15 +110,15 @@ class Generate:
 
     def _plan(self) -> tuple[CorpusPlan, dict]:
         """The plan, and with what people are made: of the file or preset, or of the corpus that lies in `out`."""
-        from ..surrogate.corpus.folder import read_kept_plan
-        from ..surrogate.corpus.manifest import MANIFEST, read_manifest
+        from ..surrogate.corpus.folder import Corpus
+        from ..surrogate.corpus.manifest import MANIFEST
         from ..surrogate.corpus.plan import CorpusPlan, read_plan
 
         if self.plan_file is not None and self.preset is not None:
             context = click.get_current_context()
             raise click.UsageError("a plan's file and --preset both say which plan; give one", context)
-        is_there = (self.out / MANIFEST).exists()
-        kept = dict(read_manifest(self.out).made_with) if is_there else {}
+        there = Corpus.open(self.out) if (self.out / MANIFEST).exists() else None
+        kept = {} if there is None else there.made_with
         made_with = {}
         for name, asked, usual in (("identities", self.identities, "anny"), ("level", self.level, 2)):
             if asked is not None and kept.get(name, asked) != asked:
@@ -128,8 +128,8 @@ class Generate:
             made_with[name] = kept.get(name, usual) if asked is None else asked
         if self.plan_file is not None:
             plan = read_plan(self.plan_file)
-        elif self.preset is None and is_there:
-            plan = read_kept_plan(self.out)
+        elif self.preset is None and there is not None:
+            plan = there.find_plan()
         else:
             plan = CorpusPlan.of({"preset": "tiny" if self.preset is None else self.preset})
         plan = plan if self.takes is None else replace(plan, takes=str(self.takes))
@@ -145,7 +145,7 @@ class Generate:
             progress("measuring a rate", 0.0)
             rates = measure_rates(plan, corpus.people)
             progress("measuring a rate", 1.0)
-        cost = predict_cost(plan, len(corpus.people.mean.vertices), rates)
+        cost = predict_cost(plan, len(corpus.mean.vertices), rates)
         if self.json:
             click.echo(json.dumps({"plan": plan.digest, "rates": asdict(rates), **asdict(cost)}, indent=1))
             return
@@ -180,12 +180,10 @@ class ShowStatus:
 
     def run(self) -> int:
         """Count and print."""
-        from ..surrogate.corpus.folder import read_status
-        from ..surrogate.corpus.manifest import read_manifest, read_template
+        from ..surrogate.corpus.folder import Corpus
 
-        manifest, mean = read_manifest(self.folder), read_template(self.folder)
         with show_progress() as progress:
-            status = read_status(manifest, mean, on_progress=progress)
+            status = Corpus.open(self.folder).status(on_progress=progress)
         print_status(status, self.folder, self.json)
         return 0 if status.identities_done == status.identities and not status.damaged else 1
 
@@ -202,10 +200,10 @@ class Verify:
 
     def run(self) -> int:
         """Read all."""
-        from ..surrogate.corpus.folder import verify_folder
+        from ..surrogate.corpus.folder import Corpus
 
         with show_progress() as progress:
-            people = verify_folder(self.folder, on_progress=progress)
+            people = Corpus.open(self.folder).verify(on_progress=progress)
         click.echo(f"{self.folder}: {people} shards are whole")
         return 0
 

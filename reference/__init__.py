@@ -6,7 +6,7 @@ from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.face import Face
 from .face.facial import apply_law, facial_scene
 from .face.free_scenes import open_jaw_scene, push_cheek_scene
-from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
+from .face.minimal import Smallest, smallest_facial_scene, smallest_scene
 from .face.parameters import ParameterInfo, Parameters
 from .face.sequence import Sequence
 from .face.settle import SettledFace, settle
@@ -19,7 +19,6 @@ from .solve import Prepared, prepare, solve
 __all__ = [
     "SOLVERS",
     "Face",
-    "FacialModel",
     "History",
     "MissingDependencyError",
     "NotModelledError",

@@ -129,9 +129,9 @@ def added_files() -> tuple[Path, ...]:
 def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems: tuple[Problem, ...] = ()):
     """Let studies have a law of Lamé's moduli mu and lmbda [kPa] at rest.
 
-    Verification has its `problems` beside those that every law has, hard cases have it on every element, and
-    work-precision a face of it. Raises InputError for a name that is taken, for what is no EnergyLaw of these moduli at
-    rest, and for one whose energy, derivatives and densities do not agree (`materials.consistency`).
+    Verification has its `problems` beside those that every law has, hard cases start it on linear and quadratic tets,
+    and work-precision has a face of it. Raises InputError for a name that is taken, for what is no EnergyLaw of these
+    moduli at rest, and for one whose energy, derivatives and densities do not agree (`materials.consistency`).
     """
     if name in _laws:
         raise InputError(f"law {name!r} was added already")

@@ -25,7 +25,6 @@ from ..reference.face.facial import PD_ENERGY, FaceLaw
 from .certified import ACCURACY, CertifiedFace
 from .corpus.face import KeptFace
 from .rigs.bound import BoundSurrogate
-from .rigs.inertia import Swing
 from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
 from .runtime import Beyond, BoundRig, Surrogate
 
@@ -97,7 +96,7 @@ def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how:
 
     def bind(face: AnyFace) -> SolvedRig:
         live = get_live(face)
-        prepared = prepare(live.settled(law).scene(live.skin.vertices), solver=solver, **how)
+        prepared = prepare(live.neutral_scene(law), solver=solver, **how)
 
         def solve(weights: Floats) -> Floats:
             solution = prepared.solve(live.scene(weights, law), tolerance=tolerance)
@@ -141,7 +140,7 @@ def differentiate(face: AnyFace) -> BoundSurrogate:
 
 def _bind_linear(face: AnyFace, responses: Floats32) -> BoundSurrogate:
     modes = FaceModes.linear(face.offset.astype(np.float32), responses)
-    swing = Swing.from_face(face) if isinstance(face, Face) else None
+    swing = face.swing if isinstance(face, Face) else None
     return BoundSurrogate(face.skin, modes, face.shapes.astype(np.float32), swing)
 
 

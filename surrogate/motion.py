@@ -12,13 +12,13 @@ import numpy as np
 from ..lhm.base.mesh import Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
-from ..reference.face.dynamics import extrapolate_turns
+from ..reference.face.dynamics import OSCILLATION, Swing, extrapolate_turns
 from .corpus.face import KeptFace
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE
 from .corpus.reading import Row, Table
 from .evaluate import Answers, Binds, Contender, Score, Trial, by_frame, measure_frames
-from .rigs.inertia import OSCILLATION, DynamicRig, Looseness, Swing
+from .rigs.inertia import DynamicRig, Looseness
 from .rigs.rig import Needs
 from .trials import CorpusTrials
 

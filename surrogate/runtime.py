@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, cached_property
 from importlib.resources import files
 from os import PathLike
@@ -22,6 +23,7 @@ from ..lhm.head.skin import check_shapes
 from ..lhm.identities import LinearSpace
 from ..lhm.identities.nearest import SAME, NearestPerson, check_belonging
 from ..reference import Parameters
+from ..reference.face.dynamics import OSCILLATION, Swing
 from ..reference.face.face import Face
 from ..reference.face.local import at_vertices as spread_over
 from .corpus.face import MOVED, KeptFace
@@ -34,7 +36,7 @@ from .networks.response_tables import expand
 from .networks.weights import Weights
 from .rigs.baked import compress
 from .rigs.bound import BoundSurrogate
-from .rigs.inertia import OSCILLATION, Swing, Swings
+from .rigs.inertia import Swings
 from .rigs.rig import WEIGHTS, FaceModes, check_code, check_skin
 
 Beyond = Literal["refuse", "clamp"]
@@ -114,7 +116,7 @@ class Surrogate:
         at_vertices = _check_seen(_map_to_vertices(chosen, skin), self.weights.note.seen, beyond)
         swinging = chosen if isinstance(chosen, Parameters) else Parameters()
         oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
-        return self._bind(skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation))
+        return self._bind((skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation)))
 
     @check_arguments
     def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
@@ -126,19 +128,16 @@ class Surrogate:
         if exact:
             self.check_exact()
         described = self._describe_kept(face) if isinstance(face, KeptFace) else self._describe(face, beyond, exact)
-        rig = self._bind(*described)
-        if not exact:
-            return rig
-        assert isinstance(rig, BoundSurrogate)
-        return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
+        return self._bind(described, face if exact else None)
 
     def _describe(self, face: Face, beyond: Beyond, exact: bool) -> Described:
         self._check_skin(face.skin)
         given = np.stack([face.at_vertices(name) for name in STATIC], axis=1)
         at_vertices = _check_seen(given, self.weights.note.seen, beyond)
         code = self._code_of(face)
-        swing: Swings | None = Swing.from_face(face) if exact else None
-        if swing is None:
+        if exact:
+            swing: Swings | None = face.swing
+        else:
             swing = self._swing(code, at_vertices, np.stack([face.at_vertices(name) for name in OSCILLATION]))
         return face.skin, code, at_vertices, face.shapes.astype(np.float32), swing
 
@@ -187,24 +186,19 @@ class Surrogate:
         if not self.has_derivatives:
             raise InputError(f"exact: a network of kind {self.weights.kind!r} has no offset and responses to replace")
 
-    def _bind(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None
-    ) -> BoundRig:
+    def _bind(self, described: Described, simulated: Face | KeptFace | None = None) -> BoundRig:
+        """Bind what describes a face; with a `simulated` one, by its own offset and responses."""
+        skin, code, at_vertices, shapes, swing = described
+        code = self.inputs.code(code)
         if self.weights.kind in FORMS:
-            form, network, code = FORMS[self.weights.kind], self.weights.network, self.inputs.code(code)
-            return GradientRig(form, network, self._transfer, code, at_vertices, skin, shapes, swing)
-        return self._bind_modes(skin, code, at_vertices, shapes, swing)
-
-    def _bind_modes(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None
-    ) -> BoundSurrogate:
-        network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
+            form = FORMS[self.weights.kind]
+            return GradientRig(form, self.weights.network, self._transfer, code, at_vertices, skin, shapes, swing)
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            modes = _check_finite(bind_modal(network, self._tables, features, code, skin.vertices, at_vertices, shapes))
-            try:
-                rig = BoundSurrogate(skin, _check_finite(compress(modes)), shapes, swing)
-            except np.linalg.LinAlgError:
-                raise InputError("weights: their remainder for this face is not finite; they are damaged") from None
+            modes = self._find_modes(skin, code, at_vertices, shapes)
+            if simulated is not None:
+                offset, responses = simulated.offset, simulated.responses
+                modes = replace(modes, offset=offset.astype(np.float32), responses=responses.astype(np.float32))
+            rig = BoundSurrogate(skin, modes, shapes, swing)
             moved = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
         if not moved <= MOVED:
             raise InputError(
@@ -212,6 +206,16 @@ class Surrogate:
                 "damaged?"
             )
         return rig
+
+    def _find_modes(self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32) -> FaceModes:
+        """Return what the network gives for a face, in few modes; InputError unless it is finite."""
+        features = self.inputs.features
+        modes = bind_modal(self.weights.network, self._tables, features, code, skin.vertices, at_vertices, shapes)
+        try:
+            modes = compress(_check_finite(modes))
+        except np.linalg.LinAlgError:
+            raise InputError("weights: their remainder for this face is not finite; they are damaged") from None
+        return _check_finite(modes)
 
     @cached_property
     def _tables(self) -> Floats32:

@@ -12,8 +12,8 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats32
 from .corpus.face import KeptFace
+from .corpus.folder import Corpus
 from .corpus.heads import Heads
-from .corpus.manifest import Manifest, read_manifest
 from .corpus.plan import Split
 from .corpus.reading import Faces, Table
 from .corpus.shard import FEM_LAWS
@@ -63,9 +63,9 @@ class CorpusTrials:
         return self._faces("train")
 
     @cached_property
-    def manifest(self) -> Manifest:
-        """What the corpus is of."""
-        return read_manifest(self.folder)
+    def corpus(self) -> Corpus:
+        """The corpus itself."""
+        return Corpus.open(self.folder)
 
     def _faces(self, split: Split | None) -> Faces:
         heads = Heads.from_corpus(self.folder) if self.heads is None else self.heads

@@ -101,18 +101,18 @@ def weight(scan: Path) -> bytes:
     """Draw a neutral face and a smile, and both with 40 % more soft tissue."""
     from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions
-    from softdeca.reference import Parameters, settle, solve
+    from softdeca.reference import Face, Parameters, solve
 
     head, space, code = face()
     weights = expressions.weights_of(SMILE)
-    shape, panels = expressions.blend(space, code, weights)[0], []
+    shapes, panels = space.expression_deltas(code), []
     for named, parameters in (("", Parameters()), (", + 40 % soft tissue", Parameters(soft_volume=1.4))):
-        settled_face = settle(head, parameters)
-        smile = solve(settled_face.scene(shape))
+        face_under = Face(head, shapes, parameters)
+        smile = solve(face_under.scene(weights))
         if not smile.converged:
             raise SystemExit(f"weight: {smile.reason}")
-        skin = settled_face.skin_after(shape, smile.positions)
-        panels.append(Panel(f"neutral{named}", head.skin.with_vertices(settled_face.skin)))
+        skin = face_under.skin_after(weights, smile.positions)
+        panels.append(Panel(f"neutral{named}", head.skin.with_vertices(face_under.settled().skin)))
         panels.append(Panel(f"smile{named}", head.skin.with_vertices(skin), weights=weights))
     return draw_strip([panels[k] for k in (0, 2, 1, 3)], rest=head.skin)
 

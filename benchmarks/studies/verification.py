@@ -29,7 +29,7 @@ Outcomes = Callable[[], Sequence[problems.Outcome]]
 
 @dataclass(frozen=True)
 class Verification(Study):
-    """Closed forms, published values, another code on a head; with `fine` orders of convergence and locking too."""
+    """Closed forms, published values, another code on a head; with `fine` orders of convergence too."""
 
     name = "verification"
     heading = "Do the solvers give the answers that are known?"
@@ -46,7 +46,7 @@ class Verification(Study):
     )
 
     solvers: tuple[str, ...] = option((), "only these; repeat for several  [all]")
-    fine: bool = option(False, "also finer meshes, orders and locking by FEniCSx: 15 minutes")
+    fine: bool = option(False, "also finer meshes, and orders by FEniCSx")
 
     def tasks(self) -> Sequence[Task]:
         """List each problem by each solver."""
@@ -59,7 +59,7 @@ class Verification(Study):
         return [Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_list_fine() if self.fine else ())), *tasks]
 
     def measure(self, task: Task) -> Values:
-        """Measure the outcomes of a problem, or of a series of meshes or materials."""
+        """Measure the outcomes of a problem, or of a series of meshes."""
         if task.case == HEAD:
             of = person(level=HEAD_LEVEL)
             scene = facial_scene(
@@ -110,9 +110,7 @@ def _list_problems() -> Sequence[problems.Problem]:
 
 
 def _list_fine() -> Mapping[str, Outcomes]:
-    orders = {f"orders of {e}": lambda e=e: list(problems.manufactured.study(e)) for e in problems.manufactured.ORDERS}
-    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.cook.locking_outcomes(nu) for nu in problems.cook.POISSON}
-    return orders | locking
+    return {f"orders of {e}": lambda e=e: problems.manufactured.rates(e) for e in problems.manufactured.ORDERS}
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,6 @@ class Hard(Study):
     )
 
     solvers: tuple[str, ...] = option((), "only these; repeat for several  [all]")
-    laws: bool = option(False, "also every law on every element of FEniCSx: a quarter of an hour")
 
     def tasks(self) -> Sequence[Task]:
         """List each case by each solver, and element, that it is for."""
@@ -140,11 +137,9 @@ class Hard(Study):
         return [task for task, (_, solver, _) in self._list_ways().items() if solver in solvers]
 
     def _list_ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
-        of_laws = problems.LAWS_ON_ELEMENTS if self.laws else ()
-        posed = (*problems.HARD, *problems.added_hard_cases(), *of_laws)
         return {
             Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
-            for case in posed
+            for case in (*problems.HARD, *problems.added_hard_cases())
             for solver, element in case.ways
         }
 

@@ -35,7 +35,7 @@ plan = CorpusPlan(
 space = Spheres(1)
 people = OfSpace(space, space.mean, space.fit)
 out = Path(tempfile.mkdtemp())
-corpus = Corpus(out / "corpus", plan, people)
+corpus = Corpus.from_plan(out / "corpus", plan, people)
 print(corpus.generate())
 
 # %% [markdown]

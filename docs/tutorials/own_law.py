@@ -47,9 +47,9 @@ for problem in problems.added_problems():
 # %% [markdown]
 # ## Hard cases
 #
-# Collapsed, inverted, crushed and twisted blocks, on linear and quadratic tets. The energy is infinite for an
-# inverted tet, so the right outcome there is to refuse the start, and a law that did not would be told. One block bends
-# by its weight: there scikit-fem, with the derivatives by hand, must end where FEniCSx does.
+# Collapsed, inverted and crushed blocks, on linear and quadratic tets. The energy is infinite for an inverted tet, so the
+# right outcome there is to refuse the start, and a law that did not would be told. One block bends by its weight: there
+# scikit-fem, with the derivatives by hand, must end where FEniCSx does.
 
 # %%
 for case in problems.added_hard_cases():

@@ -98,7 +98,7 @@ class Correction:
 
     def skin(self) -> Floats:
         """Return the skin [mm], shape (skin vertices, 3)."""
-        return self._linear.face.skin_after(self.expression, self.positions)
+        return self.face.expression_skin(self.expression, self.positions)
 
     def _evaluate(self, place) -> Point:
         energy, gradient = self._energy.evaluate(place.u)

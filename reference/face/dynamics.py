@@ -43,6 +43,8 @@ CLOSE, DEEP = 5.0, 15.0
 """Depth [mm] of bone below the skin up to which skin follows it, and from which on it is loose."""
 RING = 20.0
 """Width [mm] along the skin over which flesh comes loose beside lips and lids: that of the muscle around a mouth."""
+OSCILLATION = ("frequency", "damping")
+"""The parameters of p by which flesh swings."""
 ORTHOGONAL = 1e-4
 """How far RᵀR may be from the identity: float32 and rounded files pass."""
 
@@ -154,6 +156,27 @@ class Recurrence:
         alpha, beta = np.asarray(self.alpha, dtype=np.complex128), np.asarray(self.beta, dtype=np.complex128)
         s = np.log(alpha + np.sqrt(alpha**2 - beta)) / time_step
         return np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)
+
+
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """How a bound face swings: loose shares in [0, 1], frequency [Hz] and damping ratio, (n,); pivot (3,) [mm]."""
+
+    loose: Floats
+    frequency: Floats
+    damping: Floats
+    pivot: Floats
+
+    @classmethod
+    def from_shares(cls, loose: Floats, pivot: Floats, oscillation: Floats) -> Swing:
+        """Take p's frequency and damping at the vertices, mapped to [-1, 1], shape (2, n)."""
+        mapped = zip(OSCILLATION, oscillation, strict=True)
+        frequency, damping = (np.asarray(Parameters.info(name).denormalise(values)) for name, values in mapped)
+        return cls(loose, frequency, damping, pivot)
+
+    def recurrence(self, time_step: float) -> Recurrence:
+        """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
+        return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
 
 
 def _column(coefficient: float | Floats) -> Floats:

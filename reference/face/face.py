@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,8 +17,17 @@ from ...lhm.head.skin import check_shapes
 from ..scene import Scene
 from ..solution import OnIteration
 from . import palsy
-from .derivatives import QUICK_ACCURACY, Analysis, FaceDerivatives, Rested, differentiate, rest_among_targets
-from .facial import PD_ENERGY, FaceLaw
+from .derivatives import (
+    QUICK_ACCURACY,
+    Analysis,
+    FaceDerivatives,
+    Rested,
+    carry_to_skin,
+    differentiate,
+    rest_among_targets,
+)
+from .dynamics import OSCILLATION, Swing, find_pivot, measure_looseness
+from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
 from .local import at_vertices, from_wraps, on_wraps
 from .parameters import Parameters
 from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
@@ -27,19 +37,25 @@ from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
 class Face:
     """A head under p.
 
-    shapes (52, n, 3) [mm]: what each weight adds to its skin. parameters: local values are one per face of the skin, or
-    `per` triangle of the wraps. code: the person's in an identity space, where it is known. `like` lends the symbolic
-    work of a face of the same template. `on_iteration` sees how the face settles, and may end it.
+    shapes (52, n, 3) [mm]: what each weight adds to its skin; without them it is asked for skins of expressions alone.
+    parameters: local values are one per face of the skin, or `per` triangle of the wraps. code: the person's in an
+    identity space, where it is known. `choices` are those of `facial_scene`, less the bones, which hang free in the
+    expressions' scenes unless these say otherwise. `settling` are options of `settle`. accuracy: of the neutral answer
+    that derivatives are taken at; see `rest_among_targets`. `like` lends the symbolic work of a face of the same
+    template and choices. `on_iteration` sees how the face settles, and may end it.
 
     InputError for shapes of another size, unit or order of vertices, and for derivatives of a face that does not
     settle. What is asked raises what the simulator raises.
     """
 
     head: LayeredHead
-    shapes: Floats
+    shapes: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
     parameters: Parameters = field(default_factory=Parameters)
     per: Literal["skin", "wraps"] = "skin"
     code: Floats | None = None
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    settling: Mapping[str, Any] = field(default_factory=lambda: TARGET_OPTIONS)
+    accuracy: float = QUICK_ACCURACY
     like: Analysis | None = None
     on_iteration: OnIteration | None = None
     _settled: dict[FaceLaw, SettledFace] = field(default_factory=dict, init=False, repr=False)
@@ -55,7 +71,8 @@ class Face:
             if not code.size:
                 raise InputError("code: expected numbers, got none")
             object.__setattr__(self, "code", code)
-        shapes = check_shapes(self.shapes, self.head.skin)
+        none = np.zeros((0, *self.head.skin.vertices.shape))
+        shapes = check_shapes(self.shapes, self.head.skin) if np.size(self.shapes) else none
         object.__setattr__(self, "shapes", np.asarray(shapes, dtype=np.float64))
 
     @property
@@ -82,35 +99,74 @@ class Face:
         """How scaled bones carry the neutral skin [mm], shape (n, 3)."""
         return carry_skin(self.head, self.on_wraps)
 
+    @cached_property
+    def swing(self) -> Swing:
+        """How its skin swings: loose where the head has flesh far from bone, by p's frequency and damping there."""
+        # Weights of skin off the wrap's triangles reach a little beyond their corners.
+        shares = np.clip(self.head.skin_from_wrap @ measure_looseness(self.head), 0.0, 1.0)
+        oscillation = np.stack([self.at_vertices(name) for name in OSCILLATION])
+        return Swing.from_shares(shares, find_pivot(self.head), oscillation)
+
     def settled(self, law: FaceLaw = PD_ENERGY) -> SettledFace:
-        """Return the neutral face settled by a law, once for each."""
+        """Return how the neutral face settles by a law, once for each."""
         if law not in self._settled:
             self._settled[law] = settle(
-                self.head, self.on_wraps, law=law, on_iteration=self.on_iteration, **TARGET_OPTIONS
+                self.head, self.on_wraps, law=law, on_iteration=self.on_iteration, **self.settling, **self.choices
             )
         return self._settled[law]
 
+    def settled_as(self, settled: SettledFace) -> Face:
+        """Return the same face, which has settled by a law as this says."""
+        face = replace(self)
+        face._settled[settled.law] = settled
+        return face
+
     def scene(self, weights: Floats | Floats32, law: FaceLaw = PD_ENERGY) -> Scene:
         """Return the scene of an expression under a law, on the neutral face that this law has settled."""
-        return self.settled(law).scene(self.blend(weights))
+        return self.expression_scene(self.blend(weights), law)
+
+    def expression_scene(self, expression: Floats, law: FaceLaw = PD_ENERGY) -> Scene:
+        """Return the same of an expression that is given by the head's skin [mm] without p, shape (n, 3).
+
+        Raises what `facial_scene` and `apply_law` raise.
+        """
+        settled = self.settled(law)
+        targets = settled.targets(check_targets(self.head, expression))
+        choices = {"neutral": settled.skin, **self.choices}
+        return apply_law(facial_scene(self.head, self.on_wraps, targets, **choices), law)
+
+    def neutral_scene(self, law: FaceLaw = PD_ENERGY) -> Scene:
+        """Return the scene without an expression."""
+        return self.expression_scene(self.head.skin.vertices, law)
 
     def skin_after(self, weights: Floats | Floats32, positions: Floats, law: FaceLaw = PD_ENERGY) -> Floats:
         """Return the skin [mm], shape (n, 3), of an expression and the positions of its scene."""
-        return self.settled(law).skin_after(self.blend(weights), positions)
+        return self.expression_skin(self.blend(weights), positions, law)
+
+    def expression_skin(self, expression: Floats, positions: Floats, law: FaceLaw = PD_ENERGY) -> Floats:
+        """Return the same of an expression that is given by the head's skin [mm] without p, shape (n, 3)."""
+        settled = self.settled(law)
+        goal = settled.targets(check_targets(self.head, expression, "expression"))
+        if self.activation is not None:
+            goal = settled.skin + self.activation * (goal - settled.skin)
+        return self.head.skin_after(goal, positions[: len(self.head.bone)])
+
+    @cached_property
+    def activation(self) -> Floats | None:
+        """See `palsy.skin_activation`."""
+        return palsy.skin_activation(self.head, self.on_wraps)
 
     @cached_property
     def _rested(self) -> Rested:
         settled = self.settled()
         if not settled.converged:
             raise InputError(f"the face does not settle under these parameters ({settled.reason})")
-        return rest_among_targets(settled, QUICK_ACCURACY, self.on_iteration)
+        return rest_among_targets(self.neutral_scene(), settled.positions, self.accuracy, self.on_iteration)
 
     @cached_property
     def derivatives(self) -> FaceDerivatives:
-        """The settled face, prepared, with its neutral answer and the factored Hessian there."""
-        return differentiate(
-            self.settled(), accuracy=QUICK_ACCURACY, like=self.like, rested=self._rested, on_iteration=self.on_iteration
-        )
+        """The neutral scene, prepared, with its answer and the factored Hessian there."""
+        return differentiate(self._rested, accuracy=self.accuracy, like=self.like, on_iteration=self.on_iteration)
 
     @cached_property
     def offset(self) -> Floats:
@@ -118,7 +174,7 @@ class Face:
         settled, answer = self.settled(), self._rested.answer
         if not answer.converged:
             answer = self.derivatives.answer
-        rested = settled.skin_after(self.head.skin.vertices, answer.positions) - settled.skin
+        rested = self.expression_skin(self.head.skin.vertices, answer.positions) - settled.skin
         return rested + settled.displacement
 
     @cached_property
@@ -135,4 +191,5 @@ class Face:
     @cached_property
     def responses(self) -> Floats:
         """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
-        return self.derivatives.skin_by_shapes(self.shapes, self.first_order) - self.shapes
+        drawn = self.shapes if self.activation is None else self.activation * self.shapes
+        return carry_to_skin(self.head, self.first_order, drawn) - self.shapes

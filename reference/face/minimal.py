@@ -14,8 +14,7 @@ from ...lhm.base.mesh import Floats
 from ...lhm.head.head import LayeredHead
 from ..scene import Scene
 from ..solve import prepare
-from .parameters import Parameters
-from .settle import SettledFace, settle
+from .face import Face
 
 WITHIN = 0.1
 """[mm], below what one sees on a face."""
@@ -100,42 +99,25 @@ def solve_positions(scene: Scene, solver: str = "projective", tolerance: float =
     return solution.positions
 
 
-@dataclass(frozen=True, eq=False)
-class FacialModel:
-    """An expression `targets` [mm], shape (skin vertices, 3), of a face that first settles under p.
+def solve_skin(face: Face, expression: Floats) -> Floats:
+    """Solve for a face's skin [mm], shape (n, 3), in an expression of the head without p, of the same shape.
 
-    Both the settled neutral face and the expression take the choices of `facial_scene`, so a piece that is left out is
-    left out of both. `targets` are those of the head without p.
+    SoftdecaError where the neutral face or the expression does not come to rest.
     """
+    settled = face.settled()
+    if not settled.converged:
+        raise SoftdecaError(f"the neutral face: {settled.reason}")
+    return face.expression_skin(expression, solve_positions(face.expression_scene(expression)))
 
-    head: LayeredHead
-    parameters: Parameters
-    targets: Floats
-    choices: Mapping[str, Any] = field(default_factory=dict)
 
-    def settle(self) -> SettledFace:
-        """Settle the neutral face; raise SoftdecaError where it does not come to rest."""
-        face = settle(self.head, self.parameters, tolerance=TOLERANCE, **self.choices)
-        if not face.converged:
-            raise SoftdecaError(f"the neutral face: {face.reason}")
-        return face
+def choose(face: Face, **choices: Any) -> Face:
+    """Return a face with other choices of `facial_scene`."""
+    return replace(face, choices={**face.choices, **choices})
 
-    def scene(self) -> Scene:
-        """Build the expression's scene of the settled face."""
-        return self.settle().scene(self.targets)
 
-    def skin(self) -> Floats:
-        """Solve for the skin [mm], shape (skin vertices, 3)."""
-        face = self.settle()
-        return face.skin_after(self.targets, solve_positions(face.scene(self.targets)))
-
-    def choosing(self, **choices: Any) -> FacialModel:
-        """Copy the model with other choices."""
-        return replace(self, choices={**self.choices, **choices})
-
-    def with_parameters(self, **values: Any) -> FacialModel:
-        """Copy the model with other parameters."""
-        return replace(self, parameters=replace(self.parameters, **values))
+def change_parameters(face: Face, **values: Any) -> Face:
+    """Return a face with other parameters."""
+    return replace(face, parameters=replace(face.parameters, **values))
 
 
 def lower_face(head: LayeredHead) -> np.ndarray:
@@ -144,35 +126,37 @@ def lower_face(head: LayeredHead) -> np.ndarray:
     return head.regions["face"] & (height < height[head.regions["lids"]].min())
 
 
-def _without(part: str) -> Callable[[FacialModel], FacialModel]:
-    return lambda model: model.choosing(without=(*model.choices.get("without", ()), part))
+def _without(part: str) -> Callable[[Face], Face]:
+    return lambda face: choose(face, without=(*face.choices.get("without", ()), part))
 
 
-FACIAL_PIECES: Mapping[str, Callable[[FacialModel], FacialModel]] = {
+FACIAL_PIECES: Mapping[str, Callable[[Face], Face]] = {
     "muscle layer": _without("muscle"),
-    "softness of muscle in strain": lambda model: model.with_parameters(muscle_strain_ratio=1.0),
+    "softness of muscle in strain": lambda face: change_parameters(face, muscle_strain_ratio=1.0),
     "membrane of the skin": _without("skin"),
-    "tissue outside the face": lambda model: model.choosing(region="face"),
-    "tissue outside the lower face": lambda model: model.choosing(region=lower_face(model.head)),
-    "free rigid mandible": lambda model: model.choosing(bones="prescribed"),
-    "contact": lambda model: model.choosing(contact=()),
-    "gravity beyond the scan's": lambda model: model.with_parameters(
-        gravity=1.0, gravity_x=0.0, gravity_y=-1.0, gravity_z=0.0
+    "tissue outside the face": lambda face: choose(face, region="face"),
+    "tissue outside the lower face": lambda face: choose(face, region=lower_face(face.head)),
+    "free rigid mandible": lambda face: choose(face, bones="prescribed"),
+    "contact": lambda face: choose(face, contact=()),
+    "gravity beyond the scan's": lambda face: change_parameters(
+        face, gravity=1.0, gravity_x=0.0, gravity_y=-1.0, gravity_z=0.0
     ),
 }
 """What a facial scene may do without: its layers and terms, regions (others are carried along), motions of bone."""
 
 
-def smallest_facial_scene(model: FacialModel, *, within: float = WITHIN) -> Smallest:
-    """Leave in a facial scene as few of `FACIAL_PIECES` as keep its skin within so many mm of the whole one's.
+def smallest_facial_scene(face: Face, expression: Floats, *, within: float = WITHIN) -> Smallest:
+    """Leave in a face's scenes as few of `FACIAL_PIECES` as keep its skin within so many mm of the whole one's.
 
-    Regions are left out on heads that have them. Raises as `find_smallest`.
+    The face settles, and so do those with pieces less, before the expression, which is given by the head's skin [mm]
+    without p, shape (n, 3). Regions are left out on heads that have them. Raises as `find_smallest`.
     """
     pieces = dict(FACIAL_PIECES)
-    if "face" not in model.head.regions:
+    if "face" not in face.head.regions:
         del pieces["tissue outside the face"], pieces["tissue outside the lower face"]
-    if not model.choices.get("contact"):
+    if not face.choices.get("contact"):
         del pieces["contact"]
-    if not np.any(model.parameters.added_gravity):
+    if not np.any(face.parameters.added_gravity):
         del pieces["gravity beyond the scan's"]
-    return find_smallest(model, pieces, FacialModel.skin, within=within)
+    whole = replace(face, settling={"tolerance": TOLERANCE})
+    return find_smallest(whole, pieces, lambda model: solve_skin(model, expression), within=within)

@@ -26,8 +26,7 @@ from ..solve import Prepared, prepare
 from ..terms import Contact, Target
 from .bones import carry_wraps
 from .dynamics import Recurrence, base_lag, check_rotation, check_turns, find_pivot
-from .parameters import Parameters
-from .settle import SettledFace
+from .face import Face
 from .tissue import Stack
 
 TOLERANCE = 2.5e-5
@@ -67,23 +66,23 @@ class _LastFrame:
 
 
 class Sequence:
-    """Simulates a head's expressions in their order, `time_step` [s] apart; `frame` is called for each.
+    """Simulates a face's expressions in their order, `time_step` [s] apart; `frame` is called for each.
 
+    Expressions are those of the head without p; the first frame starts from the face as it has settled under p.
     In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
     has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping where it is loose flesh (see `inertia`);
     bones that are prescribed stay so. A `base` that turns about `pivot` (see `base`) shakes what is loose; expressions
     and answers are in the head's own frame.
     `tolerance` is the gradient norm relative to that of springs of statics each 1 mm long: unlike one
     relative to a frame's own start it asks the same of every frame.
-    `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
-    time step at which the frequency cannot be followed. `from_face` makes one whose neutral face has settled under p.
+    `options` go to `prepare` of the solver. Raises what that, settling and `facial_scene` raise, and InputError for a
+    time step at which the frequency cannot be followed.
     """
 
     @check_arguments
     def __init__(
         self,
-        head: LayeredHead,
-        parameters: Parameters,
+        face: Face,
         *,
         time_step: float = 1.0 / 60.0,
         dynamic: bool = False,
@@ -91,33 +90,20 @@ class Sequence:
         max_iterations: int | None = None,
         solver: str = "projective",
         options: Mapping[str, Any] | None = None,
-        **choices: Any,
     ):
         if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
             raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
-        self.head, self.parameters, self.time_step = head, parameters, float(time_step)
-        self.recurrence = Recurrence.from_head(head, parameters, time_step) if dynamic else None
+        self.face, self.head, self.time_step = face, face.head, float(time_step)
+        self.recurrence = Recurrence.from_head(face.head, face.on_wraps, time_step) if dynamic else None
         self.state: State | None = None
         self._tolerance, self._limit = tolerance, max_iterations
-        self._solver, self._options, self._choices = solver, dict(options or {}), choices
-        self._stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+        self._solver, self._options = solver, dict(options or {})
+        self._stack = Stack.from_head(face.head, face.choices.get("layers", (1, 1)), face.choices.get("without", ()))
         self._prepared: dict[bool, Prepared] = {}
-        self._neutral = SettledFace(head, parameters, self._stack.vertices, np.zeros_like(head.skin.vertices))
-        self._pivot = find_pivot(head)
+        self._pivot = find_pivot(face.head)
         self._spring_norm = 0.0
         self._last_frame: _LastFrame | None = None
         self._tangent: Tangent | None = None
-
-    @classmethod
-    @check_arguments
-    def from_face(cls, neutral: SettledFace, **options: Any) -> Sequence:
-        """Begin frames of a face settled under its p: expressions stay those of the head without p.
-
-        `options` are a sequence's, `choices` among them over those of `neutral`; the first frame starts from its tets.
-        """
-        sequence = cls(neutral.head, neutral.parameters, **neutral.choices | options)
-        sequence._neutral = neutral
-        return sequence
 
     @check_arguments
     def begin(self, targets: Floats, *, velocity: Floats | None = None, base: Floats | None = None) -> Solution:
@@ -190,10 +176,10 @@ class Sequence:
         if not isinstance(prepared, ProjectivePrepared) or frame.scene.of(Contact):
             return None
         if self._tangent is None:
-            scene = self._neutral.scene(self.head.skin.vertices, **self._choices)
+            scene = self.face.neutral_scene()
             springs = replace(_target(scene), stiffness=_target(frame.scene).stiffness)
             scene = replace(scene, terms=tuple(springs if term is _target(scene) else term for term in scene.terms))
-            self._tangent = prepared.tangent(replace(frame.solution, positions=self._neutral.positions), scene)
+            self._tangent = prepared.tangent(replace(frame.solution, positions=self.face.settled().positions), scene)
         wrap = slice(len(self.head.bone))
         left, is_near = prepared.estimate_left(frame.solution.positions, self._tangent, wrap, frame.scene)
         return self.head.skin_from_wrap @ left[wrap], is_near
@@ -206,10 +192,10 @@ class Sequence:
     @check_arguments
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
-        return self._neutral.skin_after(targets, solution.positions)
+        return self.face.expression_skin(targets, solution.positions)
 
     def _solve(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
-        scene = self._neutral.scene(targets, **self._choices)
+        scene = self.face.expression_scene(targets)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         self._spring_norm = float(np.linalg.norm(springs))
@@ -260,10 +246,11 @@ class Sequence:
 
     def _last(self) -> State | None:
         """What the next frame starts from: the last, or the neutral face settled under p."""
-        if self.state is not None or not self._neutral.displacement.any():
+        settled = self.face.settled()
+        if self.state is not None or not settled.displacement.any():
             return self.state
-        positions, n = self._neutral.positions, len(self.head.bone)
-        return State(positions, self.head.wrap_targets(self._neutral.skin), positions[:n])
+        positions, n = settled.positions, len(self.head.bone)
+        return State(positions, self.head.wrap_targets(settled.skin), positions[:n])
 
     def _beyond(self, positions: Floats, sought: Floats) -> Floats:
         """How far [mm] the wraps' vertices are from where the expression alone takes them."""
@@ -272,8 +259,8 @@ class Sequence:
 
     def _carry(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
-        rest = self.head.wrap_targets(self._neutral.skin)
-        return self._stack.interpolate(*carry_wraps(self.head, self.parameters, rest, wrap_targets))
+        rest = self.head.wrap_targets(self.face.settled().skin)
+        return self._stack.interpolate(*carry_wraps(self.head, self.face.on_wraps, rest, wrap_targets))
 
 
 def _target(scene: Scene) -> Target:

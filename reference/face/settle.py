@@ -11,8 +11,7 @@ hold one law's settled face hide most of what the other law changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,8 +28,7 @@ from ..scene import Scene
 from ..solution import OnIteration, Reason, Solution
 from ..solve import prepare
 from .bones import scale_skull
-from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
-from .palsy import skin_activation
+from .facial import PD_ENERGY, FaceLaw, apply_law, facial_scene
 from .parameters import Parameters
 from .tissue import Stack
 
@@ -46,26 +44,23 @@ GROWING = ("soft_volume", "muscle_volume", "skin_growth")
 
 @dataclass(frozen=True, eq=False)
 class SettledFace:
-    """A head's neutral face at rest under p.
+    """Where a head's neutral face comes to rest under p.
 
-    positions (scene's vertices, 3) [mm]: where the tets come to rest; displacement (skin vertices, 3) [mm]: by how much
-    the neutral skin moved. `solution` is None where p leaves the neutral face as it is. `choices` are those of
-    `facial_scene`, less the bones, which hang free in the expressions' scenes unless these say otherwise. `law` is the
-    one by which it settled, and by which `scene` moves it.
+    positions (scene's vertices, 3) [mm]: of the tets; neutral (skin vertices, 3) [mm]: the skin without p, which has
+    moved by `displacement`, of the same shape. `solution` is None where p leaves the neutral face as it is. `law` is
+    the one by which it settled.
     """
 
-    head: LayeredHead
-    parameters: Parameters
     positions: Floats
+    neutral: Floats
     displacement: Floats
     solution: Solution | None = None
-    choices: dict[str, Any] = field(default_factory=dict)
     law: FaceLaw = PD_ENERGY
 
     @property
     def skin(self) -> Floats:
         """The neutral skin [mm] under p, shape (skin vertices, 3)."""
-        return self.head.skin.vertices + self.displacement
+        return self.neutral + self.displacement
 
     @property
     def converged(self) -> bool:
@@ -80,27 +75,6 @@ class SettledFace:
     def targets(self, expression: Floats) -> Floats:
         """Return the skin's targets [mm] for an expression of the head without p, both (..., skin vertices, 3)."""
         return expression + self.displacement
-
-    @cached_property
-    def activation(self) -> Floats | None:
-        """See `palsy.skin_activation`."""
-        return skin_activation(self.head, self.parameters)
-
-    def skin_after(self, expression: Floats, positions: Floats) -> Floats:
-        """Return the skin [mm], shape (skin vertices, 3), of an expression and the positions of its scene."""
-        goal = self.targets(check_targets(self.head, expression, "expression"))
-        if self.activation is not None:
-            goal = self.skin + self.activation * (goal - self.skin)
-        return self.head.skin_after(goal, positions[: len(self.head.bone)])
-
-    def scene(self, expression: Floats, **choices: Any) -> Scene:
-        """Return the scene of an expression [mm], shape (skin vertices, 3), of the settled face under its law.
-
-        See `facial_scene` and `apply_law`.
-        """
-        choices = {"neutral": self.skin} | self.choices | choices
-        targets = self.targets(check_targets(self.head, expression))
-        return apply_law(facial_scene(self.head, self.parameters, targets, **choices), self.law)
 
 
 @check_arguments
@@ -117,6 +91,7 @@ def settle(
 ) -> SettledFace:
     """Settle the neutral face under p by a law; solve only where p changes it.
 
+    `Face.scene` has the expressions of a face that has settled.
     `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
     Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
     another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
@@ -132,7 +107,7 @@ def settle(
     stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
         kept = apply_law(facial_scene(head, parameters, head.skin.vertices, **choices), law)
-        return SettledFace(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices, law)
+        return SettledFace(kept.vertices, head.skin.vertices, np.zeros_like(head.skin.vertices), law=law)
     scene = neutral_scene(head, parameters, **choices)
     start = np.array(scene.vertices)
     start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
@@ -142,7 +117,7 @@ def settle(
         start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
     )
     moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
-    return SettledFace(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
+    return SettledFace(solution.positions, head.skin.vertices, head.skin_from_wrap @ moved, solution, law)
 
 
 def _start_of_law(scene: Scene, start: Floats) -> Floats:

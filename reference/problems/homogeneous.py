@@ -382,10 +382,6 @@ ALL, NEWTON, MIXED = ("projective", "fenicsx", "skfem"), ("fenicsx", "skfem"), (
 ROWS: tuple[tuple[Row, tuple[str, ...], tuple[str, ...]], ...] = (
     (STRAIN_ROWS[3], ALL, ("P1", "P2")),
     (NEO_HOOKEAN_ROWS[1], NEWTON, MIXED),
-    (corotated(1.5, 1), NEWTON, ("P1", "P2")),
-    (kirchhoff(1.2), NEWTON, MIXED),
-    *((row, NEWTON, MIXED) for row in SOLVED_ROWS if row.loaded == 1 and row.stretch == 2.0),
-    (FIBRE_ROWS[0], ("fenicsx",), MIXED),
 )
 
 

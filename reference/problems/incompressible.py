@@ -1,4 +1,4 @@
-"""Incompressible bodies with closed forms: a thick sphere under pressure, a bent block, a twisted cylinder, a cube.
+"""Incompressible bodies with closed forms: a thick sphere under pressure, a bent block, a cube.
 
 Sphere (V9), an eighth of it by symmetry: P = mu (2/b + 1/(2 b⁴) - 2/a - 1/(2 a⁴)), a and b the stretches of the inner
 and the outer surface, which volume ties (Ogden 1984, "Non-linear Elastic Deformations", Section 5.3.2). P has a
@@ -8,11 +8,6 @@ Block, bent to a sector of a tube in plane strain (Rivlin 1949): a section at he
 radius r = √(2 a X + b): stretches r/a along and a/r across, so volume is kept. Without tractions on the curved faces
 their radii multiply to a², which gives b. The energy is the same for all laws of the invariants' sum C10 + C01, as
 I1 = I2 in plane strain.
-
-Cylinder, twisted and stretched (Rivlin 1949): by a turn of p per length and a stretch l, R goes to R/√l and I1 to
-l² + 2/l + p² R²/l, I2 to 2 l + 1/l² + p² R²/l². The derivative of the energy by the turn is the torque, and by the
-stretch the axial force: Poynting's effect, for at l = 1 it is a thrust, which vanishes for the neo-Hookean law where
-l³ = 1 + p² A²/4.
 
 H14, loads that no stable equilibrium bears; the answer is "limit point", not "diverged". Rivlin's cube: an
 incompressible neo-Hookean cube under the same dead traction t along every face's normal keeps its shape as an
@@ -33,7 +28,7 @@ from ..solution import Reason, Solution
 from ..terms import Fixed, Hyperelastic, Pressure, Traction
 from .homogeneous import rollers
 from .meshes import block, boundary_triangles, box, positive, triangles_at, vertices_at
-from .problem import Attempt, HardCase, Problem, energy, mixed_problem
+from .problem import Attempt, HardCase, Problem, mixed_problem
 
 SPHERE_SOURCE = "closed form: Ogden 1984, Section 5.3.2"
 INNER, OUTER = 1.0, 2.0
@@ -195,70 +190,6 @@ BENT = (*_bent(4, (3e-3, 1e-2)), *_bent(6, (1e-3, 5e-3)))
 FINE_BENT = _bent(10, (1e-3, 1e-3))
 
 
-TORSION_SOURCE = "closed form: Rivlin 1949, Large elastic deformations of isotropic materials VI"
-CYLINDER_LENGTH, TURN = 1.0, 1.0
-POYNTING = (1.0 + TURN**2 / 4) ** (1 / 3)
-"""The stretch without axial force of a neo-Hookean cylinder of radius 1 mm."""
-CYLINDER_LAWS = {"neo-Hookean": (0.5, 0.0), "Mooney-Rivlin": (0.2, 0.3)}
-"""C10 and C01 [kPa]; the shear modulus is 1 kPa."""
-
-
-def cylinder(cells: int) -> tuple[Floats, Ints]:
-    """A cylinder along z [mm] of a square's (2 cells)² cells; its polygon has the polar moment of radius 1."""
-    X, tets = box((2 * cells, 2 * cells, cells), (2.0, 2.0, CYLINDER_LENGTH))
-    flat = X[:, :2] - 1.0
-    radius = np.maximum(np.abs(flat).max(axis=1, keepdims=True), 1e-300)
-    flat = np.tan(np.pi / 4 * flat / radius)  # even angles along the sides
-    flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300) * radius
-    side = np.pi / (4 * cells)  # the angle that one sees, and its triangle's share of the sector's polar moment
-    share = np.sin(side) * (2 + np.cos(side)) / (3 * side)
-    X = np.column_stack([flat * share**-0.25, X[:, 2]])
-    return X, positive(X, tets)
-
-
-def twist(X: Floats, stretch: float) -> Floats:
-    """Where places X [mm] of the cylinder go, shape (n, 3)."""
-    angle = TURN * X[:, 2]
-    x, y = X[:, 0] / np.sqrt(stretch), X[:, 1] / np.sqrt(stretch)
-    c, s = np.cos(angle), np.sin(angle)
-    return np.column_stack([c * x - s * y, s * x + c * y, stretch * X[:, 2]])
-
-
-def twisting_energy(C10: float, C01: float, stretch: float) -> float:
-    """The energy [µJ]: area and polar moment of the unit circle times the density's two parts."""
-    s = stretch
-    area = C10 * (s**2 + 2 / s - 3) + C01 * (2 * s + s**-2 - 3)
-    moment = TURN**2 * (C10 / s + C01 / s**2)
-    return CYLINDER_LENGTH * (np.pi * area + np.pi / 2 * moment)
-
-
-def twisted_cylinder(C10: float, C01: float, stretch: float, cells: int) -> Scene:
-    """The cylinder with its ends held where they turn and stretch to."""
-    law = MooneyRivlin(C10, C01) if C01 else NeoHookean(2 * C10, 2 * C10)
-    X, tets = cylinder(cells)
-    ends = np.concatenate([vertices_at(X, 2, height) for height in (0.0, CYLINDER_LENGTH)])
-    return Scene(X, tets, (Hyperelastic(Incompressible(law)), Fixed(ends, twist(X, stretch)[ends])))
-
-
-def _list_twists(cells: int, bound: float) -> tuple[Problem, ...]:
-    return tuple(
-        mixed_problem(
-            f"twisted cylinder, {label}, stretch {stretch:.3f}, P2P1, {cells} cells: energy",
-            TORSION_SOURCE,
-            partial(twisted_cylinder, *moduli, stretch, cells),
-            energy,
-            twisting_energy(*moduli, stretch),
-            {"fenicsx": bound},
-        )
-        for label, moduli in CYLINDER_LAWS.items()
-        for stretch in (1.0, POYNTING)
-    )
-
-
-TWISTED = (*_list_twists(2, 1e-2), *_list_twists(3, 5e-3))
-FINE_TWISTED = _list_twists(4, 3e-3)
-
-
 SHEAR, BULK = 1.0, 1e3
 BEYOND, BELOW = 2.2, 1.8
 """Tractions over the shear modulus."""
@@ -336,5 +267,5 @@ CASES = (
     ),
 )
 
-PROBLEMS = (*SPHERES, *BENT, *TWISTED)
-FINE = (*FINE_SPHERES, *FINE_BENT, *FINE_TWISTED)
+PROBLEMS = (*SPHERES, *BENT)
+FINE = (*FINE_SPHERES, *FINE_BENT)

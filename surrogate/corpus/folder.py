@@ -18,20 +18,18 @@ import numpy as np
 
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.resumable import check_manifest, lock_folder
+from ...lhm.base.files.resumable import lock_folder
 from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.sequence import Velocities
-from .intact import check_intact, check_shard, read_intact
-from .manifest import MANIFEST, Manifest, read_manifest, read_template, write_template
-from .mixture import NAMES
+from .intact import check_shard
+from .manifest import MANIFEST, OWNER, describe_corpus, read_manifest, read_template, write_template
 from .people import People
 from .plan import CorpusPlan
 from .schedule import Schedule, run_items
 from .sequences import load_velocities
-from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
-from .simulate import GENERATOR, simulate_person
-from .surface_hash import surface_hash
+from .shard import ACCEPTED, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
+from .simulate import simulate_person
 
 SERIAL = Schedule()
 OWN = ("person-*", "corpus", "template", "velocities", "README", "figures", "croissant")
@@ -77,61 +75,109 @@ class CorpusStatus:
         return 1.0 - accepted / asked if asked else 0.0
 
 
-class Corpus:
-    """A corpus of one plan and of some people, in a folder.
+Key = tuple[str, str, int, int, int, int]
+"""Path, corpus, person; and inode, size and time of change of the file."""
+_intact: set[Key] = set()
+"""The shards that this process has checked."""
 
-    `made_with`: what the folder notes of how to make `people` again. Raises InputError if the folder holds a corpus of
-    another plan, template or generator.
+
+@dataclass(frozen=True, eq=False)
+class Corpus:
+    """A corpus of one plan and of some people, in a folder; `said`: what its corpus.json says, or will say.
+
+    Of a corpus that was opened nobody has looked at the recordings of `plan`, and who its `people` are is not known:
+    `generate` is for those of `from_plan`.
     """
 
-    def __init__(
-        self,
+    folder: Path
+    plan: CorpusPlan
+    said: Mapping[str, Any]
+    people: People | None = None
+
+    @classmethod
+    def from_plan(
+        cls,
         folder: str | PathLike[str],
         plan: CorpusPlan,
         people: People,
         made_with: Mapping[str, Any] = MappingProxyType({}),
-    ):
-        self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
-        self._run: Velocities | None = None
-        self._named = describe_simulation(plan, people) | {"format": FORMAT}
-        if (self.folder / MANIFEST).exists():
-            self._check_plan(read_manifest(self.folder))
-            check_manifest(self.folder / MANIFEST, "corpus", self._named)
+    ) -> Corpus:
+        """Begin a corpus of a plan in a folder, or go on with the one that lies there.
+
+        made_with: what a command needs to make the people again. Raises InputError if the folder holds a corpus of
+        another plan, people, template, generator or format.
+        """
+        corpus = cls(Path(folder), plan, describe_corpus(plan, people, made_with), people)
+        if (corpus.folder / MANIFEST).exists():
+            corpus._check_same(cls.open(folder))
+        return corpus
+
+    @classmethod
+    def open(cls, folder: str | PathLike[str]) -> Corpus:
+        """Open what lies in a folder. InputError for one that is no corpus, or whose corpus.json is damaged."""
+        said, plan = read_manifest(Path(folder))
+        return cls(Path(folder), plan, said)
+
+    def _check_same(self, kept: Corpus) -> None:
+        """Raise InputError, naming each field of the plan that differs, where the folder's corpus is another."""
+        if kept.said["plan"] != self.said["plan"]:
+            differing = [
+                f"{item.name} {quote(getattr(kept.plan, item.name))}, expected {quote(getattr(self.plan, item.name))}"
+                for item in fields(CorpusPlan)
+                if item.name != "takes" and getattr(kept.plan, item.name) != getattr(self.plan, item.name)
+            ]
+            what = "; ".join(differing) or "its recordings are others"
+            raise InputError(f"{self.folder}: holds a corpus of another plan ({what}); use another folder or remove it")
+        for name in OWNER:
+            if kept.said[name] != self.said[name]:
+                raise InputError(
+                    f"{self.folder}: holds a corpus of another {name} ({kept.said[name]}, expected {self.said[name]}); "
+                    "use another folder or remove it"
+                )
 
     @cached_property
-    def manifest(self) -> Manifest:
-        """What the folder's corpus.json says, or will say."""
-        said = self._named | {
-            "parameters": list(NAMES),
-            "code_size": self.people.code_size,
-            "content": json.loads(self.plan.to_json()),
-            "tested": self.plan.tested,
-            "pools": self.plan.pools,
-            "takes": str(Path(self.plan.takes).resolve()) if self.plan.takes else "",
-            "made_with": self._made_with,
-        }
-        return Manifest(self.folder, said, self.plan, self._made_with)
+    def mean(self) -> Surface:
+        """The mean neutral skin [mm] of its people; InputError where template.npz is missing, damaged or another."""
+        return read_template(self.folder, self.said["template"]) if self.people is None else self.people.mean
 
-    def _check_plan(self, kept: Manifest) -> None:
-        """Raise InputError, naming each field that differs, where the folder's corpus is of another plan."""
-        if kept.said["plan"] == self.plan.digest:
-            return
-        differing = [
-            f"{item.name} {quote(getattr(kept.counts, item.name))}, expected {quote(getattr(self.plan, item.name))}"
-            for item in fields(CorpusPlan)
-            if item.name != "takes" and getattr(kept.counts, item.name) != getattr(self.plan, item.name)
-        ]
-        what = "; ".join(differing) or "its recordings are others"
-        raise InputError(f"{self.folder}: holds a corpus of another plan ({what}); use another folder or remove it")
+    @property
+    def space(self) -> str:
+        """The name of the people's space."""
+        return str(self.said["people"])
+
+    @property
+    def made_with(self) -> Mapping[str, Any]:
+        """What a command needs to make the people again, empty for a corpus made from Python."""
+        return self.said.get("made_with", {})
+
+    @property
+    def known_people(self) -> tuple[str, int]:
+        """The people by name and their template's level; InputError where no command knows them."""
+        identities, level = self.made_with.get("identities"), self.made_with.get("level")
+        if not (isinstance(identities, str) and level in (1, 2, 3)):
+            raise InputError(f"corpus {self.folder}: it was made from Python, of people that no command knows by name")
+        return identities, level
+
+    def find_plan(self) -> CorpusPlan:
+        """Return the plan with its recordings; InputError for other recordings, and people that no command knows."""
+        _ = self.known_people
+        takes = self.said.get("takes", "")
+        plan = replace(self.plan, takes=takes)
+        if plan.digest != self.said["plan"]:
+            raise InputError(
+                f"corpus {self.folder}: its recordings are not what they were (takes in {takes or 'none'}); make "
+                "another one"
+            )
+        return plan
 
     @property
     def owner(self) -> str:
         """What each shard names as its corpus."""
-        return self.manifest.owner
+        return "-".join(str(self.said[name]) for name in OWNER)
 
     def shard_path(self, identity: int) -> Path:
         """Return the place of a person's shard."""
-        return self.manifest.shard_path(identity)
+        return self.folder / f"person-{identity:05d}.h5"
 
     def people_there(self) -> list[int]:
         """List the numbers of people whose shards are there, usable or not."""
@@ -149,7 +195,7 @@ class Corpus:
             pending = [k for k in self._order() if not self.is_whole(k)]
             self._write_manifest()
             if self.plan.sequences and pending:
-                self._velocities(on_progress)
+                load_velocities(self.folder, self.plan, self._simulated, on_progress=on_progress)
             rate = _Rate(self.plan, len(pending), on_progress)
             for seconds in run_items(self.make, pending, on=on, name="corpus"):
                 rate.add(seconds)
@@ -162,11 +208,11 @@ class Corpus:
     def _check_kept(self) -> None:
         """Raise InputError where corpus.json or template.npz is not what was written when the generation began."""
         try:
-            read_template(self.folder)
-            is_kept = read_manifest(self.folder).said == json.loads(json.dumps(self.manifest.said))
+            kept = Corpus.open(self.folder)
+            _ = kept.mean
         except InputError as error:
             raise InputError(f"{error}; it changed while the corpus was made, run again") from None
-        if not is_kept:
+        if kept.said != json.loads(json.dumps(self.said)):
             raise InputError(f"{self.folder / MANIFEST}: it changed while the corpus was made; run again")
 
     def _describe_removal(self, done: int) -> InputError:
@@ -191,22 +237,27 @@ class Corpus:
         if not (self.folder / MANIFEST).exists():
             raise self._describe_removal(len(self.people_there()))
         begin = time.process_time()
-        velocities = self._velocities() if self.plan.sequences else None
-        shard = simulate_person(self.plan, self.people, identity, velocities)
+        shard = simulate_person(self.plan, self._simulated, identity, self._velocities if self.plan.sequences else None)
         try:
-            check_shard(shard, self.manifest, self.people.mean, identity)
+            self._check_numbers(shard, identity)
         except InputError as error:
             raise InputError(f"person {identity}: {error}") from None
         write_shard(self.shard_path(identity), shard, self.owner)
         return time.process_time() - begin
 
-    def _velocities(self, on_progress: OnProgress = silent) -> Velocities:
-        if self._run is None:
-            self._run = load_velocities(self.folder, self.plan, self.people, on_progress=on_progress)
-        return self._run
+    @property
+    def _simulated(self) -> People:
+        if self.people is None:
+            raise InputError(f"corpus {self.folder}: it was opened to be read; `Corpus.from_plan` goes on with it")
+        return self.people
+
+    @cached_property
+    def _velocities(self) -> Velocities:
+        return load_velocities(self.folder, self.plan, self._simulated)
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_run": None}
+        """Pickle the fields alone; another process reads the rest again."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def is_whole(self, identity: int) -> bool:
         """Whether a person's shard is there, whole, and of this corpus."""
@@ -217,16 +268,98 @@ class Corpus:
         return True
 
     def shard(self, identity: int) -> Shard:
-        """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
-        return read_intact(self.manifest, self.people.mean, identity)
+        """Read one person's shard; InputError, naming file and array, if it is missing, damaged, or of another."""
+        key, path = self._key(identity), self.shard_path(identity)
+        shard = read_shard(path, self.owner)
+        try:
+            self._check_numbers(shard, identity)
+        except InputError as error:
+            raise InputError(f"shard {path}: {error}; `softdeca corpus generate` makes it anew") from None
+        if key is not None:
+            _intact.add(key)
+        return shard
+
+    def check(self, identity: int) -> None:
+        """Check one person's shard as `shard` does, once per process and file: some 2 ms a megabyte."""
+        key = self._key(identity)
+        if key is None or key not in _intact:
+            self.shard(identity)
+
+    def _check_numbers(self, shard: Shard, identity: int) -> None:
+        split = self.plan.split(identity)
+        pool = {name for names in self.said["pools"][split].values() for name in names}
+        frames = {name: each[1] for name, each in self.said["content"]["recordings"].items() if name in pool}
+        code_size = self.said.get("code_size")  # format 2 does not say it
+        check_shard(shard, self.plan, identity, mean=self.mean, code_size=code_size, recordings=frames)
+
+    def _key(self, identity: int) -> Key | None:
+        path = self.shard_path(identity)
+        try:
+            state = path.stat()
+        except OSError:
+            return None
+        return str(path.resolve()), self.owner, identity, state.st_ino, state.st_size, state.st_mtime_ns
 
     def status(self, *, on_progress: OnProgress = silent) -> CorpusStatus:
-        """Count what is there: see `read_status`."""
-        return read_status(self.manifest, self.people.mean, on_progress=on_progress)
+        """Count what is there, and list what was rejected or is damaged. Shards are read whole, once per process."""
+        _ = self.mean  # a damaged template is no shard's damage
+        tables = ("groups", "statics", "sequences", "references")
+        asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
+        rejected, damaged, done, size = [], [], 0, 0
+        versions: dict[str, int] = {}
+        timed: list[dict[str, float]] = []
+        names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
+        for identity in range(self.plan.identities):
+            path = self.shard_path(identity)
+            if not path.exists():
+                continue
+            try:
+                self.check(identity)
+                arrays, label, spent = read_arrays_of(path, self.owner, *names), read_label(path), read_seconds(path)
+            except InputError as error:
+                damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
+                continue
+            done, size = done + 1, size + path.stat().st_size
+            versions[label.version] = versions.get(label.version, 0) + 1
+            timed.append(spent)
+            on_progress("check", (identity + 1) / self.plan.identities)
+            for table in tables:
+                status = arrays[f"{table}/status"]
+                each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
+                good = status == ACCEPTED.encode()
+                asked[table] += each * len(status)
+                accepted[table] += each * int(good.sum())
+                rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
+            asked["responses"] += len(arrays["responses/group"])
+            accepted["responses"] += len(arrays["responses/group"])
+        return CorpusStatus(
+            self.plan.identities,
+            done,
+            asked,
+            accepted,
+            tuple(rejected),
+            tuple(damaged),
+            versions,
+            sum_seconds(timed),
+            size,
+        )
+
+    def verify(self, *, on_progress: OnProgress = silent) -> int:
+        """Read every shard whole, and return how many there are.
+
+        InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged,
+        or the template.
+        """
+        people = self.plan.identities
+        for identity in range(people):
+            self.shard(identity)
+            read_seconds(self.shard_path(identity))
+            on_progress("verify", (identity + 1) / people)
+        return people
 
     def _write_manifest(self):
-        write_template(self.folder, self.people.mean)
-        write_whole(self.folder / MANIFEST, json.dumps(self.manifest.said, indent=1).encode())
+        write_template(self.folder, self.mean)
+        write_whole(self.folder / MANIFEST, json.dumps(self.said, indent=1).encode())
 
 
 def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -234,80 +367,6 @@ def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     if not all(timed):
         return {}
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
-
-
-def read_status(manifest: Manifest, mean: Surface, *, on_progress: OnProgress = silent) -> CorpusStatus:
-    """Count what is there, and list what was rejected or is damaged, in a corpus with this mean skin.
-
-    Every shard is read whole, once per process; see `intact`.
-    """
-    plan, owner = manifest.counts, manifest.owner
-    tables = ("groups", "statics", "sequences", "references")
-    asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
-    rejected, damaged, done, size = [], [], 0, 0
-    versions: dict[str, int] = {}
-    timed: list[dict[str, float]] = []
-    names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
-    for identity in range(plan.identities):
-        path = manifest.shard_path(identity)
-        if not path.exists():
-            continue
-        try:
-            check_intact(manifest, mean, identity)
-            arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
-        except InputError as error:
-            damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
-            continue
-        done, size = done + 1, size + path.stat().st_size
-        versions[label.version] = versions.get(label.version, 0) + 1
-        timed.append(spent)
-        on_progress("check", (identity + 1) / plan.identities)
-        for table in tables:
-            status = arrays[f"{table}/status"]
-            each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
-            good = status == ACCEPTED.encode()
-            asked[table] += each * len(status)
-            accepted[table] += each * int(good.sum())
-            rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
-        asked["responses"] += len(arrays["responses/group"])
-        accepted["responses"] += len(arrays["responses/group"])
-    return CorpusStatus(
-        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, sum_seconds(timed), size
-    )
-
-
-def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
-    """Read every shard of a corpus whole, and return how many there are.
-
-    InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged, or
-    the template; see `intact`.
-    """
-    manifest, mean = read_manifest(folder), read_template(folder)
-    people = manifest.counts.identities
-    for identity in range(people):
-        read_intact(manifest, mean, identity)
-        read_seconds(manifest.shard_path(identity))
-        on_progress("verify", (identity + 1) / people)
-    return people
-
-
-def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
-    """Name what decides simulated frames: plan, people, template and generator."""
-    template = f"{surface_hash(people.mean)}{people.digest}"
-    return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
-
-
-def read_kept_plan(folder: str | PathLike[str]) -> CorpusPlan:
-    """Return a corpus' plan from its folder; InputError for other recordings, and people that no command knows."""
-    manifest = read_manifest(folder)
-    _ = manifest.known_people
-    takes = manifest.said.get("takes", "")
-    plan = replace(manifest.counts, takes=takes)
-    if plan.digest != manifest.said["plan"]:
-        raise InputError(
-            f"corpus {folder}: its recordings are not what they were (takes in {takes or 'none'}); make another one"
-        )
-    return plan
 
 
 class _Rate:

@@ -11,7 +11,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.head.head import LayeredHead
 from .face import Person
-from .manifest import read_manifest
+from .folder import Corpus
 from .people import People, people_from_text
 
 
@@ -29,7 +29,7 @@ class Heads:
         """Fit the heads of a corpus' people, as its folder says how."""
 
         def make() -> People:
-            identities, level = read_manifest(folder).known_people
+            identities, level = Corpus.open(folder).known_people
             return people_from_text(identities, level=level, on_progress=on_progress)
 
         return cls(make)

@@ -1,12 +1,8 @@
-"""Shards that readers may trust: of their corpus and person, whole, and of numbers that a simulation can have.
-
-A shard is read once per process and file for this, some 2 ms a megabyte: later readers of the same file trust it.
-"""
+"""Shards that readers may trust: of their corpus' plan and of their person, with numbers that a simulation can have."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -14,13 +10,11 @@ from ...lhm.base.checks import in_range, indices_below, integers, one_of, shape
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Surface
 from ...lhm.head.skin import check_shapes
-from .manifest import Manifest
 from .mixture import NAMES
 from .plan import LENGTH, CorpusPlan
-from .shard import ACCEPTED, CODE, TABLES, VERTICES, Column, Groups, Sequences, Shard, columns_of, read_shard
+from .shard import ACCEPTED, TABLES, Column, Groups, Sequences, Shard, columns_of
 from .simulator import UNDIFFERENTIATED
 
-REMEDY = "`softdeca corpus generate` makes it anew"
 UNLIKE = 0.5
 """Most of the root mean square distance of a person's skin from the mean one, over the mean skin's from its middle."""
 ROUNDED = 1e-3
@@ -31,33 +25,6 @@ METRICS = 2
 """How often a static frame is solved at most, see `FaceSimulator.solve`."""
 ONCE = {"responses": ("group",), "parameter_responses": ("group", "name"), "references": ("static", "law")}
 """Columns whose rows differ from one another."""
-Key = tuple[str, str, int, int, int, int]
-"""Path, corpus, person; and inode, size and time of change of the file."""
-_intact: set[Key] = set()
-"""The files that this process has checked."""
-
-
-def check_intact(manifest: Manifest, mean: Surface, identity: int) -> None:
-    """Check a person's shard once per process: see `read_intact`."""
-    key = _key(manifest, identity)
-    if key is None or key not in _intact:
-        read_intact(manifest, mean, identity)
-
-
-def read_intact(manifest: Manifest, mean: Surface, identity: int) -> Shard:
-    """Read a person's shard of a corpus with this mean skin, and check it: checksum, corpus, person and `check_shard`.
-
-    Raises InputError naming the file and the array.
-    """
-    before, path = _key(manifest, identity), manifest.shard_path(identity)
-    shard = read_shard(path, manifest.owner)
-    try:
-        check_shard(shard, manifest, mean, identity)
-    except InputError as error:
-        raise InputError(f"shard {path}: {error}; {REMEDY}") from None
-    if before is not None:
-        _intact.add(before)
-    return shard
 
 
 def check_person(stored: np.ndarray, numbers: list[int]) -> None:
@@ -67,37 +34,35 @@ def check_person(stored: np.ndarray, numbers: list[int]) -> None:
         raise InputError(f"of another person, with parameter sets {kept[:3]}, expected {numbers[:3]}")
 
 
-def _key(manifest: Manifest, identity: int) -> Key | None:
-    path: Path = manifest.shard_path(identity)
-    try:
-        state = path.stat()
-    except OSError:
-        return None
-    return str(path.resolve()), manifest.owner, identity, state.st_ino, state.st_size, state.st_mtime_ns
-
-
-def check_shard(shard: Shard, manifest: Manifest, mean: Surface, identity: int) -> None:
+def check_shard(
+    shard: Shard,
+    plan: CorpusPlan,
+    identity: int,
+    *,
+    mean: Surface,
+    code_size: int | None,
+    recordings: Mapping[str, int],
+) -> None:
     """Check each column's kind, shape and range, and what columns have to do with one another.
 
-    Numbers of rows that are not accepted are not used, and not checked. InputError names the array.
+    mean: the corpus' mean skin. code_size: how many numbers a code has; None where nobody says. recordings: frames by
+    name of those in the person's split. Numbers of rows that are not accepted are not used, and not checked. InputError
+    names the array.
     """
-    plan = manifest.counts
     rows = {"persons": 1, "groups": plan.groups, "statics": plan.groups * plan.frames, "sequences": plan.sequences}
-    lengths = {VERTICES: len(mean.vertices), CODE: manifest.code_size}
     for table, kind in TABLES.items():
         arrays = vars(getattr(shard, table))
         count = rows.setdefault(table, _rows(arrays))
         for name, column in columns_of(kind).items():
-            _check_kind(f"{table}/{name}", arrays[name], column, (count, *(lengths.get(n, n) for n in column.shape)))
+            lengths = column.lengths(len(mean.vertices), code_size)
+            _check_kind(f"{table}/{name}", arrays[name], column, (count, *lengths))
         accepted = arrays["status"] == ACCEPTED.encode() if "status" in arrays else np.ones(count, dtype=bool)
         for name, column in columns_of(kind).items():
             used = arrays[name] if column.dtype.kind != "f" or accepted.all() else arrays[name][accepted]
             _check_range(f"{table}/{name}", used, column, rows.get(column.below, 0))
         if "recording" in arrays:
-            pool = manifest.pool(plan.split(identity))
-            known = {name: frames for name, frames in manifest.recordings.items() if name in pool}
             last = LENGTH - 1 if table == "sequences" else 0
-            _check_recordings(table, arrays["recording"], arrays["frame"] + last, known)
+            _check_recordings(table, arrays["recording"], arrays["frame"] + last, recordings)
             _check_solves(table, arrays, accepted, plan)
         if table in ONCE and len({*zip(*(arrays[name].tolist() for name in ONCE[table]), strict=True)}) < count:
             raise InputError(f"{table}: two rows of one {' and '.join(ONCE[table])}")

@@ -1,12 +1,11 @@
-"""Two files of every corpus, checked before use: corpus.json, its description, and template.npz, its mean skin."""
+"""Two files of every corpus: corpus.json, its description, and template.npz, its mean skin; checked before use."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from os import PathLike
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,10 @@ from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Surface
 from .mixture import NAMES
-from .plan import SPLITS, CorpusPlan, Split
-from .shard import FARTHEST, FORMATS, READ
+from .people import People
+from .plan import SPLITS, CorpusPlan
+from .shard import FARTHEST, FORMAT, FORMATS, READ
+from .simulate import GENERATOR
 from .surface_hash import surface_hash
 
 MANIFEST = "corpus.json"
@@ -26,72 +27,40 @@ OWNER = ("plan", "people", "template", "generator", "format")
 """The fields that name the corpus in each of its shards."""
 
 
-@dataclass(frozen=True)
-class Manifest:
-    """The content of corpus.json.
-
-    said: all of it; counts: the plan with its counts, seed and shares, whose recordings nobody has looked at;
-    made_with: what a command needs to make the people again, empty for a corpus made from Python.
-    """
-
-    folder: Path
-    said: Mapping[str, Any]
-    counts: CorpusPlan
-    made_with: Mapping[str, Any]
-
-    @property
-    def known_people(self) -> tuple[str, int]:
-        """The people by name and their template's level; InputError where no command knows them."""
-        identities, level = self.made_with.get("identities"), self.made_with.get("level")
-        if not (isinstance(identities, str) and level in (1, 2, 3)):
-            raise InputError(f"corpus {self.folder}: it was made from Python, of people that no command knows by name")
-        return identities, level
-
-    @property
-    def recordings(self) -> dict[str, int]:
-        """Frames of each recording by name."""
-        return {name: each[1] for name, each in self.said["content"]["recordings"].items()}
-
-    def pool(self, split: Split) -> set[str]:
-        """Names of the recordings of a split."""
-        return {name for names in self.said["pools"][split].values() for name in names}
-
-    @property
-    def code_size(self) -> int | None:
-        """How many numbers a person's code has; None where nobody says, as in format 2."""
-        return self.said.get("code_size")
-
-    def shard_path(self, identity: int) -> Path:
-        """Return the place of a person's shard."""
-        return self.folder / f"person-{identity:05d}.h5"
-
-    @property
-    def people(self) -> str:
-        """Name of the people."""
-        return str(self.said["people"])
-
-    @property
-    def owner(self) -> str:
-        """The name of the corpus that each of its shards carries."""
-        return "-".join(str(self.said[name]) for name in OWNER)
+def describe_corpus(plan: CorpusPlan, people: People, made_with: Mapping[str, Any]) -> dict[str, Any]:
+    """Say what corpus.json holds: the fields of OWNER, the plan with its recordings, and how to make the people."""
+    return {
+        "plan": plan.digest,
+        "people": people.name,
+        "template": f"{surface_hash(people.mean)}{people.digest}",
+        "generator": GENERATOR,
+        "format": FORMAT,
+        "parameters": list(NAMES),
+        "code_size": people.code_size,
+        "content": json.loads(plan.to_json()),
+        "tested": plan.tested,
+        "pools": plan.pools,
+        "takes": str(Path(plan.takes).resolve()) if plan.takes else "",
+        "made_with": dict(made_with),
+    }
 
 
-def read_manifest(folder: str | PathLike[str]) -> Manifest:
-    """Read the corpus.json of a folder.
+def read_manifest(folder: Path) -> tuple[dict[str, Any], CorpusPlan]:
+    """Read the corpus.json of a folder: all that it says, and the plan, whose recordings nobody has looked at.
 
     Raises InputError where there is none, and names the field that is missing, of another kind or out of its range.
     """
-    path = Path(folder) / MANIFEST
+    path = folder / MANIFEST
     if not path.exists():
         raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
     said = read_json(path, "a corpus' description")
     try:
-        return _check(Path(folder), said)
+        return said, _check(said)
     except InputError as error:
         raise InputError(f"{path}: damaged, or of no corpus of softdeca ({error}); use another folder") from None
 
 
-def _check(folder: Path, said: Any) -> Manifest:
+def _check(said: Any) -> CorpusPlan:
     if not isinstance(said, dict):
         raise InputError(f"expected an object, got {quote(said)}")
     for name in ("plan", "people", "template"):
@@ -109,9 +78,9 @@ def _check(folder: Path, said: Any) -> Manifest:
     if missing or unknown:
         wrong = min(missing or unknown)
         raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
-    counts = CorpusPlan(**{name: content[name] for name in expected})
-    if said.get("tested") != counts.tested:
-        raise InputError(f"tested: {quote(said.get('tested'))}, expected {counts.tested}")
+    plan = CorpusPlan(**{name: content[name] for name in expected})
+    if said.get("tested") != plan.tested:
+        raise InputError(f"tested: {quote(said.get('tested'))}, expected {plan.tested}")
     if said.get("parameters") != list(NAMES):
         raise InputError("parameters: others than this version has")
     if hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16] != said["plan"]:
@@ -126,7 +95,7 @@ def _check(folder: Path, said: Any) -> Manifest:
         raise InputError(f"format: {quote(said['format'])}, this version reads {READ}")
     if said["format"] > min(FORMATS):
         integers("code_size", said.get("code_size"), 1, 1_000_000, ())
-    return Manifest(folder, said, counts, made_with)
+    return plan
 
 
 def _check_pools(pools: Any) -> None:
@@ -137,14 +106,14 @@ def _check_pools(pools: Any) -> None:
         raise InputError(f"pools: recording {quote(min(both))} is in train and in test")
 
 
-def write_template(folder: str | PathLike[str], mean: Surface) -> None:
+def write_template(folder: Path, mean: Surface) -> None:
     """Write the mean neutral skin [mm] to a corpus' folder; InputError if it cannot be written."""
-    write_arrays(Path(folder) / TEMPLATE, {"vertices": mean.vertices, "triangles": mean.triangles})
+    write_arrays(folder / TEMPLATE, {"vertices": mean.vertices, "triangles": mean.triangles})
 
 
-def read_template(folder: str | PathLike[str]) -> Surface:
-    """Read the mean neutral skin; InputError names a file that is missing, damaged, or not the one of corpus.json."""
-    path, named = Path(folder) / TEMPLATE, read_manifest(folder).said["template"]
+def read_template(folder: Path, named: str) -> Surface:
+    """Read the mean neutral skin; InputError for a file that is missing, damaged, or not the one `named`."""
+    path = folder / TEMPLATE
     arrays = read_arrays(path, of="a corpus' template")
     try:
         if set(arrays) != {"vertices", "triangles"}:

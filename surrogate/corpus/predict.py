@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,12 +10,11 @@ from tempfile import TemporaryDirectory
 
 from threadpoolctl import threadpool_limits
 
-from ...lhm.expressions import ARKIT
 from .folder import CorpusStatus
-from .mixture import NAMES
 from .people import People
 from .plan import LENGTH, CorpusPlan
 from .sequences import load_velocities
+from .shard import FEM_LAWS, TABLES, columns_of
 from .simulate import simulate_person
 
 VARIED = 9
@@ -101,23 +101,29 @@ def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
 
     The long run of the velocities counts by its frames, which cost what those of sequences cost.
     """
-    field = 2 * 3 * vertices  # float16
-    groups = plan.identities * plan.groups
-    sequences, statics = plan.identities * plan.sequences, plan.static_frames
+    groups, sequences = plan.identities * plan.groups, plan.identities * plan.sequences
     responses, references = round(plan.responses * groups), plan.tested * plan.references
-    size = plan.identities * (2 + len(ARKIT)) * field + groups * field + statics * (field + 4 * len(ARKIT) + 700)
-    size += sequences * ((LENGTH + 2) * field + 4 * LENGTH * (len(ARKIT) + 16))
-    by_parameters = round(plan.parameter_responses * responses)
-    size += (
-        groups * 4 * 17 * len(NAMES)
-        + (responses * (1 + len(ARKIT)) + by_parameters * VARIED) * field
-        + 2 * references * field
-    )
-    seconds = plan.identities * rates.person + groups * rates.group + statics * rates.static
+    rows = {
+        "persons": plan.identities,
+        "groups": groups,
+        "statics": plan.static_frames,
+        "sequences": sequences,
+        "responses": responses,
+        "parameter_responses": VARIED * round(plan.parameter_responses * responses),
+        "references": len(FEM_LAWS) * references,
+    }
+    size = sum(count * _row_bytes(TABLES[table], vertices) for table, count in rows.items())
+    seconds = plan.identities * rates.person + groups * rates.group + plan.static_frames * rates.static
     seconds += (LENGTH * sequences + (plan.run if sequences else 0)) * rates.sequence
-    seconds += 2 * references * (REFERENCE * rates.static if rates.reference is None else rates.reference)
+    seconds += rows["references"] * (REFERENCE * rates.static if rates.reference is None else rates.reference)
     hours = seconds / 3600.0
     return Prediction(
-        plan.identities, groups, statics, sequences, responses, references, size, hours,
+        plan.identities, groups, plan.static_frames, sequences, responses, references, size, hours,
         None if rates.busy is None else hours * rates.busy,
     )  # fmt: skip
+
+
+def _row_bytes(kind: type, vertices: int) -> int:
+    """Count the bytes of a table's row over a skin of so many vertices; a code's few numbers are left out."""
+    columns = columns_of(kind).values()
+    return sum(column.dtype.itemsize * math.prod(column.lengths(vertices, 0)) for column in columns)

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Ints, Surface
 from .face import Derivatives, Frames, KeptFace, Person
+from .folder import Corpus
 from .heads import Heads
-from .intact import check_intact
-from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
 from .plan import SPLITS, Split
 from .shard import ACCEPTED, TABLES, Place, columns_of, places_of, read_arrays_of
@@ -73,17 +72,16 @@ class Table:
         if table not in SMALL or split not in (None, *SPLITS):
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
-        self._manifest = read_manifest(folder)
-        self.mean = read_template(folder)
-        self.people = self._manifest.people
-        people, first = self._manifest.counts.identities, self._manifest.counts.trained
+        self.corpus = Corpus.open(folder)
+        self.mean = self.corpus.mean
+        people, first = self.corpus.plan.identities, self.corpus.plan.trained
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
-        there = [k for k in numbers if self._manifest.shard_path(k).exists()]
+        there = [k for k in numbers if self.corpus.shard_path(k).exists()]
         if len(there) < len(numbers) and not partial:
             first = next(k for k in numbers if k not in there)
             raise InputError(
                 f"corpus {folder}: {len(there)} of {len(numbers)} people of the {split or 'whole'} split are there, "
-                f"{self._manifest.shard_path(first).name} is missing; `softdeca corpus generate --out {folder}` makes "
+                f"{self.corpus.shard_path(first).name} is missing; `softdeca corpus generate --out {folder}` makes "
                 "them, --partial takes those that are there"
             )
         chosen = there[: round(share * len(there))]
@@ -96,11 +94,11 @@ class Table:
         self.rows = np.array(rows)
 
     def _person(self, identity: int) -> _Person:
-        path = self._manifest.shard_path(identity)
-        check_intact(self._manifest, self.mean, identity)
+        path = self.corpus.shard_path(identity)
+        self.corpus.check(identity)
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
-        arrays = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
+        arrays = read_arrays_of(path, self.corpus.owner, *OF_GROUPS, *names.values())
         places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
         return _Person(
             path=path,
@@ -212,7 +210,7 @@ class Faces:
     @property
     def space(self) -> str:
         """The name of the people's space."""
-        return self._table.people
+        return self._table.corpus.space
 
     def code(self, index: int) -> Floats:
         """Return the code (c,) of a face's person."""

@@ -15,11 +15,10 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import Take, conversation, rotations
 from ...lhm.head.head import LayeredHead
-from ...reference import Parameters, Sequence, settle
+from ...reference import Sequence
 from ...reference.face.dynamics import extrapolate_turns
 from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities, is_plausible
-from .face import Person
 from .people import People
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
@@ -62,7 +61,7 @@ def simulate_sequence(
     weights, turned = _driven(take, first)
     try:
         velocity = _velocity(face.head, velocities, rng)
-        running = Sequence.from_face(face.settled(), time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
+        running = Sequence(face, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
         expressions = [face.blend(w) for w in weights]
         begun = running.begin(expressions[0], velocity=velocity, base=extrapolate_turns(turned))
         at_rest = face.skin_after(weights[0], begun.positions) - expressions[0]
@@ -133,14 +132,13 @@ def _checksum(local: np.ndarray) -> str:
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:
     person = people.person(plan.rng(VELOCITIES))
     weights = conversation(plan.rng(VELOCITIES, 1), plan.run, rate=RATE)
-    running = Sequence.from_face(
-        settle(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE
-    )
+    face = Face(people.head(person), person.shapes)
+    running = Sequence(face, time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE)
 
     def expressions():
         begin = time.monotonic()
         for number, w in enumerate(weights):
-            yield _expression(person, w)
+            yield face.blend(w)
             left = (time.monotonic() - begin) / (number + 1) * (plan.run - number - 1) / 60.0
             on_progress(
                 f"velocities: a long run for all sequences, frame {number + 1} of {plan.run}, {left:.0f} min left",
@@ -148,7 +146,3 @@ def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocitie
             )
 
     return Velocities.from_sequence(running, expressions())
-
-
-def _expression(person: Person, weights: np.ndarray) -> np.ndarray:
-    return person.skin.vertices + np.tensordot(weights, person.shapes, axes=1)

@@ -58,7 +58,7 @@ Texts = NDArray[np.bytes_]
 
 @dataclass(frozen=True)
 class Column:
-    """A row of a table's column: its type and lengths of axes; None is any, VERTICES the skin's.
+    """A row of a table's column: its type and lengths of axes, among them VERTICES and CODE.
 
     large: left in the file by readers until a row is asked for. low, high: the range of its numbers. below: its numbers
     are rows of that table. choices: its texts are among these, if there are any.
@@ -71,6 +71,11 @@ class Column:
     high: float
     below: str
     choices: tuple[str, ...]
+
+    def lengths(self, vertices: int, code: int | None) -> tuple[Any, ...]:
+        """Return the axes of a row in a corpus of such skins and codes; None is any length."""
+        known = {VERTICES: vertices, CODE: code}
+        return tuple(known.get(length, length) for length in self.shape)
 
     def describe_range(self) -> str:
         """Return the range in words; empty where there is none."""
@@ -266,8 +271,7 @@ def stack_rows(kind: type, rows: Sequence[Mapping[str, Any]], vertices: int) -> 
         if values:
             arrays[name] = np.array(values, dtype=column.dtype)
         else:
-            lengths = ({VERTICES: vertices, CODE: 0}.get(length, length) for length in column.shape)
-            arrays[name] = np.zeros((0, *lengths), dtype=column.dtype)
+            arrays[name] = np.zeros((0, *column.lengths(vertices, 0)), dtype=column.dtype)
     return kind(**arrays)
 
 

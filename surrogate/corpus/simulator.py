@@ -12,6 +12,7 @@ from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
 from ...reference import Parameters, SettledFace, Solution
+from ...reference.face.by_parameters import skin_by_parameters
 from ...reference.face.derivatives import Analysis, spring_norm
 from ...reference.face.face import Face
 from .face import MOVED, Person
@@ -77,7 +78,7 @@ def differentiate_by_parameters(face: Face, names: Iterable[str]) -> dict[str, F
     But for the strain limit: where it is 1 the energy has kinks.
     """
     along = {name: _along(face.on_wraps, name) for name in names if name not in UNDIFFERENTIATED}
-    return face.derivatives.skin_by_parameters(along) if along else {}
+    return skin_by_parameters(face, along) if along else {}
 
 
 def _along(parameters: Parameters, name: str) -> float | Floats:

@@ -21,18 +21,16 @@ from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.expressions import sample_weights
 from ...lhm.head.head import LayeredHead
-from ...reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ...reference.face.palsy import Springs, skin_activation
-from ...reference.face.settle import SettledFace
 from ...reference.projective.terms.energy import Energy
 from ...reference.projective.terms.springs import Springs as Drawn
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from ..rigs.rig import WEIGHTS, CorrectedRig, Needs
 from .features import Inputs
-from .layers import Arrays, concatenate, einsum, perceptron
+from .layers import Arrays, concatenate, einsum, perceptron, perceptron_layers
 from .ridge import find_components
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 
 
 @dataclass(frozen=True)
@@ -88,12 +86,10 @@ class _Scene:
         return Energy(tuple(part.shift(moved) if isinstance(part, Drawn) else part for part in self.energy.parts))
 
 
-class EnergyTrained:
+class EnergyTrained(Lesson):
     """A method whose network has seen no simulated frame; a bind needs a head."""
 
     needs: Needs = "simulator"
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, config: EnergyTraining | None = None, policy: EnergyPolicy = POLICY):
         self._policy = policy
@@ -131,26 +127,27 @@ class EnergyTrained:
     def _settle(self, faces: Faces, rng: np.random.Generator):
         for index in rng.permutation(len(faces))[: self._config.faces]:
             face = faces.face(int(index))
-            live = face.live
             try:
-                settled = live.settled()
+                settled = face.live.settled()
             except SoftdecaError:
                 continue
             if settled.converged:
-                yield face, settled
+                yield face
 
-    def _prepare(self, settled: list[tuple[KeptFace, SettledFace]], rng: np.random.Generator) -> list[_Scene]:
+    def _prepare(self, settled: list[KeptFace], rng: np.random.Generator) -> list[_Scene]:
         """Make B, U and the first guess of its amplitudes from some faces' first order; and every face's energy."""
-        config, policy, wrap = self._config, self._policy, len(settled[0][1].head.bone)
+        config, policy, wrap = self._config, self._policy, len(settled[0].live.head.bone)
         known = settled[: config.differentiated]
         moves, offsets, like = [], [], None
-        for face, neutral in known:
-            like = differentiate(neutral, accuracy=QUICK_ACCURACY, like=like)
-            offsets.append((like.answer.positions - neutral.positions).astype(np.float32))
-            moves.append(like.vertices_by_shapes(np.asarray(face.shapes, dtype=np.float64)).astype(np.float32))
+        for face in known:
+            # A copy, so that its factors, a quarter of a gigabyte, are forgotten before the next.
+            live = replace(face.live, like=like).settled_as(face.live.settled())
+            offsets.append((live.derivatives.answer.positions - live.settled().positions).astype(np.float32))
+            moves.append(live.first_order.astype(np.float32))
+            like = live.derivatives.analysis
         below = np.mean([move[:, wrap:] for move in moves], axis=0)
         tried = np.array([sample_weights(rng) for _ in range(policy.tried)], dtype=np.float32)
-        scenes = [_scene(self._inputs, face, neutral, below, tried, policy.drawn) for face, neutral in settled]
+        scenes = [_scene(self._inputs, face, below, tried, policy.drawn) for face in settled]
         rest = [move - scene.base for move, scene in zip(moves, scenes, strict=False)]
         stacked = np.concatenate([*rest, np.stack(offsets)]).reshape(-1, rest[0][0].size)
         components, _ = find_components(stacked, config.modes, rng)
@@ -176,10 +173,6 @@ class EnergyTrained:
             _EnergyAlong.apply(a, scene, w, self._modes) for a, scene, w in zip(moved, scenes, weights, strict=True)
         ]
         return torch.stack(energies).mean()
-
-    def errors(self) -> dict[str, float]:
-        """Hold out nobody."""
-        return {}
 
     def bind(self, face: KeptFace) -> CorrectedRig:
         """Take the settled neutral face of the corpus and the head's own map from wrap to skin."""
@@ -210,22 +203,19 @@ def amplitudes_of(network: Arrays, weights, summary):
     return first + still + perceptron(network, "bent", concatenate([weights, summary]))
 
 
-def _scene(
-    inputs: Inputs, face: KeptFace, settled: SettledFace, below: Floats32, tried: Floats32, drawn_mm: float
-) -> _Scene:
-    head, shapes = settled.head, np.asarray(face.shapes, dtype=np.float64)
-    scene = settled.scene(head.skin.vertices)
-    springs = Springs.from_head(head, settled.parameters)
-    on_wrap = np.stack([head.wrap_from_skin @ shape for shape in shapes])
-    drawn = shapes if settled.activation is None else settled.activation * shapes
+def _scene(inputs: Inputs, face: KeptFace, below: Floats32, tried: Floats32, drawn_mm: float) -> _Scene:
+    live = face.live
+    head, scene = live.head, live.neutral_scene()
+    springs = Springs.from_head(head, live.on_wraps)
+    drawn = live.shapes if live.activation is None else live.activation * live.shapes
     above = np.stack([head.wrap_from_skin @ shape for shape in drawn])
     energy = Energy.from_scene(scene)
     made = _Scene(
         summary=inputs.summary_of(face),
         energy=energy,
         base=np.concatenate([above, below], axis=1).astype(np.float32),
-        ends=springs.move(on_wrap).astype(np.float32),
-        start=settled.positions - scene.vertices,
+        ends=live.goals.astype(np.float32),
+        start=live.settled().positions - scene.vertices,
         unit=0.5 * float(np.sum(springs.stiffness)) * drawn_mm**2,
     )
     still = energy.evaluate(made.start)[0]

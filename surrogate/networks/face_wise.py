@@ -5,29 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from .gradients import Bound, GradientForm
-from .layers import Arrays, elu, linear, perceptron
+from ..rigs.rig import WEIGHTS
+from .gradients import Bound, GradientForm, Sizes
+from .layers import Arrays, elu, linear, perceptron, perceptron_layers
 
 
 class FaceWise(GradientForm):
     """J_i - I = f(f_w(w), p, h, π(i)), nine numbers of each face."""
 
     kind = "face-wise"
-    layers = {
-        "expression.0": ("wide", "weights"),
-        "expression.2": ("wide", "wide"),
-        "expression.4": ("latent", "wide"),
-        # The first layer at the faces in four parts, which add up.
-        "from_position": ("hidden", "position"),
-        "from_latent": ("hidden", "latent"),
-        "from_code": ("hidden", "code"),
-        "from_parameters": ("hidden", "parameters"),
-        "middle.0": ("hidden", "hidden"),
-        "middle.2": ("nine", "hidden"),
-    }
     without_bias = ("from_position", "from_latent", "from_code")
-    tables = {"position": ("faces", "position")}
     quiet = {"middle.2.weight": 0.02, "middle.2.bias": 0.02}
+
+    def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
+        """See `GradientForm`. The first layer at the faces is in four parts, which add up."""
+        widths, hidden = sizes.widths, sizes.widths.hidden
+        return {
+            **perceptron_layers("expression", WEIGHTS, widths.expression, widths.expression, widths.latent),
+            "from_position": (hidden, widths.position),
+            "from_latent": (hidden, widths.latent),
+            "from_code": (hidden, sizes.code),
+            "from_parameters": (hidden, sizes.parameters),
+            **perceptron_layers("middle", hidden, hidden, 9),
+        }
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""

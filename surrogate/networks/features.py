@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
+from ...reference.face.dynamics import OSCILLATION
 from ...reference.face.palsy import activation_share, left_share
 from ...reference.face.settle import GROWING
 from ..corpus.mixture import NAMES, STATIC, basis, select_static
-from ..rigs.inertia import OSCILLATION
 
 if TYPE_CHECKING:
     from ..corpus.face import KeptFace

@@ -13,7 +13,7 @@ Options stop a training earlier; nothing else does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -23,15 +23,25 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.deformation import DeformationTransfer
 from ...lhm.base.geometry.topology import connected_parts
-from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
+from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
 from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
-from .gradients import GradientForm, Widths
+from .gradients import HELD, GradientForm, Sizes, Widths
 from .softsmpl import LARGE, SMALL
-from .trainer import Tensors, Trainer, TrainerConfig, draw_layers, hold_out_people, start_processes, torch
+from .trainer import (
+    Lesson,
+    Tensors,
+    Trainer,
+    TrainerConfig,
+    draw_layers,
+    draw_positions,
+    hold_out_people,
+    start_processes,
+    torch,
+)
 from .weights import TrainingNote, Weights
 
 FLOOR = 1e-4
@@ -108,10 +118,8 @@ def train_gradients(
         return lesson.weights(trainer)
 
 
-class GradientLesson:
+class GradientLesson(Lesson):
     """A form's tensors, the loss of a batch of frames, and the error on those of held-out people."""
-
-    slow: tuple[str, ...] = ("-",)  # none
 
     def __init__(self, faces: Faces, config: GradientTraining):
         if config.device != "cpu":
@@ -145,7 +153,7 @@ class GradientLesson:
         self.stiffness = torch.from_numpy(self.transfer.stiffness / faces.mean.areas.sum()).float()
         held = FrameSource(faces, np.flatnonzero(is_held))
         self.judged = self._tensors(held.sample(JUDGED, rng), 1)
-        self.about: Sequence[str] = [f"{len(faces)} faces"]
+        self.about = [f"{len(faces)} faces"]
 
     def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
         network = draw_form(self.form, self.config, self.faces.mean, sample.codes.shape[1], self.followed)
@@ -155,7 +163,7 @@ class GradientLesson:
             network["table"] = table / network["scale"]
         network["anchored"][anchors] = 1.0
         for name, value in network.items():
-            value.requires_grad_(name not in ("scale", "followed", "anchored"))
+            value.requires_grad_(name not in ("scale", *HELD))
         return network
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
@@ -220,15 +228,14 @@ class GradientLesson:
 
 def draw_form(form: GradientForm, config: GradientTraining, mean: Surface, code_size: int, followed) -> Tensors:
     """Draw a network of a form that follows some of STATIC, a mask; tables but π's are zero, and no vertex is held."""
-    sizes = form.known_sizes(mean, code_size, int(followed.sum())) | form.width_sizes(config.network)
-    layers = {name: (sizes[outputs], sizes[inputs]) for name, (outputs, inputs) in form.layers.items()}
-    network = draw_layers(layers, form.without_bias)
+    sizes = Sizes(config.network, len(mean.vertices), len(mean.triangles), code_size, int(followed.sum()))
+    network = draw_layers(form.layers(sizes), form.without_bias)
     for name, share in form.quiet.items():
         network[name] *= share
-    for name, shape in form.tables.items():
-        network[name] = torch.zeros([sizes[each] for each in shape])
+    network |= {name: torch.zeros(shape) for name, shape in form.tables(sizes).items()}
     if "position" in network:
-        positions = smooth_positions(mean, config.network.position, np.random.default_rng(config.seed))
+        centres, rng = mean.vertices[mean.triangles].mean(axis=1), np.random.default_rng(config.seed)
+        positions = draw_positions(centres, mean.face_normals, config.network.position, rng)
         network["position"] = torch.from_numpy(positions)
     network["followed"] = torch.from_numpy(followed.astype(np.float32))
     network["anchored"] = torch.zeros(len(mean.vertices))
@@ -251,29 +258,6 @@ class _Transfer(torch.autograd.Function):
 def transfer_delta(gradients, blended, transfer: DeformationTransfer):
     """`DeformationTransfer.delta` as a torch operation: its backward pass is a solve with the same factor."""
     return _Transfer.apply(gradients, blended, transfer)
-
-
-def smooth_positions(reference: Surface, size: int, rng: np.random.Generator) -> Floats32:
-    """Draw a start for π at faces, shape (faces, size); see `_smooth`."""
-    return _smooth(reference.vertices[reference.triangles].mean(axis=1), reference.face_normals, size, rng)
-
-
-def smooth_vertices(reference: Surface, size: int, rng: np.random.Generator) -> Floats32:
-    """Draw a start for π at vertices, shape (n, size); see `_smooth`."""
-    return _smooth(reference.vertices, reference.vertex_normals, size, rng)
-
-
-def _smooth(centres: Floats, normals: Floats, size: int, rng: np.random.Generator) -> Floats32:
-    """Random Fourier features of places and normals, unit variance.
-
-    Neighbours start alike, and the two sides of a lip, close in space, differ by their normals.
-    """
-    centres = (centres - centres.mean(axis=0)) / np.sqrt(centres.var(axis=0).sum())
-    length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    inputs = np.hstack([2.0 * centres, 0.5 * normals / length])
-    frequencies = rng.normal(size=(inputs.shape[1], size))
-    features = np.cos(inputs @ frequencies + rng.uniform(0.0, 2.0 * np.pi, size))
-    return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)
 
 
 def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> Ints:

@@ -22,12 +22,12 @@ from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..corpus.mixture import STATIC
 from ..rigs.inertia import DynamicRig, Swings, dynamic_rig
 from ..rigs.rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
-from .layers import Arrays, check_numbers, check_sizes
+from .layers import Arrays, check_network, layer_shapes
 
 Bound = Callable[[Floats32], tuple[Floats32, Floats32]]
 """L (faces, 9, k) and z (k,), with J - I = z L, for weights (52,)."""
-HELD: dict[str, tuple[str, ...]] = {"followed": ("statics",), "anchored": ("n",)}
-"""What every form has besides: which of STATIC it follows, and which vertices the transfer holds, one for each."""
+HELD = ("followed", "anchored")
+"""Arrays of every form that are not trained: which of STATIC it follows, and which vertices the transfer holds."""
 
 
 @dataclass(frozen=True)
@@ -49,54 +49,47 @@ class Widths:
                 raise InputError(f"network width {name}: expected a positive integer, got {value!r}")
 
 
+@dataclass(frozen=True)
+class Sizes:
+    """All that decides the shapes of a network; `parameters`: how many of STATIC it follows."""
+
+    widths: Widths
+    vertices: int
+    faces: int
+    code: int
+    parameters: int
+
+
 class GradientForm(ABC):
     """How one kind of network makes J. All are functions of named arrays, numpy's or torch's."""
 
     kind: ClassVar[str]
-    layers: ClassVar[Mapping[str, tuple[str, str]]]
-    """Outputs and inputs of each layer by the names of sizes: equal names are equal sizes."""
     without_bias: ClassVar[tuple[str, ...]] = ()
-    tables: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Shapes of arrays that are no layers, besides HELD."""
     quiet: ClassVar[Mapping[str, float]] = {}
     """Arrays that begin so many times smaller than usual."""
     follows_fields: ClassVar[bool] = True
     """Whether p may vary over the face."""
 
-    def arrays(self) -> dict[str, tuple[str, ...]]:
-        """Name all arrays with the names of their sizes."""
-        weights = {f"{name}.weight": sizes for name, sizes in self.layers.items()}
-        biases = {f"{name}.bias": sizes[:1] for name, sizes in self.layers.items() if name not in self.without_bias}
-        return {**self.tables, **HELD, **weights, **biases}
+    @abstractmethod
+    def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
+        """Return outputs and inputs of each layer, in the order in which training draws them."""
 
-    def check(self, network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
-        """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
-        arrays = self.arrays()
-        check_numbers(network, [*arrays])
-        parameters = int(np.count_nonzero(network["followed"]))
-        known = self.known_sizes(mean, code_size, parameters) | self.found_sizes(network)
-        check_sizes(network, arrays, known)
+    def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+        """Return shapes of arrays that are no layers, besides HELD: by default of π alone."""
+        return {"position": (sizes.faces, sizes.widths.position)}
 
-    @staticmethod
-    def known_sizes(mean: Surface, code_size: int, parameters: int) -> dict[str, int]:
-        """Return the sizes that follow from the space and from how many parameters are followed."""
-        return {
-            "one": 1, "nine": 9, "n": len(mean.vertices), "faces": len(mean.triangles), "statics": len(STATIC),
-            "weights": WEIGHTS, "code": code_size, "parameters": parameters, "summary": parameters + code_size,
-            "faces*9": 9 * len(mean.triangles), "all": WEIGHTS + parameters + code_size,
-        }  # fmt: skip
+    def shapes(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+        """Return the shape of each array of a network."""
+        held = {"followed": (len(STATIC),), "anchored": (sizes.vertices,)}
+        return {**self.tables(sizes), **held, **layer_shapes(self.layers(sizes), self.without_bias)}
 
-    @staticmethod
-    def width_sizes(widths: Widths) -> dict[str, int]:
-        """Return the sizes that are a matter of choice."""
-        return {
-            "latent": widths.latent, "latent*9": 9 * widths.latent, "wide": widths.expression,
-            "position": widths.position, "gain": widths.gain, "hidden": widths.hidden,
-        }  # fmt: skip
-
-    def found_sizes(self, network: Mapping[str, np.ndarray]) -> dict[str, int]:
-        """Return those of a network's own sizes by which others are computed."""
-        return {}
+    def check(
+        self, network: Mapping[str, np.ndarray], widths: Mapping[str, int], mean: Surface, code_size: int
+    ) -> None:
+        """Raise InputError unless a network has every array, of the shapes that Widths ask, and finite."""
+        followed = int(np.count_nonzero(network.get("followed", ())))
+        sizes = Sizes(Widths(**widths), len(mean.vertices), len(mean.triangles), code_size, followed)
+        check_network(network, self.shapes(sizes))
 
     @abstractmethod
     def gradients(self, network: Arrays, weights: Any, code: Any, parameters: Any) -> Any:

@@ -10,39 +10,32 @@ table and the gains.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from .gradients import Bound, GradientForm
-from .layers import Arrays, concatenate, count_rows, einsum, elu, exp, linear, perceptron
+from ..rigs.rig import WEIGHTS
+from .gradients import Bound, GradientForm, Sizes
+from .layers import Arrays, concatenate, einsum, elu, exp, linear, perceptron, perceptron_layers
 
 
 class PrintedHypernetwork(GradientForm):
     """Eq. 18 and 19 as they are printed."""
 
     kind = "printed hypernetwork"
-    layers = {
-        "expression.0": ("wide", "weights"),
-        "expression.2": ("wide", "wide"),
-        "expression.4": ("latent", "wide"),
-        # f_ph's first layer in three parts: faces, identity and parameters add up, nothing is concatenated per face.
-        "from_position": ("hidden", "position"),
-        "from_code": ("hidden", "code"),
-        "from_parameters": ("hidden", "parameters"),
-        "middle.0": ("hidden", "hidden"),
-        "middle.2": ("hidden", "hidden"),
-        "last": ("latent*9", "hidden"),
-    }
     without_bias = ("from_position", "from_code")
-    tables = {"position": ("faces", "position")}
     quiet = {"last.weight": 0.02, "last.bias": 0.02}
 
-    def found_sizes(self, network: Mapping[str, np.ndarray]) -> dict[str, int]:
-        """See `GradientForm`."""
-        (latent,) = count_rows(network, "expression.4.weight")
-        return {"latent": latent, "latent*9": 9 * latent}
+    def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
+        """See `GradientForm`. The first layer of f_ph is in three parts: nothing is concatenated per face."""
+        widths, hidden = sizes.widths, sizes.widths.hidden
+        return {
+            **perceptron_layers("expression", WEIGHTS, widths.expression, widths.expression, widths.latent),
+            "from_position": (hidden, widths.position),
+            "from_code": (hidden, sizes.code),
+            "from_parameters": (hidden, sizes.parameters),
+            **perceptron_layers("middle", hidden, hidden, hidden),
+            "last": (9 * widths.latent, hidden),
+        }
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`: z meets the last layer before the faces do, 9 outputs per face instead of 288."""
@@ -72,28 +65,29 @@ class Hypernetwork(GradientForm):
     """Ours: a table, gains and a small perceptron; see the module."""
 
     kind = "hypernetwork"
-    layers = {
-        "expression_linear": ("latent", "weights"),  # most of what tissue does is linear in the weights
-        "expression.4": ("latent", "wide"),
-        "expression.0": ("wide", "weights"),
-        "expression.2": ("wide", "wide"),
-        "gain.2": ("latent", "gain"),
-        "gain.0": ("gain", "summary"),
-        "from_position": ("hidden", "position"),
-        "from_code": ("hidden", "code"),
-        "from_parameters": ("hidden", "parameters"),
-        "middle": ("hidden", "hidden"),
-        "last": ("latent*9", "hidden"),
-    }
     without_bias = ("expression_linear", "from_position", "from_code", "last")
-    # scale: the table's size, by which Adam steps all weights alike.
-    tables = {"table": ("latent", "faces", "nine"), "position": ("faces", "position"), "scale": ("one",)}
     quiet = {"expression.4.weight": 0.1, "last.weight": 0.0, "gain.2.weight": 0.1, "gain.2.bias": 0.0}
 
-    def found_sizes(self, network: Mapping[str, np.ndarray]) -> dict[str, int]:
-        """See `GradientForm`."""
-        (latent,) = count_rows(network, "table")
-        return {"latent": latent, "latent*9": 9 * latent}
+    def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
+        """See `GradientForm`. Most of what tissue does is linear in the weights."""
+        widths, hidden = sizes.widths, sizes.widths.hidden
+        return {
+            "expression_linear": (widths.latent, WEIGHTS),
+            "expression.4": (widths.latent, widths.expression),
+            "expression.0": (widths.expression, WEIGHTS),
+            "expression.2": (widths.expression, widths.expression),
+            "gain.2": (widths.latent, widths.gain),
+            "gain.0": (widths.gain, sizes.parameters + sizes.code),
+            "from_position": (hidden, widths.position),
+            "from_code": (hidden, sizes.code),
+            "from_parameters": (hidden, sizes.parameters),
+            "middle": (hidden, hidden),
+            "last": (9 * widths.latent, hidden),
+        }
+
+    def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+        """See `GradientForm`. scale: the table's size, by which Adam steps all weights alike."""
+        return {"table": (sizes.widths.latent, sizes.faces, 9), **super().tables(sizes), "scale": (1,)}
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`: z meets the last layer before the faces do."""

@@ -5,13 +5,13 @@ A layer `name` has `name.weight` (outputs, inputs) and `name.bias` (outputs,) am
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numba
 import numpy as np
 
-from ...lhm.base.checks import array_of_kind, finite, shape
+from ...lhm.base.checks import array_of_kind, finite
 from ...lhm.base.errors import InputError
 from ..rigs.rig import silu
 
@@ -22,33 +22,29 @@ LARGEST = 1e4
 """Of any number in a network: the shipped one ends at 40, float16 ends at 65,504."""
 
 
-def check_numbers(network: Mapping[str, np.ndarray], names: Sequence[str]) -> None:
-    """Raise InputError unless a network has the named arrays and no others, finite and none beyond LARGEST."""
-    different = sorted(set(names) ^ set(network))
+def layer_shapes(
+    layers: Mapping[str, tuple[int, int]], without_bias: Collection[str] = ()
+) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of layers, by their (outputs, inputs)."""
+    weights = {f"{name}.weight": sizes for name, sizes in layers.items()}
+    return weights | {f"{name}.bias": sizes[:1] for name, sizes in layers.items() if name not in without_bias}
+
+
+def perceptron_layers(name: str, *widths: int) -> dict[str, tuple[int, int]]:
+    """Return the (outputs, inputs) of layers `name.0`, `name.2`, ... of these widths; see `perceptron`."""
+    pairs = zip(widths[:-1], widths[1:], strict=True)
+    return {f"{name}.{2 * k}": (outputs, inputs) for k, (inputs, outputs) in enumerate(pairs)}
+
+
+def check_network(network: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise InputError unless a network has arrays of these shapes and no others, finite and none beyond LARGEST."""
+    different = sorted(set(shapes) ^ set(network))
     if different:
-        word = "missing" if different[0] in names else "not known"
+        word = "missing" if different[0] in shapes else "not known"
         raise InputError(f"array {different[0]!r} of the network is {word}")
-    for name in names:
-        finite(f"network {name}", array_of_kind(f"network {name}", network[name], "f", "real numbers"), most=LARGEST)
-
-
-def check_sizes(
-    network: Mapping[str, np.ndarray], arrays: Mapping[str, tuple[str, ...]], sizes: Mapping[str, int]
-) -> None:
-    """Raise InputError unless each array has the sizes that `arrays` names; equal names are equal sizes."""
-    known = dict(sizes)
-    for name, expected in arrays.items():
-        shape(f"network {name}", network[name], tuple(known.get(each) for each in expected))
-        for each, size in zip(expected, network[name].shape, strict=True):
-            if not known.setdefault(each, size) == size > 0:
-                raise InputError(f"network {name}: {size} where others have {known[each]}")
-
-
-def count_rows(network: Mapping[str, np.ndarray], *names: str) -> list[int]:
-    """Return the lengths of arrays that tell a network's sizes; InputError for one that is a single number."""
-    if not all(network[name].ndim for name in names):
-        raise InputError("network: the size of a layer is no list")
-    return [len(network[name]) for name in names]
+    for name, expected in shapes.items():
+        array = array_of_kind(f"network {name}", network[name], "f", "real numbers")
+        finite(f"network {name}", array, expected, most=LARGEST)
 
 
 def exp(x):

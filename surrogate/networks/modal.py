@@ -18,16 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from ...lhm.base.checks import shape
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from .features import EFFECTS, Features
-from .layers import EVERY, Arrays, check_numbers, count_rows, einsum, exp, linear, perceptron, scale_modes
+from .layers import EVERY, Arrays, check_network, einsum, exp, layer_shapes, linear, perceptron, scale_modes
 from .response_tables import MIXED, mix, responses
 
 PARTS = ("settled", "relaxed", "remainder")
@@ -64,17 +63,6 @@ class ModalConfig:
     def modes(self) -> tuple[int, int, int]:
         """How many of each of PARTS."""
         return self.settled_modes, self.relaxed_modes, self.remainder_modes
-
-    @classmethod
-    def from_arrays(cls, network: Mapping[str, np.ndarray]) -> ModalConfig:
-        """Read the sizes of a network; InputError for arrays that are single numbers."""
-        names = (
-            *(f"size_{part}" for part in PARTS), "response_share.bias",
-            "gain_in.bias", "response_in.bias", "effect_level.0.bias", "remainder_in.bias",
-        )  # fmt: skip
-        settled, relaxed, remainder, tables, local, response, summary, expression = count_rows(network, *names)
-        position = network["position"].shape[-1] if network["position"].ndim else 0
-        return cls(settled, relaxed, remainder, tables, position, local, response, summary, expression)
 
 
 def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
@@ -125,17 +113,13 @@ def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dic
         "response_position": (n, config.position),
         "response_table": (config.response_tables + 1, WEIGHTS, n, 3),
         "response_scale": (WEIGHTS, n),
-        **{f"{name}.weight": sizes for name, sizes in layers.items()},
-        **{f"{name}.bias": sizes[:1] for name, sizes in layers.items() if name not in WITHOUT_BIAS},
+        **layer_shapes(layers, WITHOUT_BIAS),
     }
 
 
-def check_modal(network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
-    """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
-    features = Features(mean)
-    check_numbers(network, [*modal_shapes(ModalConfig(), features, code_size)])
-    for name, expected in modal_shapes(ModalConfig.from_arrays(network), features, code_size).items():
-        shape(f"network {name}", network[name], expected)
+def check_modal(network: Mapping[str, np.ndarray], sizes: Mapping[str, int], mean: Surface, code_size: int) -> None:
+    """Raise InputError unless a network has every array, of the shapes that sizes of ModalConfig ask, and finite."""
+    check_network(network, modal_shapes(ModalConfig(**sizes), Features(mean), code_size))
 
 
 def hidden_features(network: Arrays, local, code, vertices=EVERY):
@@ -186,6 +170,27 @@ def remainder(network: Arrays, summary) -> Remainder:
     )
 
 
+class SeenFace(NamedTuple):
+    """What the network sees of a face.
+
+    local (n, f): features of p at vertices; hidden (n, wide): what gains follow from. summary (s,) of the whole face;
+    unmoved (s,): that of the same face with nothing moved.
+    """
+
+    local: Floats32
+    hidden: Floats32
+    summary: Floats32
+    unmoved: Floats32
+
+
+def see_face(network: Arrays, features: Features, code: Floats, at_vertices: Floats) -> SeenFace:
+    """Evaluate what the network sees of a normalised code (c,) and of parameters at vertices (n, P)."""
+    local = features.local(at_vertices)
+    hidden = hidden_features(network, local, code.astype(np.float32))
+    unmoved = features.summary(code, features.unmoved(at_vertices))
+    return SeenFace(local, hidden, features.summary(code, at_vertices), unmoved)
+
+
 def bind_modal(
     network: Arrays,
     tables: Floats32,
@@ -200,23 +205,17 @@ def bind_modal(
     tables: of `response_tables.expand`. code (c,): normalised. skin: the person's neutral one [mm], shape (n, 3);
     shapes: what the 52 weights add to it, shape (52, n, 3).
     """
+    now = see_face(network, features, code, at_vertices)
     settling = features.without_palsy(at_vertices)
+    has_palsy = not np.array_equal(settling, at_vertices)
+    rest = see_face(network, features, code, settling) if has_palsy else now
     effects = features.effects(at_vertices, skin)
-    seen: list[tuple[Any, ...]] = []
-    for values in (at_vertices, settling):
-        if seen and np.array_equal(settling, at_vertices):
-            seen.append(seen[0])
-            continue
-        local = features.local(values)
-        summary, unmoved = features.summary(code, values), features.summary(code, features.unmoved(values))
-        seen.append((local, hidden_features(network, local, code.astype(np.float32)), summary, unmoved))
-    (local, hidden, summary, unmoved), (_, *at_rest) = seen
-    settled: Floats32 = neutral(network, 0, at_rest[0], at_rest[1], at_rest[2], effects)
-    offset = settled + neutral(network, 1, hidden, summary, unmoved, effects)
-    shares, lag = mix(network, local, code.astype(np.float32))
+    settled: Floats32 = neutral(network, 0, rest.hidden, rest.summary, rest.unmoved, effects)
+    offset = settled + neutral(network, 1, now.hidden, now.summary, now.unmoved, effects)
+    shares, lag = mix(network, now.local, code.astype(np.float32))
     return FaceModes(
         offset=offset,
         responses=responses(tables, shares, lag, shapes.astype(np.float32, copy=False)),
-        modes=basis(network, 2, hidden).reshape(-1, *skin.shape),
-        remainder_of=remainder(network, summary),
+        modes=basis(network, 2, now.hidden).reshape(-1, *skin.shape),
+        remainder_of=remainder(network, now.summary),
     )

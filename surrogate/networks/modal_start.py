@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Floats32, Surface
+from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.face import KeptFace
 from ..rigs.rig import WEIGHTS
 from .features import EFFECTS, Features, Inputs
@@ -16,7 +16,7 @@ from .modal import PARTS, QUIET, WITHOUT_BIAS, ModalConfig, modal_layers, modal_
 from .modal_faces import LessonFaces, NeutralMotion, relaxing, settling
 from .response_tables import expand
 from .ridge import find_components
-from .trainer import Tensors, draw_layers, torch
+from .trainer import Tensors, draw_layers, draw_positions, torch
 from .weights import Weights
 
 SOLVED = ("response_table", "response_scale")
@@ -82,8 +82,9 @@ def draw_network(
         network[f"{name}.weight"] *= policy.quiet
         network[f"{name}.bias"] *= 0.0
     network["remainder_linear.weight"] *= 0.0
+    mean = data.corpus.mean
     for name in ("position", "response_position"):
-        arrays[name] = draw_positions(data.corpus.mean, config.position, rng)
+        arrays[name] = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
     arrays["tables"] = np.zeros((config.response_tables + 1, WEIGHTS, n, 3))
     for name, motions, rows, (modes, _) in zip(PARTS[:2], unexplained, summaries, parts[:2], strict=True):
         arrays[f"{name}_linear.weight"] = _fit_linear(rows, motions @ modes.T, policy.linear_penalty).T
@@ -122,11 +123,3 @@ def _fit_linear(features: Floats32, values: Floats32, penalty: float) -> Floats:
     rows = features.astype(np.float64)
     gram = rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1])
     return np.linalg.solve(gram, rows.T @ values)
-
-
-def draw_positions(mean: Surface, size: int, rng: np.random.Generator) -> Floats32:
-    """Draw random Fourier features of vertices and normals, unit variance, shape (n, size): neighbours start alike."""
-    centre = mean.vertices - mean.vertices.mean(axis=0)
-    inputs = np.hstack([2.0 * centre / np.sqrt(centre.var(axis=0).sum()), 0.5 * mean.vertex_normals])
-    features = np.cos(inputs @ rng.normal(size=(6, size)) + rng.uniform(0.0, 2.0 * np.pi, size))
-    return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)

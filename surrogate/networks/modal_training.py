@@ -21,7 +21,7 @@ from .modal import ModalConfig, basis, bind_modal, hidden_features, neutral, rem
 from .modal_faces import FaceInputs, FaceTensors, LessonFaces, settling
 from .modal_start import continue_network, draw_network
 from .response_tables import compress, mix, solve_tables
-from .trainer import Trainer, TrainerConfig, start_processes, torch
+from .trainer import Lesson, Trainer, TrainerConfig, start_processes, torch
 from .weights import TrainingNote, Weights
 
 EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
@@ -102,10 +102,10 @@ class _Batch(NamedTuple):
     hidden: torch.Tensor
 
 
-class ModalLesson:
+class ModalLesson(Lesson):
     """The network in training: its tensors, the loss of a step, and its errors on held-out people."""
 
-    slow: tuple[str, ...] = ("modes", "position", "response_position", "effects")
+    slow = ("modes", "position", "response_position", "effects")
     """Tables over the vertices, which start near where they end."""
 
     def __init__(
@@ -135,7 +135,7 @@ class ModalLesson:
             learns = self.learns_neutral or name.startswith(EXPRESSIVE)
             value.requires_grad_(learns and not name.startswith(("size_", "tables")))
         after = "" if start is None else f"begun after {start.note.steps} steps"
-        self.about: Sequence[str] = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
+        self.about = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
         """Return mean distances of neutral faces, responses, and frames after exact derivatives, in each face's scale.

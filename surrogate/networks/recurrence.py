@@ -18,33 +18,28 @@ from ..corpus.mixture import NAMES
 from ..corpus.plan import RATE
 from ..rigs.inertia import LearnedSwing
 from ..rigs.rig import silu
-from .layers import Arrays, check_numbers, check_sizes, exp, linear, perceptron
+from .layers import Arrays, check_network, exp, layer_shapes, linear, perceptron, perceptron_layers
 
 COEFFICIENTS = ("beta", "gamma")
-LAYERS: dict[str, tuple[str, str]] = {
-    f"{name}_{layer}": sizes
-    for name in COEFFICIENTS
-    for layer, sizes in {
-        "from_position": ("hidden", "position"),
-        "from_code": ("hidden", "code"),
-        "from_parameters": ("hidden", "parameters"),
-        "rest.0": ("hidden", "hidden"),
-        "rest.2": ("one", "hidden"),
-    }.items()
-}
 WITHOUT_BIAS = tuple(f"{name}_{layer}" for name in COEFFICIENTS for layer in ("from_position", "from_code"))
-ARRAYS: dict[str, tuple[str, ...]] = {
-    "position": ("n", "position"),
-    **{f"{name}.weight": sizes for name, sizes in LAYERS.items()},
-    **{f"{name}.bias": sizes[:1] for name, sizes in LAYERS.items() if name not in WITHOUT_BIAS},
-}
 MOST = 0.98
 """Of β: beyond it an oscillation takes seconds to fade."""
 
 
-def sizes(vertices: int, code_size: int) -> dict[str, int]:
-    """Return the sizes that follow from the space."""
-    return {"n": vertices, "code": code_size, "parameters": len(NAMES), "one": 1}
+def recurrence_layers(code_size: int, position: int, hidden: int) -> dict[str, tuple[int, int]]:
+    """Return outputs and inputs of each layer, in the order in which training draws them.
+
+    position: length of π at a vertex. hidden: width of f_β and f_γ.
+    """
+    layers = {}
+    for name in COEFFICIENTS:
+        layers |= {
+            f"{name}_from_position": (hidden, position),
+            f"{name}_from_code": (hidden, code_size),
+            f"{name}_from_parameters": (hidden, len(NAMES)),
+            **perceptron_layers(f"{name}_rest", hidden, hidden, 1),
+        }
+    return layers
 
 
 def coefficients(network: Arrays, code, parameters):
@@ -61,15 +56,17 @@ def coefficients(network: Arrays, code, parameters):
 
 @dataclass(frozen=True, eq=False)
 class LearnedRecurrence:
-    """Arrays of ARRAYS, and what heads turn about: pivot (3,) [mm], that of the mean head."""
+    """π and the layers of f_β and f_γ, and what heads turn about: pivot (3,) [mm], that of the mean head."""
 
     network: Mapping[str, np.ndarray]
     pivot: Floats
 
     def check(self, vertices: int, code_size: int) -> None:
         """Raise InputError unless every array is there, of fitting shape and finite."""
-        check_numbers(self.network, [*ARRAYS])
-        check_sizes(self.network, ARRAYS, sizes(vertices, code_size))
+        table, bias = (np.asarray(self.network.get(name, ())) for name in ("position", "beta_from_parameters.bias"))
+        position = table.size // vertices
+        layers = layer_shapes(recurrence_layers(code_size, position, bias.size), WITHOUT_BIAS)
+        check_network(self.network, {"position": (vertices, position)} | layers)
         finite("recurrence pivot", self.pivot, (3,))
 
     def bind(self, code: Floats, at_vertices: Floats) -> LearnedSwing:

@@ -18,9 +18,8 @@ from ..corpus.mixture import basis
 from ..corpus.reading import Table
 from ..rigs.rig import Rig
 from .features import Inputs
-from .gradient_training import smooth_vertices
-from .recurrence import ARRAYS, LAYERS, WITHOUT_BIAS, LearnedRecurrence, coefficients, sizes
-from .trainer import Tensors, Trainer, TrainerConfig, draw_layers, torch
+from .recurrence import WITHOUT_BIAS, LearnedRecurrence, coefficients, recurrence_layers
+from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, draw_positions, torch
 from .weights import Weights
 
 KEPT = 64
@@ -77,11 +76,8 @@ class _Motion:
     turns: Floats32
 
 
-class RecurrenceLesson:
+class RecurrenceLesson(Lesson):
     """Tensors of f_β and f_γ, and the mean distance of whole rolled-out sequences to the simulator's."""
-
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, weights: Weights, bind: Bind, table: Table, pivot: Floats, config: RecurrenceTraining):
         self.table, self.config = table, config
@@ -95,16 +91,15 @@ class RecurrenceLesson:
             raise InputError("training: no sequence is of a person that the network has learned from")
         self._waves = basis(weights.mean.vertices)
         self._motion = lru_cache(maxsize=KEPT)(self._read)
-        known = sizes(len(weights.mean.vertices), len(weights.code_mean))
-        known |= {"hidden": config.hidden, "position": config.position}
+        layers = recurrence_layers(len(weights.code_mean), config.position, config.hidden)
         torch.manual_seed(config.seed)
-        self.network: Tensors = draw_layers({n: (known[a], known[b]) for n, (a, b) in LAYERS.items()}, WITHOUT_BIAS)
+        self.network: Tensors = draw_layers(layers, WITHOUT_BIAS)
         for name, logit in FAST.items():
             self.network[f"{name}_rest.2.weight"] *= 0.1
             self.network[f"{name}_rest.2.bias"] = torch.full((1,), logit)
-        places = smooth_vertices(weights.mean, config.position, np.random.default_rng(config.seed))
-        self.network["position"] = torch.from_numpy(places)
-        assert set(self.network) == set(ARRAYS)
+        rng, mean = np.random.default_rng(config.seed), weights.mean
+        positions = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
+        self.network["position"] = torch.from_numpy(positions)
         for value in self.network.values():
             value.requires_grad_()
 

@@ -13,9 +13,9 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .features import Features, Inputs
-from .layers import perceptron
+from .layers import perceptron, perceptron_layers
 from .ridge import find_components
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 from .vertex_network import SEED, STEPS
 
 MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
@@ -23,12 +23,10 @@ SEQUENCES = 256
 """At most: 1 MB each on the default head."""
 
 
-class SubspacePhysics:
+class SubspacePhysics(Lesson):
     """A step of a sequence from the two before it; trained on whole sequences, so that its errors are its own."""
 
     needs: Needs = "nothing"
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, steps: int = STEPS):
         self.steps = steps
@@ -69,10 +67,6 @@ class SubspacePhysics:
         weight = torch.from_numpy((self._size / self._size.max()).astype(np.float32))
         rolled = self._roll(z[:, 0], z[:, 1], self._frames[rows])
         return (weight * (rolled - z[:, 2:])).square().sum(dim=-1).add(1e-8).sqrt().mean()
-
-    def errors(self) -> dict[str, float]:
-        """Hold out nobody."""
-        return {}
 
     def _roll(self, earlier, last, inputs):
         """Steps (b, L, k) after two states (b, k) under inputs (b, L, ...)."""

@@ -5,13 +5,12 @@ The answer is the same, a deformation gradient per face. Only the conditioning d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
-from .gradients import Bound, GradientForm, Widths
-from .layers import Arrays, concatenate, count_rows, elu, perceptron
+from ..rigs.rig import WEIGHTS
+from .gradients import Bound, GradientForm, Sizes, Widths
+from .layers import Arrays, concatenate, elu, perceptron, perceptron_layers
 
 SMALL, LARGE = Widths(latent=32, expression=128), Widths(latent=256, expression=512)
 """The small one has the widths of the hypernetwork's f_w, as in the paper, which tells a large one's time alone."""
@@ -21,19 +20,18 @@ class SoftSMPL(GradientForm):
     """J - I = last(MLP(w, p, h)), the last layer linear to all faces."""
 
     kind = "softsmpl"
-    layers = {
-        "hidden.0": ("wide", "all"),
-        "hidden.2": ("wide", "wide"),
-        "hidden.4": ("latent", "wide"),
-        "last": ("faces*9", "latent"),
-    }
     quiet = {"last.weight": 0.02, "last.bias": 0.02}
     follows_fields = False
 
-    def found_sizes(self, network: Mapping[str, np.ndarray]) -> dict[str, int]:
+    def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
         """See `GradientForm`."""
-        (latent,) = count_rows(network, "hidden.4.weight")
-        return {"latent": latent}
+        wide, latent = sizes.widths.expression, sizes.widths.latent
+        inputs = WEIGHTS + sizes.parameters + sizes.code
+        return perceptron_layers("hidden", inputs, wide, wide, latent) | {"last": (9 * sizes.faces, latent)}
+
+    def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
+        """See `GradientForm`: none, since no face has an input of its own."""
+        return {}
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""

@@ -16,10 +16,10 @@ from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .features import Features, Inputs
 from .gradient_training import still_vertices, transfer_delta
-from .layers import elu, perceptron
+from .layers import elu, perceptron, perceptron_layers
 from .ridge import find_components
 from .softsmpl import LARGE
-from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 
 BEFORE = 24
 """Principal components of the two skins before a sequence."""
@@ -27,12 +27,10 @@ SAMPLED = 64
 """Sequences, at most, of which what training begins with is made."""
 
 
-class SoftSMPLInMotion:
+class SoftSMPLInMotion(Lesson):
     """A method that learns from sequences and plays them."""
 
     needs: Needs = "nothing"
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, config: TrainerConfig | None = None, *, batch: int = 2):
         self._config = TrainerConfig(steps=1000, learning_rate=1e-3, clip=1.0) if config is None else config
@@ -75,10 +73,6 @@ class SoftSMPLInMotion:
             errors.append(torch.linalg.vector_norm(away, dim=-1))
         return torch.stack([error.mean() for error in errors]).mean()
 
-    def errors(self) -> dict[str, float]:
-        """Hold out nobody."""
-        return {}
-
     def play(self, row: Row, table: Table) -> Floats32:
         """Return T - S [mm], shape (L, n, 3), of a table's sequence after the two skins that were before it."""
         with torch.no_grad():
@@ -91,14 +85,10 @@ class SoftSMPLInMotion:
         encoded = elu(perceptron(network, "hidden", inputs, elu))
         before = torch.from_numpy(row["before"].astype(np.float32).reshape(2, -1) @ self._begin.T).reshape(-1)
         state = torch.tanh(before @ network["begin.weight"].T + network["begin.bias"])
+        cell = [network[f"{layer}.{part}"] for part in ("weight", "bias") for layer in ("into", "again")]
         states = []
         for now in encoded:
-            a = now @ network["into.weight"].T + network["into.bias"]
-            b = state @ network["again.weight"].T + network["again.bias"]
-            (reset, keep, new), (reset_by, keep_by, new_by) = a.chunk(3), b.chunk(3)
-            kept = torch.sigmoid(keep + keep_by)
-            fresh = torch.tanh(new + torch.sigmoid(reset + reset_by) * new_by)
-            state = kept * state + (1.0 - kept) * fresh
+            state = torch.gru_cell(now[None], state[None], *cell)[0]
             states.append(state)
         gradients = torch.stack(states) @ network["last.weight"].T + network["last.bias"]
         person = table.person(int(row["identity"]))

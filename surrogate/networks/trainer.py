@@ -5,17 +5,19 @@ from __future__ import annotations
 import io
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ...lhm.base.errors import InputError, MissingDependencyError
 from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 
 try:
@@ -31,9 +33,9 @@ __all__ = [
     "Trainer",
     "TrainerConfig",
     "draw_layers",
+    "draw_positions",
     "hold_out_people",
     "nn",
-    "perceptron_layers",
     "start_processes",
     "torch",
 ]
@@ -62,25 +64,22 @@ class TrainerConfig:
     precision: Precision = "float32"  # "bfloat16": of products of matrices, which GPUs do faster
 
 
-class Lesson(Protocol):
-    """What is learned: a network's tensors, the loss of a step, and errors on held-out people."""
+class Lesson(ABC):
+    """What is learned: a network's tensors, and the loss of a step."""
 
     network: Tensors
-    slow: tuple[str, ...]
+    slow: tuple[str, ...] = ()
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
+    about: Sequence[str] = ()
+    """What a kept state has to be of."""
 
-    @property
-    def about(self) -> Sequence[str]:
-        """Name what a kept state has to be of."""
-        ...
-
+    @abstractmethod
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
         """Return the loss of a step's batch."""
-        ...
 
     def errors(self) -> Mapping[str, float]:
-        """Return mean vertex errors [mm] on held-out people."""
-        ...
+        """Return mean vertex errors [mm] on held-out people; by default nobody is held out."""
+        return {}
 
 
 class Trainer:
@@ -230,10 +229,18 @@ def draw_layers(layers: Mapping[str, tuple[int, int]], without_bias: Iterable[st
     return network
 
 
-def perceptron_layers(name: str, *widths: int) -> dict[str, tuple[int, int]]:
-    """Return the sizes of layers `name.0`, `name.2`, ... of these widths; see `layers.perceptron`."""
-    pairs = zip(widths[:-1], widths[1:], strict=True)
-    return {f"{name}.{2 * k}": (outputs, inputs) for k, (inputs, outputs) in enumerate(pairs)}
+def draw_positions(places: Floats, normals: Floats, size: int, rng: np.random.Generator) -> Floats32:
+    """Draw random Fourier features of places [mm] and their normals, both (n, 3), unit variance, shape (n, size).
+
+    They are a start for a trained table π: neighbours start alike, and the two sides of a lip, close in space, differ
+    by their normals.
+    """
+    centres = (places - places.mean(axis=0)) / np.sqrt(places.var(axis=0).sum())
+    length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    inputs = np.hstack([2.0 * centres, 0.5 * normals / length])
+    frequencies = rng.normal(size=(inputs.shape[1], size))
+    features = np.cos(inputs @ frequencies + rng.uniform(0.0, 2.0 * np.pi, size))
+    return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)
 
 
 @dataclass(frozen=True)

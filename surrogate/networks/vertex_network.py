@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -14,21 +14,19 @@ from ..rigs.rig import CorrectedRig, Needs
 from .features import Inputs
 from .layers import EVERY, Arrays
 from .ridge import sample_frames
-from .trainer import Tensors, Trainer, TrainerConfig, torch
+from .trainer import Lesson, Tensors, Trainer, TrainerConfig, torch
 
 FRAMES, STEPS, BATCH, VERTICES, RATE = 6000, 1500, 32, 512, 2e-3
 SEED = 7
 
 
-class VertexNetwork(ABC):
+class VertexNetwork(Lesson):
     """A method whose network gives T - S at some vertices from w and the summary of p and h, both normalised.
 
     Trained on vertices and frames drawn anew in each step, on the mean distance.
     """
 
     needs: Needs = "nothing"
-    slow: tuple[str, ...] = ("-",)  # none
-    about: tuple[str, ...] = ()
 
     def __init__(self, steps: int = STEPS):
         self._steps = steps
@@ -77,10 +75,6 @@ class VertexNetwork(ABC):
         bound = self.bound(self.network, self._summaries[rows], vertices)
         answer = self.answer(self.network, bound, self._weights[rows], vertices)
         return ((answer - expected).square().sum(dim=-1) + 1e-6).sqrt().mean()
-
-    def errors(self) -> dict[str, float]:
-        """Hold out nobody."""
-        return {}
 
     def bind(self, face: KeptFace) -> CorrectedRig:
         """Evaluate what of the network depends on p and h alone, where it has such a part."""

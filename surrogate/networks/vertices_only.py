@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..rigs.rig import WEIGHTS, silu
-from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron
-from .trainer import Tensors, draw_layers, perceptron_layers, torch
+from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron, perceptron_layers
+from .trainer import Tensors, draw_layers, torch
 from .vertex_network import VertexNetwork
 
 LATENT, POSITION, WIDTH = 32, 16, 128

@@ -28,7 +28,8 @@ from .modal import check_modal
 from .recurrence import LearnedRecurrence
 
 CHECKS = {"modal": check_modal} | {kind: form.check for kind, form in FORMS.items()}
-"""What checks the arrays of each kind of network: the run time indexes them without looking."""
+"""What checks the arrays of each kind of network by the sizes that its training noted: run time indexes them without
+looking."""
 UNSEALED = "0" * 64
 """What stands for a checksum while it is computed."""
 FARTHEST = 1e5
@@ -156,9 +157,9 @@ class Weights:
                 for name, value in arrays.items()
                 if name.startswith("network.")
             }
-        CHECKS[kind](network, mean, len(code_mean))
-        looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
         space, note = text("space", about["space"]), _read_note(about["note"])
+        CHECKS[kind](network, note.config["network"], mean, len(code_mean))
+        looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
         recurrence = _read_recurrence(arrays, len(code_mean), len(mean.vertices))
         weights = cls(kind, space, mean, code_mean, code_scale, network, note, looseness, recurrence)
         if weights.template != about["template"]:

@@ -22,7 +22,6 @@ from ...lhm.base.checks import number, real
 from ...lhm.base.errors import FitError, InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
-from ...reference import Parameters
 from ...reference.face.dynamics import (
     Recurrence,
     base_lag,
@@ -31,11 +30,9 @@ from ...reference.face.dynamics import (
     find_pivot,
     measure_looseness,
 )
-from ...reference.face.face import Face
 from ..corpus.people import People
 from .rig import Rig
 
-OSCILLATION = ("frequency", "damping")
 PEOPLE, SEED = 96, 41
 """How many people looseness is learned from, and the seed that draws them."""
 RIDGE = 8.0
@@ -59,35 +56,6 @@ class Swings(Protocol):
     def recurrence(self, time_step: float) -> Recurrence:
         """Return α, β, γ at the vertices for frames time_step [s] apart; InputError where that cannot be."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class Swing:
-    """How a bound face swings: loose shares in [0, 1], frequency [Hz] and damping ratio, (n,); pivot (3,) [mm]."""
-
-    loose: Floats
-    frequency: Floats
-    damping: Floats
-    pivot: Floats
-
-    @classmethod
-    def from_shares(cls, loose: Floats, pivot: Floats, oscillation: Floats) -> Swing:
-        """Take p's frequency and damping at the vertices, mapped to [-1, 1], shape (2, n)."""
-        mapped = zip(OSCILLATION, oscillation, strict=True)
-        frequency, damping = (np.asarray(Parameters.info(name).denormalise(values)) for name, values in mapped)
-        return cls(loose, frequency, damping, pivot)
-
-    @classmethod
-    def from_face(cls, face: Face) -> Swing:
-        """Take a face, whose head's depth of bone under the skin tells where flesh is loose."""
-        # Weights of skin off the wrap's triangles reach a little beyond their corners.
-        shares = np.clip(face.head.skin_from_wrap @ measure_looseness(face.head), 0.0, 1.0)
-        oscillation = np.stack([face.at_vertices(name) for name in OSCILLATION])
-        return cls.from_shares(shares, find_pivot(face.head), oscillation)
-
-    def recurrence(self, time_step: float) -> Recurrence:
-        """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
-        return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
 
 
 @dataclass(frozen=True, eq=False)

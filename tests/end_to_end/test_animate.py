@@ -20,7 +20,7 @@ from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
 from softdeca.lhm.head.file import save_head
-from softdeca.reference import Face, Parameters, SceneError, Sequence, settle, solve
+from softdeca.reference import Face, Parameters, SceneError, Sequence, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters
 from softdeca.surrogate import CertifiedFace, Surrogate, certify
@@ -89,7 +89,7 @@ def test_a_take_is_the_dials_or_the_simulators(sphere_head, deltas, tmp_path, dy
             truth = face.frame(weights, 1e-6).skin
             assert np.linalg.norm(sphere_head.skin.vertices + moved[k] - truth, axis=1).mean() < 0.015
         return
-    sequence = Sequence.from_face(settle(sphere_head, p, bones=bones), dynamic=dynamic)
+    sequence = Sequence(Face(sphere_head, deltas, p, choices={"bones": bones}, settling={}), dynamic=dynamic)
     bases = expressions.rotations(np.zeros((8, 3)) if take().head is None else take().head)
     for k in range(8):
         targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
@@ -115,12 +115,12 @@ def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_tu
 def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
     """At zero weights the skin is the settled neutral face's."""
     p, still = Parameters(soft_volume=1.4), replace(take(2), weights=np.zeros((2, 52)))
-    neutral = settle(sphere_head, p, bones="prescribed")
+    face = Face(sphere_head, deltas, p, choices={"bones": "prescribed"}, settling={})
     config = AnimateConfig(tmp_path, bones="prescribed")
     done = run(config, sphere_head, deltas, still, p)
     assert done.neutral == "CONVERGED"
     moved = played(done.files[0], 2)[1] - sphere_head.skin.vertices
-    rest = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions).positions
+    rest = solve(face.neutral_scene(), start=face.settled().positions).positions
     assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=1e-4)
     assert np.abs(moved).max() > 0.1
 

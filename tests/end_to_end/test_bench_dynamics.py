@@ -10,7 +10,7 @@ pytest.importorskip("dolfinx")
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement.dynamics import RELEASED, SHAKEN, Dynamics, let_go, shake
 from softdeca.benchmarks.studies.agreement.release import Release, swing
-from softdeca.reference import march
+from softdeca.reference import Face, march
 from softdeca.reference.fenicsx.policy import FenicsxPolicy, MarchPolicy
 
 
@@ -43,7 +43,7 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
     """4 Hz at 60 frames per second: implicit Euler damps by 0.200 and swings 0.97 times as fast, by the closed form."""
     head = spheres(1)
     at = int(np.argmax(head.skin.vertices[:, 2] - np.abs(head.skin.vertices[:, 1] + 30.0)))
-    rows, study = rows_of(Release(head, at), 10), Dynamics()
+    rows, study = rows_of(Release(Face(head, choices={"bones": "prescribed"}), at), 10), Dynamics()
     assert [gate["what"] for gate in study.gates(rows) if not gate["passed"]] == []
     found = {row["name"]: row for row in rows[0].values["rows"]}
     # The springs' share of all stiffness is nearly one; the tissue's raises the frequency a little.
@@ -59,7 +59,7 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
 def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):
     hasty = partial(march, policy=FenicsxPolicy(march=MarchPolicy(max_iterations=2)))
     monkeypatch.setattr("softdeca.benchmarks.studies.agreement.release.march", hasty)
-    rows, study = rows_of(Release(spheres(1), 0), 8), Dynamics()
+    rows, study = rows_of(Release(Face(spheres(1), choices={"bones": "prescribed"}), 0), 8), Dynamics()
     marches = [line for row in rows for line in row.values["rows"]]
     stopped = [line for line in marches if not line["converged"]]
     assert stopped and all("steps: iteration limit" in line["stopped"] for line in stopped)

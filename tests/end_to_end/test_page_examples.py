@@ -51,7 +51,7 @@ def test_a_corpus_is_read_by_torch(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = Spheres(1)
     plan = replace(PRESETS["tiny"], sequences=0, references=0, responses=0.0, sources={"random": 1.0})
-    Corpus("corpus", plan, OfSpace(space, space.mean, space.fit)).generate()
+    Corpus.from_plan("corpus", plan, OfSpace(space, space.mean, space.fit)).generate()
     names = ran("DataLoader(")
     assert names["weights"].shape == (4, 52) and names["corrected"].shape == (4, 42, 3)
     assert set(names["row"]) >= {"identity", *names["frames"][0]} - {"recording"}

@@ -26,7 +26,7 @@ PLAN = CorpusPlan(
 def corpus(tmp_path_factory):
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
     known = {"identities": "spheres:1", "level": 2}
-    made = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, people, known)
+    made = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, people, known)
     made.generate()
     return made.folder
 

@@ -27,8 +27,7 @@ from softdeca.lhm.template.depths.depths import DepthRegressor
 from softdeca.lhm.template.registration import read_landmarks
 from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.folder import read_status, verify_folder
-from softdeca.surrogate.corpus.manifest import read_manifest, read_template
+from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.plan import read_plan
 from softdeca.surrogate.corpus.reading import Table
 from softdeca.surrogate.corpus.spheres import Spheres
@@ -182,8 +181,9 @@ def read_corpus(path: Path) -> list[np.ndarray]:
         rows = Table(folder, table, None)
         read += [np.asarray(v, dtype=float) for v in rows[len(rows) - 1].values() if v.dtype.kind in "fiub"]
         read += [rows.skin(0).vertices, rows.shapes(0)]
-    verify_folder(folder)
-    status = read_status(read_manifest(folder), read_template(folder))
+    corpus = Corpus.open(folder)
+    corpus.verify()
+    status = corpus.status()
     return [*read, np.array([status.bytes])]
 
 

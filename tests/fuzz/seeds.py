@@ -16,6 +16,7 @@ import sys
 import tempfile
 import zipfile
 from base64 import b64encode
+from dataclasses import asdict
 from pathlib import Path
 
 import meshio
@@ -35,7 +36,7 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.forms import FORMS
-from softdeca.surrogate.networks.gradients import HELD, Widths
+from softdeca.surrogate.networks.gradients import HELD, Sizes, Widths
 from softdeca.surrogate.networks.modal import ModalConfig, modal_shapes
 from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
 
@@ -90,17 +91,19 @@ def recorder() -> bytes:
 def rough_weights(kind: str) -> Weights:
     """A network of random numbers, a digit each, on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
+    n, faces, code_size = len(SPACE.mean.vertices), len(SPACE.mean.triangles), SPACE.code_size
     if kind == "modal":
-        shapes = modal_shapes(ModalConfig(3, 3, 3, 3, 2, 4, 4, 4), features, SPACE.code_size)
+        config = ModalConfig(3, 3, 3, 3, 2, 4, 4, 4)
+        shapes = modal_shapes(config, features, code_size)
     else:
-        widths = FORMS[kind].width_sizes(Widths(2, 2, 2, 2, 2))
-        arrays, sizes = FORMS[kind].arrays(), FORMS[kind].known_sizes(SPACE.mean, SPACE.code_size, len(STATIC)) | widths
-        shapes = {name: tuple(sizes[each] for each in names) for name, names in arrays.items()}
+        config = Widths(2, 2, 2, 2, 2)
+        shapes = FORMS[kind].shapes(Sizes(config, n, faces, code_size, len(STATIC)))
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))
-    note = TrainingNote(2, 4, 8, 4, 10, {"seed": 0}, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
-    code = np.zeros(SPACE.code_size)
+    told = {"seed": 0, "network": asdict(config)}
+    note = TrainingNote(2, 4, 8, 4, 10, told, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
+    code = np.zeros(code_size)
     return Weights(kind, SPACE.name, SPACE.mean, code, code + 1.0, network, note)
 
 
@@ -155,7 +158,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     motion = np.stack([0 * wrap.vertices, 0.1 * wrap.vertices, 0.2 * wrap.vertices]).astype(np.float32)
     moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
-    Corpus(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
+    Corpus.from_plan(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
     made = {(name, "whole"): (folder / name).read_bytes() for name in ("head.npz", "template.npz", "depths.npz")}
     for kind in CHECKS:
         rough_weights(kind).save(folder / "weights.safetensors")

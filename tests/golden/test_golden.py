@@ -1,6 +1,6 @@
 """Nails: numbers that a rewrite must not move. They say that an answer is the same, not that it is right.
 
-`python tests/golden/test_golden.py` writes golden.json anew; do so only for a change that is meant to move answers, and
+`python -m tests.golden.test_golden` writes golden.json anew; do so only for a change that is meant to move answers, and
 say in the commit which numbers moved and why.
 """
 
@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import Parameters, Scene, apply_law, settle, solve, terms
+from softdeca.reference import Face, Parameters, Scene, apply_law, solve, terms
 from softdeca.reference.problems import meshes
-from softdeca.reference.problems.laws_on_elements import LAWS, elements_of, energies_of
+
+from ..laws_on_elements import LAWS, elements_of, energies_of
 
 KEPT = Path(__file__).with_name("golden.json")
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.3, "jawOpen": 0.4}
@@ -71,10 +72,11 @@ def face() -> Numbers:
     """A face that settles, and an expression of it: projective dynamics, FEniCSx and the neo-Hookean law."""
     code, head = _head(None)
     p = Parameters(soft_volume=1.1, gravity=2.0, mandible_scale_y=1.05)
-    neutral = settle(head, p, tolerance=1e-9)
+    person = Face(head, parameters=p, settling={"tolerance": 1e-9})
+    neutral = person.settled()
     weights = expressions.weights_of({"mouthSmileLeft": 0.3, "mouthSmileRight": 0.2})
     shape = expressions.blend(_space(), code, weights[None])[0]
-    scene = neutral.scene(shape)
+    scene = person.expression_scene(shape)
     numbers = _lengths("settled", neutral.displacement)
     near = solve(scene, start=neutral.positions, tolerance=1e-9, max_iterations=3000)
     same = solve(scene, solver="fenicsx", start=near.positions, tolerance=1e-6)
@@ -89,10 +91,10 @@ def palsy() -> Numbers:
     """A smile of a face with one half paralysed."""
     code, head = _head(None)
     shape = expressions.blend(_space(), code, expressions.weights_of(SMILE)[None])[0]
-    neutral = settle(head, Parameters(paralysis_left=0.8))
-    answer = solve(neutral.scene(shape), tolerance=1e-9, max_iterations=3000)
+    person = Face(head, parameters=Parameters(paralysis_left=0.8), settling={})
+    answer = solve(person.expression_scene(shape), tolerance=1e-9, max_iterations=3000)
     assert answer.converged, answer.reason
-    return _lengths("palsy", neutral.skin_after(shape, answer.positions) - head.skin.vertices)
+    return _lengths("palsy", person.expression_skin(shape, answer.positions) - head.skin.vertices)
 
 
 def laws() -> Numbers:
@@ -136,7 +138,7 @@ def corpus() -> Numbers:
     plan = replace(PRESETS["tiny"], references=0, identities=2)
     numbers: Numbers = {}
     with TemporaryDirectory() as folder:
-        Corpus(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()
+        Corpus.from_plan(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()
         for table, key in (("statics", "corrected"), ("responses", "expressions"), ("sequences", "corrected")):
             rows = Table(folder, table, None)
             values = [np.asarray(rows[k][key], dtype=np.float64) for k in range(len(rows))]

@@ -251,8 +251,8 @@ def functions() -> Iterator[Function]:
     yield Function("open_jaw_scene", reference.open_jaw_scene, jaw)
     push = {"pressure": 0.5, "radius": 80.0, "centre": HEAD.skin.vertices[0]}
     yield Function("push_cheek_scene", reference.push_cheek_scene, {"head": HEAD, "parameters": Parameters(), **push})
-    yield Function("Sequence", Sequence, {"head": HEAD, "parameters": Parameters(), "time_step": 0.02, "dynamic": True})
-    frames = Sequence(HEAD, Parameters())
+    yield Function("Sequence", Sequence, {"face": reference.Face(HEAD), "time_step": 0.02, "dynamic": True})
+    frames = Sequence(reference.Face(HEAD))
     yield Function("Sequence.frame", frames.frame, {"targets": HEAD.skin.vertices})
     begin = {"targets": HEAD.skin.vertices, "velocity": 0 * HEAD.skin.vertices}
     yield Function("Sequence.begin", frames.begin, begin)

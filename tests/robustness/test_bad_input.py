@@ -18,7 +18,7 @@ from softdeca.lhm.base.files.resumable import RowStore, lock_folder
 from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.template.fit import is_upright
-from softdeca.reference import Parameters, Scene, facial_scene, settle, terms
+from softdeca.reference import Face, Parameters, Scene, facial_scene, terms
 from softdeca.surrogate.corpus.plan import PRESETS
 
 from ..refusals import refused
@@ -336,7 +336,7 @@ def with_targets(head, move):
         (lambda head: with_targets(head, lambda x: x * [-1, 1, 1]), "targets: its likeness .* is it mirrored"),
         (lambda head: with_targets(head, lambda x: x[::-1]), "targets: its likeness"),
         (lambda head: with_targets(head, lambda x: np.ma.masked_less(x, 0.0)), "targets: expected an array of numbers"),
-        (lambda head: settle(head, Parameters()).scene(head.skin.vertices / 10), "targets: 0.1 times as large"),
+        (lambda head: Face(head).expression_scene(head.skin.vertices / 10), "targets: 0.1 times as large"),
     ],
 )
 def test_a_bad_scene_is_named_in_one_line(sphere_head, make, message):

@@ -10,7 +10,7 @@ from softdeca.benchmarks.studies.cases import CASES
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.head.gates import check_layers
-from softdeca.reference import Parameters, facial_scene, solve
+from softdeca.reference import Face, Parameters, facial_scene, solve
 from softdeca.reference.face.sequence import Sequence
 from softdeca.surrogate.methods import PD
 
@@ -79,7 +79,7 @@ def test_a_blink_leaves_nothing_behind(head):
     """Frames of shut lids, each started from the last, end where cold ones do, and invert no soft tissue."""
     shut = expressions.weights_of({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0, "eyeSquintLeft": 0.6})
     faces = expressions.blend(SPACE, np.zeros(SPACE.code_size), np.outer([0.5, 0.8, 1.0, 0.7, 0.2, 0.0], shut))
-    sequence = Sequence(head, Parameters(), tolerance=1e-6)
+    sequence = Sequence(Face(head), tolerance=1e-6)
     for targets in faces:
         warm = sequence.frame(targets)
         cold = solve(facial_scene(head, Parameters(), targets), tolerance=1e-7)

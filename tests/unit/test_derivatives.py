@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.base.errors import InputError, SceneError
-from softdeca.reference import Parameters, SettledFace, facial_scene, prepare, settle, terms
-from softdeca.reference.face.derivatives import differentiate, vertices_by_parameters
+from softdeca.reference import Face, Parameters, SettledFace, facial_scene, prepare, solve, terms
+from softdeca.reference.face.by_parameters import skin_by_parameters, vertices_by_parameters
+from softdeca.reference.face.correction import predict
+from softdeca.reference.face.derivatives import FRAME_ACCURACY, TIGHT_ACCURACY, spring_norm
 from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
@@ -33,9 +35,22 @@ def tight(parameters, targets, near):
     return prepare(scene_at(parameters, targets)).solve(start=near.positions, tolerance=1e-10).positions
 
 
+def tight_face(parameters, head=PLAIN):
+    return Face(head, DELTAS, parameters, settling={"tolerance": 1e-10}, accuracy=TIGHT_ACCURACY)
+
+
+def frame(face, weights, accuracy=FRAME_ACCURACY):
+    """A frame in the metric of the Hessian at rest, begun at the first order."""
+    scene, linear = face.scene(weights), face.derivatives
+    absolute = accuracy * spring_norm(scene)
+    return linear.prepared.solve(
+        scene, start=predict(face, weights), absolute=absolute, metric=linear.tangent, untangle=False
+    )
+
+
 @pytest.fixture(scope="module")
 def face():
-    return differentiate(settle(PLAIN, SETTLES, tolerance=1e-10))
+    return tight_face(SETTLES)
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +72,16 @@ def assert_near(derivative, difference, share=1e-3, least=1e-9):
 def test_shapes_move_vertices_and_skin_as_frames_do(face, palsied):
     """With bones that p scales, and where eyes are lined and half of the face is paralysed."""
     if palsied:
-        face = differentiate(SettledFace(EYED, ALL, EYED.vertices, TARGETS - NEUTRAL))
-    vertices = face.vertices_by_shapes(DELTAS)
-    skin = face.skin_by_shapes(DELTAS)
-    assert face.is_exact and vertices.shape == (52, *PLAIN.vertices.shape) and skin.shape == (52, *NEUTRAL.shape)
-    np.testing.assert_array_equal(face.skin_by_shapes(DELTAS, vertices), skin)
+        face = tight_face(ALL, EYED).settled_as(SettledFace(EYED.vertices, NEUTRAL, TARGETS - NEUTRAL))
+    vertices, skin = face.first_order, face.responses + DELTAS
+    assert face.derivatives.is_exact
+    assert vertices.shape == (52, *PLAIN.vertices.shape) and skin.shape == (52, *NEUTRAL.shape)
     for shape in (0, 3, 17, 30):
-        expressions = [NEUTRAL + h * DELTAS[shape] for h in (0.01, -0.01)]
-        solutions = [face.solve(expression, accuracy=1e-9) for expression in expressions]
+        weights = [h * np.eye(52)[shape] for h in (0.01, -0.01)]
+        solutions = [frame(face, w, 1e-9) for w in weights]
         assert all(solution.converged for solution in solutions)
         assert_near(vertices[shape], (solutions[0].positions - solutions[1].positions) / 0.02)
-        pairs = zip(expressions, solutions, strict=True)
-        skins = [face.face.skin_after(expression, solution.positions) for expression, solution in pairs]
+        skins = [face.skin_after(w, solution.positions) for w, solution in zip(weights, solutions, strict=True)]
         assert_near(skin[shape], (skins[0] - skins[1]) / 0.02)
 
 
@@ -133,35 +146,33 @@ def test_wrong_directions_are_named(expressed):
 
 def neutral_skin(parameters):
     """The simulated neutral skin, all solved anew."""
-    face = differentiate(settle(PLAIN, parameters, tolerance=1e-10))
-    return face.face.skin + face.offset
+    return NEUTRAL + tight_face(parameters).offset
 
 
 @pytest.mark.parametrize("name", ["soft_volume", "gravity", "soft_stiffness", "mandible_scale_y", "cranium_scale_x"])
 def test_a_parameter_moves_the_neutral_skin_through_the_face_that_settles(face, name):
     h = 2e-4
     ends = [neutral_skin(replace(SETTLES, **{name: getattr(SETTLES, name) + t})) for t in (h, -h)]
-    moved = face.skin_by_parameters({name: 1.0, "volume_ratio": 1.0})[name]
+    moved = skin_by_parameters(face, {name: 1.0, "volume_ratio": 1.0})[name]
     assert_near(moved, (ends[0] - ends[1]) / (2 * h), least=1e-3)
 
 
 def test_a_frame_does_not_depend_on_those_before(face):
-    expressions = [NEUTRAL + DELTAS[k] + DELTAS[k + 1] for k in (0, 10, 20)]
-    forwards = [face.solve(expression).positions for expression in expressions]
-    again = (differentiate(face.face, like=face) for _ in expressions)
-    backwards = [other.solve(expression).positions for other, expression in zip(again, expressions[::-1], strict=True)]
+    expressions = [np.eye(52)[k] + np.eye(52)[k + 1] for k in (0, 10, 20)]
+    forwards = [frame(face, weights).positions for weights in expressions]
+    again = (replace(face, like=face.derivatives.analysis) for _ in expressions)
+    backwards = [frame(other, weights).positions for other, weights in zip(again, expressions[::-1], strict=True)]
     for one, other in zip(forwards, reversed(backwards), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_a_frame_is_the_minimum_that_a_cold_solve_finds(face):
-    expression = NEUTRAL + 0.5 * DELTAS[4]
-    quick = face.solve(expression, accuracy=1e-8)
-    cold = face.prepared.solve(face.face.scene(expression), tolerance=1e-9)
+    weights = 0.5 * np.eye(52)[4]
+    quick, cold = frame(face, weights, 1e-8), solve(face.scene(weights), tolerance=1e-9)
     assert quick.iterations < cold.iterations
     np.testing.assert_allclose(quick.positions, cold.positions, atol=1e-4)
 
 
 def test_contact_is_refused():
     with pytest.raises(SceneError, match="knows no Contact"):
-        differentiate(settle(PLAIN, SETTLES, contact=[PLAIN.skin_wrap.vertices[:, 1] > 90.0]))
+        _ = replace(tight_face(SETTLES), choices={"contact": [PLAIN.skin_wrap.vertices[:, 1] > 90.0]}).derivatives

@@ -120,10 +120,9 @@ def test_a_face_settles_about_bones_at_their_scaled_rest(head):
     bone = head.bone > 0
     np.testing.assert_allclose(fixed.values, scale_skull(head, parameters)[bone], atol=1e-12)
     # A mandible that is prescribed stays there as long as the settled skin over it does.
-    face = settle(head, parameters)
-    still = face.scene(head.skin.vertices).of(terms.Fixed) + face.scene(head.skin.vertices, bones="prescribed").of(
-        terms.Fixed
-    )
+    settled = settle(head, parameters)
+    faces = (Face(head, parameters=parameters, choices=choices) for choices in ({}, {"bones": "prescribed"}))
+    still = [term for face in faces for term in face.settled_as(settled).neutral_scene().of(terms.Fixed)]
     np.testing.assert_allclose(still[-1].values, scale_skull(head, parameters)[bone], atol=1e-9)
 
 
@@ -148,7 +147,9 @@ def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
     at_rest = settle(head, Parameters(**changes))
     assert at_rest.solution is None and at_rest.converged and at_rest.reason is Reason.CONVERGED
     np.testing.assert_array_equal(at_rest.skin, head.skin.vertices)
-    np.testing.assert_array_equal(at_rest.positions, at_rest.scene(head.skin.vertices).vertices)
+    np.testing.assert_array_equal(
+        at_rest.positions, Face(head, parameters=Parameters(**changes)).neutral_scene().vertices
+    )
 
 
 @pytest.mark.parametrize("layers", [(1, 1), (2, 1)])
@@ -160,9 +161,9 @@ def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
     share = head.skin_from_wrap @ flesh_share(head)
     assert heavier.converged and out[share > 0.9].mean() > 0.2
     assert np.abs(heavier.displacement[share == 0.0]).max() < 0.3 * out.max()
-    longer = settle(head, Parameters(mandible_scale_y=1.15), layers=layers)
-    jaw = head.bone == 2
-    lower = longer.scene(head.skin.vertices).vertices, longer.positions
+    face = Face(head, parameters=Parameters(mandible_scale_y=1.15), choices={"layers": layers}, settling={})
+    longer, jaw = face.settled(), head.bone == 2
+    lower = face.neutral_scene().vertices, longer.positions
     n, first = len(head.bone), sum(layers) * len(head.bone)
     moved = (lower[1] - lower[0])[first : first + n][jaw, 1]
     assert moved.min() < -0.5 and longer.displacement[:, 1].min() < 0.9 * moved.min()
@@ -209,9 +210,10 @@ def test_an_effect_by_both_laws(head):
     everything, skin = solved.compare(PD, FENICSX)
     assert everything["max"] < 1e-6 and skin["share"] < 1e-6
     np.testing.assert_allclose(solved.skins[CARRIED], solved.shape, atol=1e-5)
-    neutral = settle(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
-    other = solve(neutral.scene(solved.shape), solver="skfem", start=pd.solution.positions, tolerance=1e-9)
-    apart = np.linalg.norm(neutral.skin_after(solved.shape, other.positions) - pd.skin, axis=1)
+    face = Face(head, parameters=Parameters(soft_volume=1.3), settling={"solver": "skfem", "tolerance": 1e-9})
+    scene = face.expression_scene(solved.shape, "neo-Hookean")
+    other = solve(scene, solver="skfem", start=pd.solution.positions, tolerance=1e-9)
+    apart = np.linalg.norm(face.expression_skin(solved.shape, other.positions, "neo-Hookean") - pd.skin, axis=1)
     everything, skin = solved.compare(FENICSX_NEO_HOOKEAN, PD)
     np.testing.assert_allclose([skin["mean"], skin["max"]], [apart.mean(), apart.max()], rtol=1e-3)
     motion = np.linalg.norm(pd.skin - solved.shape, axis=1)

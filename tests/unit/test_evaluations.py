@@ -36,7 +36,7 @@ READY = [METHODS[name] for name in (DERIVATIVES, CARRIED, BLENDSHAPES)]
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory):
     pytest.importorskip("dolfinx")
-    made = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    made = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     made.generate()
     return made.folder
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.head.flesh import flesh_share
-from softdeca.reference import Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
+from softdeca.reference import Face, Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
 from softdeca.reference.face.dynamics import (
     CLOSE,
     DEEP,
@@ -218,7 +218,7 @@ def test_closed_lips_of_fast_speech_stay_closed(default):
     head, deltas = default
     take = expressions.speech("Bob, pop my puppy.", pace=18.0)
     frames = [head.skin.vertices + np.tensordot(w, deltas, axes=1) for w in take.weights[10:28]]
-    still, lagging, uniform = (Sequence(head, Parameters(), dynamic=d, tolerance=1e-4) for d in (False, True, True))
+    still, lagging, uniform = (Sequence(Face(head), dynamic=d, tolerance=1e-4) for d in (False, True, True))
     uniform.recurrence = from_oscillator(4.0, 0.3, STEP)
     n = len(head.bone)
     lips = np.flatnonzero(head.regions["lips"])
@@ -330,7 +330,7 @@ def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(spher
     """At rest D = -(1 - Qᵀ)² y of one frame's turn Q; the answer minimises the static energy for S + D/(ωh)²."""
     p, rotations = replace(P, frequency=3.0, damping=0.5), spin(4.0, 80)
     rest, middle = sphere_head.skin.vertices, find_pivot(sphere_head)
-    sequence = Sequence(sphere_head, p, dynamic=True, tolerance=1e-8)
+    sequence = Sequence(Face(sphere_head, parameters=p), dynamic=True, tolerance=1e-8)
     sequence.begin(rest, base=extrapolate_turns(rotations))
     for base in rotations:
         moved = sequence.frame(rest, base=base).positions
@@ -346,12 +346,12 @@ def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(spher
 def test_a_head_that_does_not_turn_has_the_frames_it_had_to_the_bit(sphere_head):
     x, leant = sphere_head.skin.vertices, nod(0.2)
     frames = [x + np.sin(0.4 * k) * np.clip(-x[:, 1:2] / 100, 0, 1) * [0.0, -5.0, 2.0] for k in range(5)]
-    plain, upright, leaning = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    plain, upright, leaning = (Sequence(Face(sphere_head, parameters=P), dynamic=True) for _ in range(3))
     for s in frames:
         expected = plain.frame(s).positions
         assert np.array_equal(upright.frame(s, base=np.eye(3)).positions, expected)
         assert np.array_equal(leaning.frame(s, base=leant).positions, expected)
-    kept, told = (Sequence(sphere_head, P, dynamic=True) for _ in range(2))
+    kept, told = (Sequence(Face(sphere_head, parameters=P), dynamic=True) for _ in range(2))
     for k, s in enumerate(frames):
         told.frame(s, base=nod(0.1 * min(k, 2)))
         kept.frame(s, base=nod(0.1 * k) if k < 3 else None)  # left out, it stays as it was
@@ -361,7 +361,7 @@ def test_a_head_that_does_not_turn_has_the_frames_it_had_to_the_bit(sphere_head)
 
 def test_only_how_a_head_turns_matters_not_where_it_looks(sphere_head):
     x, away = sphere_head.skin.vertices, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
-    one, other = (Sequence(sphere_head, P, dynamic=True, tolerance=1e-9) for _ in range(2))
+    one, other = (Sequence(Face(sphere_head, parameters=P), dynamic=True, tolerance=1e-9) for _ in range(2))
     for base in nod(np.arange(5) * STEP):
         moved = one.frame(x, base=base).positions
         assert other.frame(x, base=away @ base).positions == pytest.approx(moved, abs=1e-7)
@@ -375,7 +375,7 @@ def test_a_motion_goes_on_into_its_first_frame(sphere_head):
     assert np.array_equal(extrapolate_turns(rotations[4:5]), rotations[[4, 4]])
     thrown = []
     for begun in (extrapolate_turns(rotations), rotations[0]):
-        sequence = Sequence(sphere_head, P, dynamic=True)
+        sequence = Sequence(Face(sphere_head, parameters=P), dynamic=True)
         start = sequence.begin(x, base=begun).positions
         thrown.append(max(np.abs(sequence.frame(x, base=base).positions - start).max() for base in rotations))
     assert 0.1 < thrown[0] < 0.25 * thrown[1]
@@ -383,7 +383,7 @@ def test_a_motion_goes_on_into_its_first_frame(sphere_head):
 
 def test_statics_do_not_know_how_a_head_turns(sphere_head):
     x = sphere_head.skin.vertices
-    plain, turning = Sequence(sphere_head, P), Sequence(sphere_head, P)
+    plain, turning = Sequence(Face(sphere_head, parameters=P)), Sequence(Face(sphere_head, parameters=P))
     for k, base in enumerate(nod(np.arange(3) * STEP)):
         s = x * (1 + 0.01 * k)
         assert np.array_equal(plain.frame(s).positions, turning.frame(s, base=base).positions)
@@ -391,7 +391,7 @@ def test_statics_do_not_know_how_a_head_turns(sphere_head):
 
 def test_a_state_carries_how_the_head_turned(sphere_head):
     x, rotations = sphere_head.skin.vertices, nod(np.arange(6) * STEP)
-    whole, first, second = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    whole, first, second = (Sequence(Face(sphere_head, parameters=P), dynamic=True) for _ in range(3))
     expected = [whole.frame(x, base=base).positions for base in rotations]
     for base in rotations[:3]:
         first.frame(x, base=base)
@@ -422,7 +422,7 @@ def test_a_head_turns_about_its_neck(sphere_head):
 )
 def test_what_is_no_rotation_is_named_and_the_state_stays(sphere_head, base, message):
     x = sphere_head.skin.vertices
-    sequence = Sequence(sphere_head, P, dynamic=True)
+    sequence = Sequence(Face(sphere_head, parameters=P), dynamic=True)
     with pytest.raises(InputError, match=message):
         sequence.begin(x, base=base)
     sequence.begin(x)
@@ -437,7 +437,9 @@ def test_what_is_no_rotation_is_named_and_the_state_stays(sphere_head, base, mes
 
 def test_a_beginning_wants_one_rotation_or_two(sphere_head):
     with pytest.raises(InputError, match=r"base: expected one rotation \(3, 3\), or those of two frames"):
-        Sequence(sphere_head, P, dynamic=True).begin(sphere_head.skin.vertices, base=np.stack([np.eye(3)] * 3))
-    sequence = Sequence(sphere_head, P, dynamic=True)
+        Sequence(Face(sphere_head, parameters=P), dynamic=True).begin(
+            sphere_head.skin.vertices, base=np.stack([np.eye(3)] * 3)
+        )
+    sequence = Sequence(Face(sphere_head, parameters=P), dynamic=True)
     sequence.begin(sphere_head.skin.vertices, base=np.eye(3, dtype=np.float32))
     assert np.array_equal(sequence.state.turns, STILL)

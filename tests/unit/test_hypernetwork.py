@@ -29,13 +29,12 @@ from softdeca.surrogate.networks.gradient_training import (
     GradientTraining,
     least_gradients,
     principal_gradients,
-    smooth_positions,
     still_vertices,
     train_gradients,
     transfer_delta,
 )
 from softdeca.surrogate.networks.gradients import Widths
-from softdeca.surrogate.networks.trainer import Trainer, TrainerConfig
+from softdeca.surrogate.networks.trainer import Lesson, Trainer, TrainerConfig, draw_positions
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.trials import static_trials
@@ -55,7 +54,7 @@ QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate"
 
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     corpus.generate()
     return {split: Faces(corpus.folder, split, heads=Heads(lambda: PEOPLE)) for split in ("train", "test")}
 
@@ -239,19 +238,14 @@ def test_frames_are_read_as_batches_need_them():
     assert peak < 0.4 * size
 
 
-class Diverges:
+class Diverges(Lesson):
     """A lesson whose loss is infinite at the third step."""
-
-    slow, about = ("-",), ()
 
     def __init__(self):
         self.network = {"x": torch.ones(1, requires_grad=True)}
 
     def loss(self, step, rng):
         return (self.network["x"] / (2.0 - step)).sum()
-
-    def errors(self):
-        return {}
 
 
 def test_a_loss_that_is_not_finite_ends_a_training():
@@ -260,8 +254,9 @@ def test_a_loss_that_is_not_finite_ends_a_training():
 
 
 def test_positions_start_smooth_and_normalised():
-    positions = smooth_positions(SPACE.mean, 8, np.random.default_rng(0))
-    assert positions.shape == (80, 8)
+    mean = SPACE.mean
+    positions = draw_positions(mean.vertices, mean.vertex_normals, 8, np.random.default_rng(0))
+    assert positions.shape == (N, 8)
     assert np.allclose(positions.mean(axis=0), 0.0, atol=1e-5) and np.allclose(positions.std(axis=0), 1.0, atol=1e-4)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from softdeca.lhm import InputError, SoftdecaError, fit_head, identities, load_template
 from softdeca.reference import (
-    FacialModel,
+    Face,
     Parameters,
     facial_scene,
     smallest_facial_scene,
@@ -15,7 +15,7 @@ from softdeca.reference import (
     solve,
     terms,
 )
-from softdeca.reference.face.minimal import find_smallest
+from softdeca.reference.face.minimal import change_parameters, find_smallest, solve_skin
 
 
 def test_pieces_go_as_long_as_all_together_are_within():
@@ -47,9 +47,9 @@ def test_a_term_that_does_nothing_leaves_a_scene_of_ones_own(sphere_head):
 
 def test_a_face_keeps_what_moves_it(sphere_head):
     skin = sphere_head.skin.vertices
-    model = FacialModel(sphere_head, Parameters(gravity=3.0, soft_stiffness=1.0, target_stiffness=1.0), skin)
-    assert "gravity beyond the scan's" in smallest_facial_scene(model, within=100.0).without
-    found = smallest_facial_scene(model, within=1e-2)
+    face = Face(sphere_head, parameters=Parameters(gravity=3.0, soft_stiffness=1.0, target_stiffness=1.0))
+    assert "gravity beyond the scan's" in smallest_facial_scene(face, skin, within=100.0).without
+    found = smallest_facial_scene(face, skin, within=1e-2)
     assert "gravity beyond the scan's" not in found.without
     assert found.changes["gravity beyond the scan's"] > 1e-2
     assert "tissue outside the face" not in found.changes
@@ -60,9 +60,10 @@ def test_an_effect_is_judged_on_the_face_that_settled_under_it():
     space = identities.Anny()
     skin = space.skin(np.zeros(space.code_size))
     head = fit_head(load_template(space, level=1), skin)
-    model = FacialModel(head, Parameters(gravity=3.0), head.skin.vertices)
-    light = model.with_parameters(gravity=1.0)
-    change = np.linalg.norm(model.skin() - light.skin(), axis=1).max()
-    held = [solve(facial_scene(head, m.parameters, head.skin.vertices)).positions for m in (model, light)]
+    neutral = head.skin.vertices
+    heavy = Face(head, parameters=Parameters(gravity=3.0), settling={})
+    light = change_parameters(heavy, gravity=1.0)
+    change = np.linalg.norm(solve_skin(heavy, neutral) - solve_skin(light, neutral), axis=1).max()
+    held = [solve(facial_scene(head, face.parameters, neutral)).positions for face in (heavy, light)]
     assert change > 0.3 > 0.1 > np.linalg.norm(held[0] - held[1], axis=1)[: len(head.bone)].max()
-    assert "gravity beyond the scan's" not in smallest_facial_scene(model, within=0.1).without
+    assert "gravity beyond the scan's" not in smallest_facial_scene(heavy, neutral, within=0.1).without

@@ -13,8 +13,8 @@ import torch
 
 from softdeca.lhm import InputError, Surface, identities
 from softdeca.lhm.identities.nearest import nearest_code
-from softdeca.reference import Face, Parameters, settle
-from softdeca.reference.face.derivatives import differentiate
+from softdeca.reference import Face, Parameters
+from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
@@ -59,7 +59,7 @@ CONFIG = ModalTraining(network=NETWORK, steps=150, frames=4, vertices=42, valida
 
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
     corpus.generate()
     return {split: Faces(corpus.folder, split, heads=Heads(lambda: PEOPLE)) for split in ("train", "test")}
 
@@ -357,13 +357,11 @@ def test_exact_is_the_linearised_simulator_and_the_remainder(surrogate):
     skin, parameters = SPACE.mean, Parameters(soft_volume=1.2, soft_stiffness=3.0)
     head = SPACE.fit(skin)
     rig = bound(surrogate, parameters=parameters, exact=True, head=head)
-    face = settle(head, parameters)
-    linear = differentiate(face)
-    assert np.abs(rig.neutral - (face.skin + linear.offset)).max() < 1e-2
+    face = Face(head, shapes(), parameters, settling={}, accuracy=TIGHT_ACCURACY)
+    assert np.abs(rig.neutral - (head.skin.vertices + face.offset)).max() < 1e-2
     weights = np.zeros(52)
     weights[7] = 0.5
-    response = linear.skin_by_shapes(shapes())[7]
-    expected = face.skin + linear.offset + 0.5 * response + rig.modes.remainder(weights)
+    expected = face.blend(weights) + face.offset + 0.5 * face.responses[7] + rig.modes.remainder(weights)
     assert np.abs(rig.frame(weights) - expected).max() < 1e-2
     with pytest.raises(InputError, match="head: none is fitted"):
         bound(surrogate, exact=True)

@@ -36,13 +36,14 @@ def test_each_law_settles_the_face_itself(face):
     assert (*answers,) == FEM_LAWS == ("PD", "neo-Hookean") and {same.status, own.status} == {ACCEPTED}
     # Half precision leaves steps of some micrometres at these sizes.
     assert np.abs(same.corrected - answer.corrected).max() < 0.02
-    expression = face.blend(weights)
 
-    def by_scikit_fem(neutral):
+    def by_scikit_fem(settled):
         """The neo-Hookean answer of another implementation on this neutral face."""
-        scene = neutral.scene(expression)
+        resting = face.settled_as(settled)
+        scene = resting.scene(weights, settled.law)
         scene = scene if scene.of(terms.Hyperelastic) else apply_law(scene, "neo-Hookean")
-        return neutral.skin_after(expression, solve(scene, solver="skfem").positions) - expression
+        solution = solve(scene, solver="skfem")
+        return resting.skin_after(weights, solution.positions, settled.law) - face.blend(weights)
 
     varying = replace(P, soft_stiffness=np.linspace(4.0, 6.0, len(face.head.skin_wrap.triangles)))
     without = replace(face, parameters=varying, per="wraps")

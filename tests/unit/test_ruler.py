@@ -116,7 +116,7 @@ def faces(tmp_path_factory):
         identities=4, groups=3, frames=3, sequences=0, references=0, parameter_responses=0.0, varying=0.3,
         kinds={"materials": 0.3, "single": 0.7}, sources={"hard": 1.0}, conversations=0, random=0, hard=3, seconds=2.0,
     )  # fmt: skip
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), plan, PEOPLE)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), plan, PEOPLE)
     corpus.generate()
     return Faces(corpus.folder, None, heads=Heads(lambda: PEOPLE))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.head.flesh import LEAN_REGIONS
-from softdeca.reference import Parameters, SceneError, materials, prepare, settle, solve, terms
+from softdeca.reference import Face, Parameters, SceneError, materials, prepare, settle, solve, terms
 from softdeca.reference.face.facial import PD_ENERGY, apply_law
 from softdeca.reference.face.settle import neutral_scene
 
@@ -42,16 +42,17 @@ def test_targets_of_a_face_settled_by_pd_hide_what_a_law_changes(sphere_head, mo
     monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     everywhere = np.ones(len(sphere_head.bone), dtype=bool)
     head = replace(sphere_head, regions=dict.fromkeys((*LEAN_REGIONS, "face", "neck"), everywhere))
-    by_pd, by_law = (settle(head, GROWN, law=law, bones="prescribed", **FEM) for law in ("PD", "neo-Hookean"))
-    skin = head.skin.vertices
-    here = solve(apply_law(by_pd.scene(skin), "neo-Hookean"), solver="fenicsx", **FEM)
-    hidden = np.linalg.norm(by_pd.skin_after(skin, here.positions) - by_pd.skin, axis=1).mean()
+    face = Face(head, parameters=GROWN, choices={"bones": "prescribed"}, settling=FEM)
+    by_pd, by_law = face.settled(), face.settled("neo-Hookean")
+    here = solve(apply_law(face.neutral_scene(), "neo-Hookean"), solver="fenicsx", **FEM)
+    skin = face.expression_skin(head.skin.vertices, here.positions)
+    hidden = np.linalg.norm(skin - by_pd.skin, axis=1).mean()
     own = np.linalg.norm(by_law.skin - by_pd.skin, axis=1).mean()
     assert own > 2.0 * hidden > 0.0
 
 
 def test_expressions_of_a_settled_face_are_under_its_law(sphere_head, by_law):
-    scene = by_law.scene(sphere_head.skin.vertices)
+    scene = Face(sphere_head, parameters=GROWN).settled_as(by_law).neutral_scene("neo-Hookean")
     assert not scene.of(terms.Strain) and not scene.of(terms.Volume)
     soft, muscle = scene.of(terms.Hyperelastic)
     assert isinstance(soft.material, materials.NeoHookean) and np.all(soft.growth == 1.2)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, expressions
-from softdeca.reference import Face, Parameters, Sequence, settle
+from softdeca.reference import Face, Parameters, Sequence
 from softdeca.surrogate import METHODS
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness, Swing
+from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness
 
 SPACE = Spheres(1)
 N = len(SPACE.mean.vertices)
@@ -36,7 +36,7 @@ def rig(head):
 def test_frames_follow_the_simulators(head, rig):
     weights, moving = np.zeros((16, 52)), rig.dynamic(1 / 60)
     weights[:, 7] = 0.5 * np.sin(np.arange(16) / 3) ** 2
-    simulated = Sequence.from_face(settle(head, P), dynamic=True)
+    simulated = Sequence(Face(head, parameters=P, settling={}), dynamic=True)
     static, dynamic = [], []
     for w in weights:
         targets = SPACE.mean.vertices + np.tensordot(w, shapes(), axes=1)
@@ -47,7 +47,11 @@ def test_frames_follow_the_simulators(head, rig):
 
 
 def test_a_turning_head_shakes_the_face_as_in_simulation(head, rig):
-    simulated, moving, still = Sequence.from_face(settle(head, P), dynamic=True), rig.dynamic(), np.zeros(52)
+    simulated, moving, still = (
+        Sequence(Face(head, parameters=P, settling={}), dynamic=True),
+        rig.dynamic(),
+        np.zeros(52),
+    )
     bases = expressions.rotations(np.stack([0.2 * np.sin(np.arange(12) / 4), np.zeros(12), np.zeros(12)], axis=1))
     simulated.begin(SPACE.mean.vertices, base=bases[0])
     moving.begin(still, base=bases[0])
@@ -129,7 +133,7 @@ def test_bad_parameters_are_named(head, changes, message):
             """Unchecked, as an array of parameters is."""
 
     with pytest.raises(InputError, match=message):
-        Swing.from_face(Face(head, shapes(), Given(**changes)))
+        _ = Face(head, shapes(), Given(**changes)).swing
 
 
 @pytest.mark.parametrize(

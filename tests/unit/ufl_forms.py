@@ -13,15 +13,6 @@ from softdeca.reference.fenicsx.energy.hyperelastic import density
 from softdeca.reference.materials import Material
 
 
-def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
-    """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with seam._serialise_compilation(seam.communicator(domain)):
-        compiled = seam.fem.Expression(expression, points, **seam._COMPILER)
-    first = () if seam.VERSION < (0, 7) else (domain,)
-    shape = (len(points), int(np.prod(expression.ufl_shape)))
-    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), *shape)
-
-
 def assemble_tangent(order, quadrature, cells, C):
     """The integral of grad v : dP/dF : grad u [mN/mm], dense, of dP/dF [kPa] (m q, 9, 9) at points of cells (m,)."""
     nodes, q = order.cell_dofs[cells], quadrature.per_cell
@@ -88,7 +79,13 @@ class HyperelasticForms:
 
         Derivatives are taken first: dolfinx would count the constants of what they drop, and take others for them.
         """
-        return evaluator(expand_derivatives(expression), seam.quadrature_rule(self._degree)[0], self._domain)
+        points, shape = seam.quadrature_rule(self._degree)[0], expression.ufl_shape
+        with seam._serialise_compilation(seam.communicator(self._domain)):
+            compiled = seam.fem.Expression(expand_derivatives(expression), points, **seam._COMPILER)
+        first = () if seam.VERSION < (0, 7) else (self._domain,)
+        return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(
+            len(cells), len(points), int(np.prod(shape))
+        )
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""

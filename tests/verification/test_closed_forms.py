@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 from softdeca.reference import Scene, materials
 from softdeca.reference.materials.material import HasInvariants
@@ -71,35 +71,6 @@ def test_the_bent_block_keeps_volume_and_its_curved_faces_carry_no_load():
     assert incompressible.BLOCK_LENGTH * quad(density, -0.5, 0.5)[0] == pytest.approx(
         incompressible.energy_per_depth(), rel=1e-7
     )
-
-
-@pytest.mark.parametrize("label", incompressible.CYLINDER_LAWS)
-def test_the_twisted_cylinder_s_energy(label):
-    C10, C01 = incompressible.CYLINDER_LAWS[label]
-    stretch = 1.2
-
-    def density(R):
-        F = gradient(lambda X: incompressible.twist(X, stretch), np.array([[R, 0.0, 0.5]]))
-        assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-8)
-        C = F.T @ F
-        return C10 * (np.trace(C) - 3) + C01 * ((np.trace(C) ** 2 - np.sum(C * C)) / 2 - 3)
-
-    energy = incompressible.CYLINDER_LENGTH * quad(lambda R: 2 * np.pi * R * density(R), 0.0, 1.0)[0]
-    assert energy == pytest.approx(incompressible.twisting_energy(C10, C01, stretch), rel=1e-7)
-
-
-def test_the_twisted_cylinder_lengthens():
-    """Poynting: without axial force the neo-Hookean cylinder's energy is least at the stretch that is stated."""
-    found = minimize_scalar(
-        lambda s: incompressible.twisting_energy(0.5, 0.0, s), bounds=(0.9, 1.3), method="bounded"
-    ).x
-    assert found == pytest.approx(incompressible.POYNTING, abs=1e-5) and found > 1.05
-    X, tets = incompressible.cylinder(3)
-    corners = X[tets]
-    volumes = Scene(X, tets, []).volumes
-    # The exact integral of r² over a tet is that of a quadratic: a twentieth of the corners' squares and sum squared.
-    squares = np.sum(corners[:, :, :2] ** 2, axis=(1, 2)) + np.sum(corners[:, :, :2].sum(axis=1) ** 2, axis=1)
-    assert volumes @ squares / 20 == pytest.approx(incompressible.CYLINDER_LENGTH * np.pi / 2, rel=1e-12)
 
 
 @pytest.mark.parametrize("mesh", [meshes.box((3, 2, 4), (1.5, 1.0, 2.0)), meshes.unstructured(3, 1.0)])

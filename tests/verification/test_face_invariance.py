@@ -11,7 +11,7 @@ import pytest
 
 from softdeca.lhm import Surface, expressions
 from softdeca.lhm.head.head import MANDIBLE
-from softdeca.reference import Parameters, settle, solve
+from softdeca.reference import Face, Parameters, settle, solve
 from softdeca.reference.face.bones import scale_skull
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -38,10 +38,11 @@ def mirror(head):
 
 def simulate(head, parameters, expression, solver="projective"):
     """The skin [mm] of an expression of the settled face."""
-    face = settle(head, parameters, tolerance=1e-8)
-    solution = solve(face.scene(expression), solver=solver, start=face.positions, tolerance=1e-8, max_iterations=3000)
-    assert face.converged and solution.converged
-    return face.skin_after(expression, solution.positions)
+    face = Face(head, parameters=parameters, settling={"tolerance": 1e-8})
+    settled, scene = face.settled(), face.expression_scene(expression)
+    solution = solve(scene, solver=solver, start=settled.positions, tolerance=1e-8, max_iterations=3000)
+    assert settled.converged and solution.converged
+    return face.expression_skin(expression, solution.positions)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -14,7 +14,7 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.limits import LEVEL, STUDIED_FRAMES
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Trajectory
+from ....reference import Face, Trajectory
 from ....reference.face.dynamics import Recurrence
 from ....reference.march import SCHEMES
 from ...harness.study import Column, Row, Task, Values, at_most
@@ -121,7 +121,7 @@ class Dynamics(OfPerson):
 @lru_cache(maxsize=1)
 def _release(study: Dynamics) -> Release:
     head = study.person().head
-    return Release(head, cheek(head))
+    return Release(Face(head, choices={"bones": "prescribed"}), cheek(head))
 
 
 def cheek(head: LayeredHead) -> int:
@@ -133,7 +133,7 @@ def cheek(head: LayeredHead) -> int:
 
 def let_go(release: Release, frames: int) -> dict:
     """March the release by every scheme: swings, and distances between equal models."""
-    p = release.parameters
+    p = release.face.parameters
     equation = {
         "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
         EQUATION_AS_EULER: Recurrence.from_implicit_euler(p.frequency, FRAME),
@@ -154,7 +154,7 @@ def let_go(release: Release, frames: int) -> dict:
             _describe_motion(release, name, run.positions, run.time_step) | _count_work(run) | _describe_end(run)
         )
     same = runs.pop(EULER)
-    n, amplitude = len(release.head.bone), float(np.abs(release.start - release.scene.vertices).max())
+    n, amplitude = len(release.face.head.bone), float(np.abs(release.start - release.scene.vertices).max())
     return {
         "areal_density": release.areal,
         "amplitude_mm": amplitude,
@@ -212,7 +212,7 @@ def shake(release: Release, frames: int) -> dict:
     def shaken(t: float) -> Floats:
         return np.array([-reach * pace**2 * np.sin(pace * t), 0.0, 0.0])
 
-    rest = release.scene.vertices[: len(release.head.bone)]
+    rest = release.scene.vertices[: len(release.face.head.bone)]
     runs: dict[str, Trajectory | Frames] = {PROJECTIVE: release.by_projective_dynamics(frames, shaken)}
     runs[EULER] = release.play_elements("implicit Euler", frames, tolerance=TIGHT, shaken=shaken)
     runs |= {f"FEM, {scheme}": release.play_elements(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}

@@ -8,16 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from ....lhm import LayeredHead
 from ....lhm.base.mesh import Floats
 from ....reference import (
-    Parameters,
+    Face,
     Reason,
     Scene,
     Sequence,
     Solution,
     Trajectory,
-    facial_scene,
     march,
     prepare,
     solve,
@@ -82,48 +80,46 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Release:
-    """A head at rest in its neutral pose, bones held, and the same with the skin around vertex `at` drawn aside.
+    """A face at rest in its neutral pose, bones held, and the same with the skin around a `vertex` drawn aside.
 
     `areal` [kg/mm²] is the mass per skin area that makes Eq. 9 of p's springs swing at p's frequency.
     """
 
-    head: LayeredHead = field(repr=False)
-    at: int
-    parameters: Parameters = field(default_factory=Parameters)
+    face: Face = field(repr=False)
+    vertex: int
     scene: Scene = field(init=False, repr=False)
     start: Floats = field(init=False, repr=False)
     sought: Floats = field(init=False, repr=False)
     areal: float = field(init=False)
 
     def __post_init__(self):
-        skin, wrap = self.head.skin.vertices, self.head.skin_wrap.vertices
-        near = np.exp(-np.sum((skin - wrap[self.at]) ** 2, axis=1) / (2.0 * REACH**2))
-        drawn = self.head.wrap_targets(skin + DRAWN * near[:, None] * [0.0, -1.0, 0.0])
-        scene = facial_scene(self.head, self.parameters, skin, bones="prescribed")
-        areal = float(np.mean(self.parameters.target_stiffness)) / (2.0 * np.pi * self.parameters.frequency) ** 2
+        head, p = self.face.head, self.face.parameters
+        skin, wrap = head.skin.vertices, head.skin_wrap.vertices
+        near = np.exp(-np.sum((skin - wrap[self.vertex]) ** 2, axis=1) / (2.0 * REACH**2))
+        drawn = head.wrap_targets(skin + DRAWN * near[:, None] * [0.0, -1.0, 0.0])
+        scene = self.face.neutral_scene()
+        areal = float(np.mean(p.target_stiffness)) / (2.0 * np.pi * p.frequency) ** 2
         start = solve(scene.with_targets(drawn), solver="fenicsx", tolerance=TIGHT).positions
         for name, value in (("scene", scene), ("start", start), ("sought", drawn), ("areal", areal)):
             object.__setattr__(self, name, value)
 
     def motion(self, positions: Floats) -> Floats:
         """Measure the share of the skin wrap's first displacement that is left, (k,), of positions (k, n, 3) [mm]."""
-        n = len(self.head.bone)
+        n = len(self.face.head.bone)
         first = (self.start - self.scene.vertices)[:n]
         return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
 
     def play_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
         """March frames of Eq. 9 through projective dynamics, the start first."""
-        neutral = self.head.skin.vertices
-        sequence = Sequence(
-            self.head, self.parameters, time_step=FRAME, dynamic=True, bones="prescribed", tolerance=TIGHT
-        )
+        neutral = self.face.head.skin.vertices
+        sequence = Sequence(self.face, time_step=FRAME, dynamic=True, tolerance=TIGHT)
         sequence.recurrence = recurrence
-        sequence.state = State(self.start, self.sought, self.start[: len(self.head.bone)])
+        sequence.state = State(self.start, self.sought, self.start[: len(self.face.head.bone)])
         return _collect_frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
 
     def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
         """March frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
-        wrap = self.head.skin_wrap
+        wrap = self.face.head.skin_wrap
         n = len(wrap.vertices)
         springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
         prepared = prepare(replace(self.scene, terms=(*self.scene.terms, springs)))
@@ -155,12 +151,12 @@ class Release:
             time_step=FRAME / per_frame,
             steps=frames * per_frame,
             scheme=scheme,
-            skin=self.head.skin_wrap.triangles,
+            skin=self.face.head.skin_wrap.triangles,
             skin_density=self.areal,
             positions=self.start if shaken is None else None,
             acceleration=shaken,
             tolerance=tolerance,
-            keep=np.arange(len(self.head.bone)),
+            keep=np.arange(len(self.face.head.bone)),
         )
 
 

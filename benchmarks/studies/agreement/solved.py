@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -64,7 +64,7 @@ TRUTHS: Mapping[str, str] = {
 class Answer:
     """How a solver answers a case: `solution` of `scene`, and the skin [mm], shape (n, 3).
 
-    settled: the neutral face as this solver settles it; None where no target follows one. start: where it began.
+    settled: where this solver settles the neutral face; None where no target follows one. start: where it began.
     another: how far [mm] from PD's answer it ended first, where that is another minimum. trace: the way, if kept.
     """
 
@@ -128,13 +128,15 @@ class SolvedCase:
         """Return the neutral face that a solver settles, and the case's scene on it."""
         if self.case.scene is not None:
             return None, apply_law(self.case.scene(self.person.head), law)
-        choices: dict[str, Any] = {"contact": self.case.contact} if self.case.contact else {}
         settled = settle(self.person.head, self.face.on_wraps, law=law, solver=solver, tolerance=TIGHT)
-        return settled, settled.scene(self.shape, **choices)
+        choices = {"contact": self.case.contact} if self.case.contact else {}
+        face = replace(self.face, choices=choices).settled_as(settled)
+        return settled, face.scene(self.case.weights, law)
 
     def _skin(self, settled: SettledFace | None, solution: Solution) -> Floats:
         if settled is not None:
-            return settled.skin_after(self.shape, solution.positions)
+            face = self.face.settled_as(settled)
+            return face.skin_after(self.case.weights, solution.positions, settled.law)
         head = self.person.head
         return head.skin_after(head.skin.vertices, solution.positions[: len(head.bone)])
 

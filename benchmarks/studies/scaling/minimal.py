@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -14,8 +14,8 @@ from ....lhm import expressions
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import FacialModel, Parameters, smallest_facial_scene
-from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE
+from ....reference import Face, Parameters, smallest_facial_scene
+from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE, choose, solve_skin
 from ....reference.face.sequence import Sequence as Simulation
 from ....reference.face.tissue import bone_points
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
@@ -31,11 +31,11 @@ WHOLE, SMALLEST = "whole scene", "smallest scene"
 TALK, STATIC, DYNAMIC = "talk at 60 Hz", "without inertia", "with the dynamics of Eq. 9"
 TALK_FRAMES, RATE = 12, 60.0
 
-Change = Callable[[FacialModel], FacialModel]
+Change = Callable[[Face], Face]
 ADDED: Mapping[str, Change] = {
-    "with contact of lips and lids": lambda model: model.choosing(contact=("lips", "lids")),
-    "with soft bones (Eq. 13)": lambda model: model.choosing(bones="soft"),
-    "with connecting tets to the skull": lambda model: model.choosing(attached=bone_points(model.head)),
+    "with contact of lips and lids": lambda face: choose(face, contact=("lips", "lids")),
+    "with soft bones (Eq. 13)": lambda face: choose(face, bones="soft"),
+    "with connecting tets to the skull": lambda face: choose(face, attached=bone_points(face.head)),
 }
 LEFT_OUT: Mapping[str, Change] = {
     f"without {piece}": change for piece, change in FACIAL_PIECES.items() if piece != "contact"
@@ -103,21 +103,25 @@ class Minimal(OfPerson):
         """Measure costs, and the change from the whole."""
         if task.case == TALK:
             return self._talk(task.method)
-        whole = self.model(task.case)
+        whole, expression = self.face(task.case), self.expression(task.case)
         if task.method == SMALLEST:
-            smallest = smallest_facial_scene(whole, within=self.within)
-            return _measure_costs(smallest.model, whole) | {
+            smallest = smallest_facial_scene(whole, expression, within=self.within)
+            return _measure_costs(smallest.model, whole, expression) | {
                 "without": list(smallest.without),
                 "alone_mm": dict(smallest.changes),
             }
         change = {**LEFT_OUT, **ADDED}.get(task.method)
-        return _measure_costs(whole if change is None else change(whole), whole)
+        return _measure_costs(whole if change is None else change(whole), whole, expression)
 
-    def model(self, case: str) -> FacialModel:
-        """Make the whole scene of an expression, or of a smile under an effect."""
-        of, effect = self.person(), EFFECTS.get(case)
-        shape = of.shape(case if effect is None else SMILE)
-        return FacialModel(of.head, effect or Parameters(), shape, {"bones": "rigid"})
+    def face(self, case: str) -> Face:
+        """Make the face of a case, whose scenes are whole."""
+        parameters = EFFECTS.get(case, Parameters())
+        choices, settling = {"bones": "rigid"}, {"tolerance": TOLERANCE}
+        return Face(self.person().head, parameters=parameters, choices=choices, settling=settling)
+
+    def expression(self, case: str) -> Floats:
+        """Give the skin [mm], shape (n, 3), of a case's expression: a smile under an effect."""
+        return self.person().shape(SMILE if case in EFFECTS else case)
 
     def _talk(self, method: str) -> Values:
         skins, rows = _talk(self, method == DYNAMIC)
@@ -170,17 +174,20 @@ def _find_cost(rows: Sequence[Row], case: str, method: str) -> float:
     return next((row.values["cpu_s"] for row in rows if (row.case, row.method) == (case, method)), 0.0)
 
 
-def _measure_costs(model: FacialModel, whole: FacialModel) -> dict:
-    held = measure_megabytes(model.scene)
+def _measure_costs(model: Face, whole: Face, expression: Floats) -> dict:
+    held = measure_megabytes(lambda: replace(model).expression_scene(expression))
     watch = Stopwatch()
-    face = model.settle()
+    face = replace(model)  # one that has not settled yet
+    settled = face.settled()
+    if not settled.converged:
+        raise SoftdecaError(f"the neutral face: {settled.reason}")
     _, settle_cpu = watch.lap()
-    solution, costs = time_solve(lambda: face.scene(model.targets), TOLERANCE)
+    solution, costs = time_solve(lambda: face.expression_scene(expression), TOLERANCE)
     if not solution.converged:
         raise SoftdecaError(str(solution.reason))
     costs |= {"settle_s": settle_cpu, "cpu_s": costs["cpu_s"] + settle_cpu}
-    apart = distances(face.skin_after(model.targets, solution.positions), whole.skin())
-    return {"tets": len(face.scene(model.targets).tets), **costs, "scene_mb": held,
+    apart = distances(face.expression_skin(expression, solution.positions), solve_skin(whole, expression))
+    return {"tets": len(face.expression_scene(expression).tets), **costs, "scene_mb": held,
             "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}  # fmt: skip
 
 
@@ -189,7 +196,7 @@ def _talk(study: Minimal, dynamic: bool) -> tuple[list[Floats], dict]:
     """Skins [mm] of frames of talk, and what a frame costs on average."""
     of = study.person()
     targets = of.blend(expressions.conversation(np.random.default_rng(3), TALK_FRAMES, rate=RATE))
-    running = Simulation(of.head, Parameters(), time_step=1.0 / RATE, dynamic=dynamic, bones="rigid")
+    running = Simulation(Face(of.head), time_step=1.0 / RATE, dynamic=dynamic)
     running.frame(targets[0])
     skins, laps, solutions = [], [], []
     for shape in targets[1:]:

@@ -15,7 +15,7 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.limits import STUDIED_FRAMES, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Parameters, Prepared, facial_scene, prepare, projective
+from ....reference import Face, Parameters, Prepared, facial_scene, prepare, projective
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
 from ....surrogate.corpus.mixture import FEW
@@ -139,7 +139,7 @@ class Throughput(OfPerson):
     def _play(self, skins: Floats, prepared: Prepared, tolerance: float) -> dict:
         """Errors are to the minimum that a frame is near: closed lids fold, and have more than one."""
         head = self.person().head
-        running = Simulation(head, Parameters(), time_step=1.0 / RATE, tolerance=tolerance)
+        running = Simulation(Face(head), time_step=1.0 / RATE, tolerance=tolerance)
         running.frame(skins[0])
         walls, cpus, iterations, errors = [], [], [], []
         for t, skin in enumerate(skins[1:], 1):

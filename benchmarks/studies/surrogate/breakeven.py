@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....surrogate.corpus.folder import sum_seconds
-from ....surrogate.corpus.manifest import read_manifest
+from ....surrogate.corpus.folder import Corpus, sum_seconds
 from ....surrogate.corpus.shard import read_seconds
 from ....surrogate.evaluate import Score
 from ....surrogate.networks.weights import TrainingNote
@@ -53,14 +52,14 @@ class Breakeven:
         )
 
 
-def compute_breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
+def compute_breakeven(folder: Path, note: TrainingNote, network: Score) -> Breakeven | None:
     """Compute it of a network's note and score, and of the corpus' training people.
 
     None if none of them has frames, or if the seconds of one are not known.
     """
-    manifest = read_manifest(corpus)
-    counts = manifest.counts
-    paths = map(manifest.shard_path, range(counts.trained))
+    corpus = Corpus.open(folder)
+    counts = corpus.plan
+    paths = map(corpus.shard_path, range(counts.trained))
     timed = [read_seconds(path) for path in paths if path.exists()]
     spent = {phase: sum_seconds(timed).get(phase, 0.0) for phase in PAID}
     groups = len(timed) * counts.groups

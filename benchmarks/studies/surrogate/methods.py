@@ -75,7 +75,7 @@ class Contest:
     @property
     def has_motion(self) -> bool:
         """Whether the corpus has sequences, and somebody knows where its people are loose."""
-        return bool(self.tested.manifest.counts.sequences) and self.looseness is not None
+        return bool(self.tested.corpus.plan.sequences) and self.looseness is not None
 
     def measure_cost(self, method: Binds) -> dict[str, Cost]:
         """Measure what a bind costs, by the method's name; nothing where nobody fits the heads that it needs."""

@@ -18,7 +18,7 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.limits import SEED
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Parameters, Scene
+from ....reference import Face, Parameters, Scene
 from ....reference.face.facial import apply_law
 from ....reference.face.settle import SettledFace, neutral_scene
 from ....surrogate import Surrogate
@@ -275,19 +275,20 @@ def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Float
     solved = _solve(study, effect, text, level)
     linear = solved.answer(FENICSX_NEO_HOOKEAN)
     assert linear.settled is not None
-    quadratic = _settle_by_quadratic_tets(linear.settled)
-    positions = _solve_fem(quadratic.scene(solved.shape), linear.solution.positions, QUADRATIC)
-    return linear.skin, quadratic.skin_after(solved.shape, positions)
+    law, weights = linear.settled.law, solved.case.weights
+    quadratic = solved.face.settled_as(_settle_by_quadratic_tets(solved.face, linear.settled))
+    positions = _solve_fem(quadratic.scene(weights, law), linear.solution.positions, QUADRATIC)
+    return linear.skin, quadratic.skin_after(weights, positions, law)
 
 
-def _settle_by_quadratic_tets(face: SettledFace) -> SettledFace:
+def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
     """Settle a neutral face by the law with quadratic tets, from where linear ones settled it."""
-    if face.solution is None:
-        return face
-    scene = apply_law(neutral_scene(face.head, face.parameters), face.law)
-    positions = _solve_fem(scene, face.positions, QUADRATIC_NEUTRAL)
-    moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
-    return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)
+    if linear.solution is None:
+        return linear
+    head, scene = face.head, apply_law(neutral_scene(face.head, face.on_wraps), linear.law)
+    positions = _solve_fem(scene, linear.positions, QUADRATIC_NEUTRAL)
+    moved = positions[: len(head.bone)] - head.skin_wrap.vertices
+    return replace(linear, positions=positions, displacement=head.skin_from_wrap @ moved)
 
 
 def _solve_fem(scene: Scene, start: Floats, tolerance: float) -> Floats:

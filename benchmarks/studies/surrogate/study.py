@@ -98,14 +98,14 @@ class SurrogateOnCorpus(Study):
 
     def _describe(self, contest: Contest, network: Score) -> Values:
         """Tell what the corpus is, after how many frames training has paid, and draw the worst frames."""
-        tested, manifest = contest.tested, contest.tested.manifest
+        tested, corpus = contest.tested, contest.tested.corpus
         paid = None
         if tested.split is not None:
             paid = compute_breakeven(tested.folder, contest.network.weights.note, network)
         strips = enumerate(draw_worst_frames(contest, silent), start=1)
         return {
-            "corpus": {name: manifest.said[name] for name in OWNER}
-            | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
+            "corpus": {name: corpus.said[name] for name in OWNER}
+            | {"seed": corpus.plan.seed, "made_with": dict(corpus.made_with)},
             "breakeven": None if paid is None else asdict(paid),
             **{f"worst frame of the {number}. worst face": strip for number, strip in strips},
         }
@@ -174,7 +174,7 @@ class SurrogateOnCorpus(Study):
         if contest.has_motion:
             also = (SNP,) if self.rivals else ()
             asked[f"{corpus}, in motion"] = Question(contest, score_moving, (*contest.methods, *also))
-        if contest.tested.manifest.counts.references:
+        if contest.tested.corpus.plan.references:
             asked[f"{corpus}, against FEniCSx"] = Question(contest, score_referenced, (SIMULATOR, *contest.methods))
         if self.external:
             other = self._open(self.external, "all")

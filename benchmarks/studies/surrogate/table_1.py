@@ -110,7 +110,7 @@ class Table1(Study):
         tested = self._open(self.corpus, "test").tested
         if not len(tested.faces):
             raise InputError(f"corpus {self.corpus}: no test people")
-        moving = [SOFTSMPL_GRU, SNP] if tested.manifest.counts.sequences else []
+        moving = [SOFTSMPL_GRU, SNP] if tested.corpus.plan.sequences else []
         names = [*TRIVIAL, NETWORK, *GRADIENTS.values(), *moving, TRAINED_BY_ENERGY, *list_learners()]
         return [Task(Path(self.corpus).name, name) for name in names]
 
@@ -121,9 +121,9 @@ class Table1(Study):
     def measure(self, task: Task) -> Values:
         """Train or load a method, then score it on all kinds of frames that it can answer."""
         contest = self._open(self.corpus, "test")
-        tested, manifest = contest.tested, contest.tested.manifest
+        tested, corpus = contest.tested, contest.tested.corpus
         about = {
-            "corpus": {name: manifest.said[name] for name in OWNER} | {"seed": manifest.counts.seed},
+            "corpus": {name: corpus.said[name] for name in OWNER} | {"seed": corpus.plan.seed},
             "people": {
                 "train": len(np.unique(tested.training.groups[:, 0])),
                 "test": len(np.unique(tested.faces.groups[:, 0])),
@@ -197,7 +197,7 @@ class Table1(Study):
             config = with_batch(config, self.batch) if self.batch else config
         config = replace(config, steps=self.steps or config.steps)
         weights = train_gradients(tested.training, config)
-        if network in LEARNED_MOTION and tested.manifest.counts.sequences and self.recurrence_steps:
+        if network in LEARNED_MOTION and tested.corpus.plan.sequences and self.recurrence_steps:
             table = tested.table("sequences", "train")
             moving = RecurrenceTraining(steps=self.recurrence_steps)
             weights = train_recurrence(

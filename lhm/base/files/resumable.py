@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError
 from .atomic import check_replaceable, write_whole
 from .npz import read_arrays, write_arrays
-from .text import read_bytes, read_json
+from .text import read_bytes
 
 
 class RowStore:
@@ -80,25 +80,6 @@ class RowStore:
         except InputError:
             return False
         return True
-
-
-def check_manifest(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
-    """Return whether the folder's work has begun; InputError names what differs from this manifest."""
-    if not path.exists():
-        return False
-    try:
-        kept = read_json(path)
-    except InputError:
-        kept = None
-    if not isinstance(kept, dict):
-        raise InputError(f"{path}: damaged, or of no {what} of softdeca; use another folder")
-    for name, value in manifest.items():
-        if kept.get(name) != value:
-            raise InputError(
-                f"{path.parent}: holds a {what} of another {name} ({kept.get(name)}, expected {value}); "
-                "use another folder or remove it"
-            )
-    return True
 
 
 @contextmanager
