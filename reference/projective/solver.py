@@ -143,7 +143,12 @@ class ProjectivePrepared:
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
         positions = np.where(held, values, scene.vertices + point.u)
-        contact = {} if self.contact is None else self.contact.summarise(positions)
+        contact: dict[str, float] = {}
+        if self.contact is not None:
+            contact = self.contact.summarise(positions)
+            ended = reason in (Reason.CONVERGED, Reason.STAGNATED)
+            if ended and contact["contact_crossings"] > self.contact.crossings_at_rest:
+                reason = Reason.CONTACT
         return Solution(
             positions=positions,
             reason=reason,

@@ -58,10 +58,13 @@ class ContactDescent:
     def descend(self, problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
         """Minimise a problem's energy and contact's from a point; see `descent.Descent`. The watch sees both together.
 
-        As long as nothing touches this is L-BFGS without contact, which costs no more. A point at which no step lowers
-        the energy is STAGNATED.
+        As long as nothing touches this is L-BFGS without contact, which costs no more. A start at which more crosses
+        than at rest is left for rest. A point at which no step lowers the energy is STAGNATED.
         """
         nearby = Nearby(self.surfaces, self.policy)
+        if self.count_crossings(self.find_places(point.place)) > self.crossings_at_rest:
+            rest = np.where(self.system.coordinates.held, point.u, 0.0)
+            point = problem.at(self.system.coordinates.start(rest))
         looks = Looks(self, nearby, watch)
         end, reason = lbfgs(problem, point, looks)
         if not looks.has_touched:
@@ -108,12 +111,20 @@ class ContactDescent:
         x = positions[self.vertices]
         rows = Nearby(self.surfaces, self.policy).find_rows(x)
         pushes = rows.spread(rows.forces, len(x))
-        crossings = sum(len(TriangleTree(x, surface.triangles).self_crossings()) for surface in self.surfaces)
         return {
             "contact_pairs": float(np.count_nonzero(rows.depth > 0.0)),
             "contact_force": float(0.5 * np.linalg.norm(pushes, axis=1).sum()),
-            "contact_crossings": float(crossings),
+            "contact_crossings": float(self.count_crossings(x)),
         }
+
+    @cached_property
+    def crossings_at_rest(self) -> int:
+        """Pairs of triangles that cross at rest, which nothing parts."""
+        return self.count_crossings(self.rest[self.vertices])
+
+    def count_crossings(self, x: Floats) -> int:
+        """Count the pairs of triangles that cross with contact vertices at x (k, 3) [mm]."""
+        return sum(len(TriangleTree(x, surface.triangles).self_crossings()) for surface in self.surfaces)
 
     def find_places(self, place: Place) -> Floats:
         """Return the contact vertices' positions [mm], shape (k, 3), at a place."""
