@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 Method = Literal["lbfgs", "anderson", "plain"]
 METHODS: dict[str, Descent] = {
-    "lbfgs": partial(after_untangling, lbfgs),
-    "anderson": partial(after_untangling, anderson),
+    "lbfgs": partial(after_untangling, lbfgs, untangle=lbfgs),
+    "anderson": partial(after_untangling, anderson, untangle=lbfgs),
     "plain": plain,
 }
 TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
@@ -138,7 +138,9 @@ class ProjectivePrepared:
         first = problem.at(place)
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
         watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
-        descend = METHODS[self.method] if self.contact is None else self.contact.descend
+        descend = METHODS[self.method]
+        if self.contact is not None:
+            descend = partial(after_untangling, self.contact.descend, untangle=self.contact.descend)
         point, reason = descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
@@ -191,12 +193,23 @@ class ProjectivePrepared:
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
-        place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
-        energy = self.energy.for_scene(scene)
+        positions = np.where(held, values, solution.positions)
+        return self._tangent_at(positions, scene, linear_solver=linear_solver, like=like)
+
+    def touches(self, positions: Floats) -> bool:
+        """Tell whether surfaces in Contact are too near at positions [mm], shape (n, 3), or cross."""
+        return self.contact is not None and self.contact.touches(positions)
+
+    def _tangent_at(self, positions: Floats, scene: Scene, **how: Any) -> Tangent:
+        """Factor the exact Hessian at positions [mm], with that of the pairs that are pressed there."""
+        energy, coordinates = self.energy.for_scene(scene), self.system.coordinates
         if self.contact is not None:
-            scene = self.freeze_contact(solution.positions, scene)
-            energy = Energy((*energy.parts, *filter(None, [Pairs.from_scene(scene)])))
-        return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
+            gaps = self.contact.freeze(positions, pressed=True)
+            others = tuple(term for term in scene.terms if not isinstance(term, Contact))
+            scene = replace(scene, terms=(*others, gaps) if len(gaps.pairs) else others)
+            pairs = Pairs.from_scene(scene)
+            energy = energy if pairs is None else Energy((*energy.parts, pairs))
+        return Tangent.from_scene(scene, energy, coordinates, coordinates.start(positions - scene.vertices), **how)
 
     def estimate_left(
         self, positions: Floats, tangent: Tangent, vertices: Ints | slice, scene: Scene | None = None
@@ -204,13 +217,17 @@ class ProjectivePrepared:
         """Estimate how far vertices still are from a scene's minimum [mm], shape (n, 3), by a tangent of near by.
 
         vertices: those that count; scene as of `solve`. Also returns whether the estimate is good (`newton_step`).
-        SceneError for a tangent of other unknowns.
+        Where surfaces touch, the tangent of near by says nothing, and one is made there. SceneError for a tangent of
+        other unknowns.
         """
         scene = self.scene if scene is None else scene
-        coordinates = self.system.coordinates
+        coordinates, work = self.system.coordinates, _Work(self.system)
         if tangent.coordinates.size != coordinates.size:
             raise SceneError(f"tangent: it has {tangent.coordinates.size} unknowns, the scene {coordinates.size}")
-        work = _Work(self.system)
+        if self.touches(positions):
+            own = self._tangent_at(positions, scene)
+            gradient = coordinates.pull(own.energy.evaluate(own.place.u)[1], own.place)
+            return coordinates.move(own.place, -own.solve(gradient)).u - own.place.u, own.is_exact
         problem = Problem(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
         point = problem.at(coordinates.start(positions - scene.vertices))
         ahead = newton_step(problem, point, vertices, self.policy.newton_step)

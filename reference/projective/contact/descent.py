@@ -117,6 +117,12 @@ class ContactDescent:
             "contact_crossings": float(self.count_crossings(x)),
         }
 
+    def touches(self, positions: Floats) -> bool:
+        """Tell whether pairs are too near at positions (n, 3) [mm], or more triangles cross than at rest."""
+        x = positions[self.vertices]
+        rows = Nearby(self.surfaces, self.policy).find_rows(x)
+        return bool((rows.depth > 0.0).any()) or self.count_crossings(x) > self.crossings_at_rest
+
     @cached_property
     def crossings_at_rest(self) -> int:
         """Pairs of triangles that cross at rest, which nothing parts."""
@@ -130,9 +136,10 @@ class ContactDescent:
         """Return the contact vertices' positions [mm], shape (k, 3), at a place."""
         return (self.rest + place.u)[self.vertices]
 
-    def freeze(self, positions: Floats) -> Gaps:
-        """Return the pairs that are near at positions (n, 3) [mm], with their energy."""
+    def freeze(self, positions: Floats, *, pressed: bool = False) -> Gaps:
+        """Return the pairs that are near at positions (n, 3) [mm], or only those that push, with their energy."""
         rows = Nearby(self.surfaces, self.policy).find_rows(positions[self.vertices])
+        rows = rows.select(np.flatnonzero(rows.depth > 0.0)) if pressed else rows
         return Gaps(self.vertices[rows.ids], rows.between_edges, rows.stiffness, rows.offset)
 
     def _touch(self, point: Point, x: Floats, rows: Rows) -> Touching:
