@@ -26,7 +26,7 @@ class TakeFrame:
     """A frame: its skin (n, 3) [mm], and its fields of the log.
 
     Fields: method, error [mm] (None: not known), certain, solves (not of a rig), reason ("" where nothing failed), and,
-    of the simulator, energy [µJ], residual (gradient norm [mN]), inverted tets, contacts and pairs of triangles that cross.
+    of the simulator, energy [µJ], residual (gradient norm [mN]), inverted tets, contacts and crossing triangles.
     """
 
     skin: Floats | Floats32

@@ -10,8 +10,8 @@ It is estimated from forces: a frame's tets are placed, and Newton's step says h
 `reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network has seen are
 told as well.
 
-Where a face has contact and a frame's surfaces touch, the frame is the simulator's own, and
-its error that of Newton's step with the pairs that push. Whether they touch is asked where the frame's tets are.
+Where a face has contact and a frame's surfaces touch, the frame is the simulator's own, and its error that of Newton's
+step with the pairs that push. Whether they touch is asked where the frame's tets are.
 """
 
 from __future__ import annotations
@@ -136,17 +136,16 @@ class CertifiedFace:
         """
         for frame in self._correct(weights, after, None):
             if self._touches(frame):
-                yield replace(frame, certain=False)
-            else:
-                yield frame
-        if self._touches(frame):
-            yield self._part(frame, FINEST, after)
+                yield replace(frame, certain=False, method=self.method)
+                yield self._part(frame, FINEST, after)
+                return
+            yield frame
 
     def _touches(self, frame: CertifiedFrame) -> bool:
         return self.face.derivatives.prepared.touches(frame.positions)
 
     def _part(self, frame: CertifiedFrame, accuracy: float, after: Reached | None) -> CertifiedFrame:
-        """Solve a frame whose surfaces touch with contact, from the frame before or the neutral face, to an accuracy."""
+        """Solve a frame whose surfaces touch, from the frame before or the neutral face, to an accuracy [mm]."""
         begin, linear, skin = time.perf_counter(), self.face.derivatives, self.face.head.skin_from_wrap
         scene = self.face.scene(frame.weights)
         start = linear.answer.positions if after is None else after.positions

@@ -20,7 +20,7 @@ from softdeca.lhm import expressions, fit_head, identities
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
-from softdeca.reference.face.derivatives import TIGHT_ACCURACY
+from softdeca.reference.face.derivatives import TIGHT_ACCURACY, spring_norm
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
 
@@ -149,14 +149,17 @@ def test_each_answer_is_pythons_own(tab, head_file):
     shapes = expression_deltas(head, "person")
     network, code = Surrogate.load(), nearest_code(identities.Anny(), head.skin, ridge=1e-6)
     by_network = network.bind(head.skin, code, p, expressions=shapes).frame(weights)
-    linear = Face(head, shapes, p).derivatives
-    offset, responses = linear.offset + linear.face.displacement, linear.skin_by_shapes(shapes) - shapes
+    face = Face(head, shapes, p, accuracy=TIGHT_ACCURACY).in_contact()
+    prepared = face.derivatives.prepared
     rig = network.bind(head.skin, code, p, expressions=shapes)
-    by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (offset, responses))).frame(weights)
+    by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (face.offset, face.responses))).frame(
+        weights
+    )
     expression = head.skin.vertices + np.tensordot(weights, shapes, axes=1)
-    solution = linear.solve(expression, accuracy=TIGHT_ACCURACY)
+    start, tight = face.derivatives.answer.positions, TIGHT_ACCURACY * spring_norm(prepared.scene)
+    solution = prepared.solve(face.scene(weights), start=start, absolute=tight)
     assert solution.converged
-    simulated = linear.face.skin_after(expression, solution.positions)
+    simulated = face.skin_after(weights, solution.positions)
     for method, skin in ((NETWORK, by_network), (NETWORK_AND_DERIVATIVES, by_both), (PD, simulated)):
         assert np.abs(tab.answer(method) - skin).max() < 0.01, method
     assert np.abs(np.array(tab.page.evaluate("viewer.positions()")).reshape(-1, 3) - simulated).max() < 0.01

@@ -16,6 +16,7 @@ from softdeca.benchmarks.studies.agreement.contact import (
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
 from softdeca.reference import Reason, solve, terms
 from softdeca.reference.problems import meshes
+from softdeca.surrogate.methods import PD
 
 from .test_contact import two_bars
 
@@ -51,19 +52,22 @@ def rows_of(**changes):
         "done": True, "reasons": [str(Reason.CONVERGED)] * 2, "crossings": 0, "moved_mean_mm": 0.4,
         "apart_mean_mm": 0.01, "force_pd_mn": 9.0, "force_barrier_mn": 8.0,
     }  # fmt: skip
-    return [Row("lips pressed", BOTH, "done", "", values | changes, 1.0, None, 0.0, "")]
+    frame = {"done": True, "pairs": 3, "crossings": 0, "crossings_free": 9, "moved_max_mm": 1.5, "times": 2.2}
+    rows = (("lips pressed", BOTH, values | changes), ("blink", PD, frame | changes))
+    return [Row(case, method, "done", "", each, 1.0, None, 0.0, "") for case, method, each in rows]
 
 
 def test_gates_miss_a_code_without_contact_and_one_that_stops():
     """Without contact the distance is all that contact moves: a share of 1."""
     study = Contact()
     assert all(gate["passed"] for gate in study.gates(rows_of()))
-    assert [gate["passed"] for gate in study.gates(rows_of(apart_mean_mm=0.4))] == [True, True, False]
-    assert [gate["passed"] for gate in study.gates(rows_of(crossings=1))] == [True, False, True]
+    assert [gate["passed"] for gate in study.gates(rows_of(apart_mean_mm=0.4))] == [True, True, True, False]
+    assert [gate["passed"] for gate in study.gates(rows_of(crossings=1))] == [False, True, True, True]
     stopped = rows_of(done=False, reasons=[str(Reason.CONVERGED), str(Reason.LINE_SEARCH)])
-    assert [gate["passed"] for gate in study.gates(stopped)] == [False, True, True]
+    assert [gate["passed"] for gate in study.gates(stopped)] == [True, False, False, True]
     assert str(Reason.LINE_SEARCH) in study.words(stopped)
     assert "0.010 mm apart, and push with 9 and 8 mN" in study.words(rows_of())
+    assert "Of 1 hard frames 1 cross without contact" in study.words(rows_of())
 
 
 def test_a_cut_box_has_the_area_of_its_side():

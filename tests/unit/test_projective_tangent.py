@@ -92,6 +92,3 @@ def test_wrong_use_is_named():
         tangent.vertices_by_targets(np.zeros((42, 3)))
     with pytest.raises(SceneError, match="other vertices, tets, bodies or held components"):
         tangent.vertices_by_scenes([[(other.scene, 1.0)]])
-    touching = replace(FACE, terms=(*FACE.terms, terms.Contact(HEAD.skin_wrap.triangles)))
-    with pytest.raises(SceneError, match="knows no Contact"):
-        prepare(touching).tangent(answer)

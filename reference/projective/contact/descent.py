@@ -209,8 +209,8 @@ class ContactDescent:
 class Looks:
     """Shows a watch a descent without contact, and ends it where the way has met something.
 
-    It looks at first and last point, and in between after 1, 4, 16, ... iterations: along the straight way from the last
-    place that was `free`, and for what is too near.
+    It looks at first and last point, and in between after 1, 4, 16, ... iterations: along the straight way from the
+    last place that was `free`, and for what is too near.
     """
 
     def __init__(self, contact: ContactDescent, nearby: Nearby, watch: Observer):

@@ -1,7 +1,7 @@
 """The model of elasticity that contact is solved in: A⁻¹ and the memory of L-BFGS, on the contact vertices.
 
 B⁻¹ = A⁻¹ + U M Uᵀ is the inverse of L-BFGS in compact form (Byrd, Nocedal and Schnabel 1994, Theorem 2.2), with the PD
-matrix A at the bodies' first rotations as its start. P takes the contact vertices' motion from a step over the unknowns.
+matrix A at the bodies' first rotations as its start. P takes the contact vertices' motion from a step over unknowns.
 """
 
 from __future__ import annotations
@@ -184,13 +184,9 @@ def restrict(coordinates: Coordinates, vertices: Ints, rotations: Floats) -> csr
         place[body.vertices] = np.arange(len(body.vertices))
         of_body = np.flatnonzero(place[vertices] >= 0)
         arms = body.arms[place[vertices[of_body]]] @ rotation.T
-        motion = np.concatenate(
-            [np.tile(np.eye(3), (len(arms), 1, 1)), np.einsum("imj,km->kij", CROSS, arms)], axis=2
-        )
+        motion = np.concatenate([np.tile(np.eye(3), (len(arms), 1, 1)), np.einsum("imj,km->kij", CROSS, arms)], axis=2)
         first = len(coordinates.index) + 6 * b
-        rows, places = np.broadcast_arrays(
-            (3 * of_body[:, None] + np.arange(3))[:, :, None], first + np.arange(6)
-        )
+        rows, places = np.broadcast_arrays((3 * of_body[:, None] + np.arange(3))[:, :, None], first + np.arange(6))
         at.append(rows.ravel())
         columns.append(places.ravel())
         values.append(motion.ravel())

@@ -80,7 +80,6 @@ def enclose(elements: Ints, low: Floats, high: Floats) -> Floats:
     return np.hstack([low[elements].min(axis=1), high[elements].max(axis=1)])
 
 
-
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Pairs near one another, r of them, and the energy ½ Σ stiffness max(depth, 0)² [µJ] of what is too near.

@@ -1,7 +1,7 @@
 """Pairs of vertex and triangle, or of two edges: their distances, and the energy of those that are too near.
 
-A pair (a, b, c, d) is the vertex a and the triangle b c d, or the edges a b and c d. Its distance is that of the nearest
-points, so the normal between them follows the surface.
+A pair (a, b, c, d) is the vertex a and the triangle b c d, or the edges a b and c d. Its distance is that of the
+nearest points, so the normal between them follows the surface.
 """
 
 from __future__ import annotations
