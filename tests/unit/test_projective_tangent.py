@@ -1,6 +1,5 @@
 """What is factored of the exact Hessian: answers to it, raised eigenvalues, reuse, and a metric for descent."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
