@@ -1,6 +1,6 @@
 """A take animated on a head: every frame within an accuracy, or by a rig alone.
 
-Static frames of free bones come from a certified face, each by the cheapest method. Inertia, contact and other bones
+Static frames of free bones come from a certified face, each by the cheapest method. Inertia and other bones
 take the simulator, frame after frame. A rig alone costs what blendshapes do, and tells no error.
 """
 
@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,17 +32,17 @@ class AnimateConfig(Output):
     """What is made of a take, and how.
 
     accuracy [mm]: the largest mean error of a frame. bones: how the mandible moves, "rigid" being free but rigid;
-    contact: regions whose triangles are kept apart (see `facial_scene`).
+    contact: whether lids, lips and what lines them are kept from crossing.
     """
 
     accuracy: float = ACCURACY
     bones: Bones = "rigid"
-    contact: tuple[str, ...] = ()
+    contact: bool = True
 
     @property
     def simulates(self) -> bool:
         """Whether every frame needs the simulator, one after another."""
-        return self.dynamic or self.bones != "rigid" or bool(self.contact)
+        return self.dynamic or self.bones != "rigid"
 
 
 @dataclass(frozen=True)
@@ -78,13 +77,11 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
     """
     _check(config, take)
     head, begin, reason = face.head, time.perf_counter(), Reason.CONVERGED
+    face = face.in_contact() if config.contact else face
     progress("settling: neutral face", 0.0)
     frames: Iterable[TakeFrame]
     if config.simulates:
-        choices: dict[str, Any] = {"bones": config.bones} | (
-            {"contact": list(config.contact)} if config.contact else {}
-        )
-        simulated = replace(face, choices=choices, settling={})
+        simulated = replace(face, choices={**face.choices, "bones": config.bones}, settling={})
         reason = simulated.settled().reason
         frames = SimulatedFrames(simulated, take, config.accuracy, dynamic=config.dynamic)
     else:

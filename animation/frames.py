@@ -26,7 +26,7 @@ class TakeFrame:
     """A frame: its skin (n, 3) [mm], and its fields of the log.
 
     Fields: method, error [mm] (None: not known), certain, solves (not of a rig), reason ("" where nothing failed), and,
-    of the simulator, energy [µJ], residual (gradient norm [mN]), inverted tets and contacts.
+    of the simulator, energy [µJ], residual (gradient norm [mN]), inverted tets, contacts and crossing triangles.
     """
 
     skin: Floats | Floats32
@@ -94,8 +94,7 @@ class SimulatedFrames:
                 return self._face.settled().targets(expression), _record(solution.reason.name, solution)
             error, certain = self._estimate(expression, solution)
             while (
-                error is not None
-                and error * (1.0 if certain else POLICY.doubt) > self._accuracy
+                error * (1.0 if certain else POLICY.doubt) > self._accuracy
                 and solution.converged
                 and tolerance > TIGHTEST
             ):
@@ -105,16 +104,15 @@ class SimulatedFrames:
         except SoftdecaError as failure:
             return self._face.settled().targets(expression), _record(str(failure))
         reason = "" if solution.converged else solution.reason.name
-        if not reason and error is not None and error > self._accuracy:
+        if not reason and error > self._accuracy:
             reason = f"error {error:.2g} mm, expected {self._accuracy:g}"
         record = _record(reason, solution) | {"error": error, "certain": certain}
         return sequence.skin(expression, solution), record
 
-    def _estimate(self, expression: Floats, solution: Solution) -> tuple[float | None, bool]:
-        """Return a frame's error [mm], and whether it is certain; None where surfaces in contact hide it."""
-        estimate = None if self._face.choices.get("contact") else self._sequence.estimate_left()
-        if estimate is None:
-            return None, False
+    def _estimate(self, expression: Floats, solution: Solution) -> tuple[float, bool]:
+        """Return a frame's error [mm], and whether it is certain."""
+        estimate = self._sequence.estimate_left()
+        assert estimate is not None  # the simulator is projective dynamics
         left, certain = estimate
         counted = find_counted(self._sequence.skin(expression, solution) + left, expression + self._face.carried)
         return float(np.linalg.norm(left, axis=1)[counted].mean()), certain
@@ -123,14 +121,14 @@ class SimulatedFrames:
 def _record(reason: str, solution: Solution | None = None) -> dict[str, Any]:
     """Return what the log has of a solution; None where there is none."""
     row: dict[str, Any] = {"method": "simulated", "error": None, "certain": False, "solves": 0, "reason": reason}
-    row |= dict.fromkeys(("energy", "residual", "inverted", "contacts_before", "contacts"))
+    row |= dict.fromkeys(("energy", "residual", "inverted", "contacts", "crossings"))
     if solution is not None:
         row["solves"] = solution.iterations
         row["energy"] = _number(solution.energy)
         row["residual"] = _number(solution.history.gradient_norm[-1])
         row["inverted"] = int(np.count_nonzero(solution.volume_ratio <= 0.0))
-        row["contacts_before"] = _number(solution.detail.get("contact_pairs_before"))
-        row["contacts"] = _number(solution.detail.get("contact_pairs_after"))
+        row["contacts"] = _number(solution.detail.get("contact_pairs"))
+        row["crossings"] = _number(solution.detail.get("contact_crossings"))
     return row
 
 

@@ -52,7 +52,8 @@ class Animate:
 
     Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral
-    face settles under the parameters first. --dynamic, --contact and --bones take the simulator for every frame.
+    face settles under the parameters first. Lids and lips do not cross: a frame in which they touch is the simulator's.
+    --dynamic and --bones take the simulator for every frame.
 
     `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
@@ -82,9 +83,7 @@ class Animate:
     turned: bool = option(False, "turn the head as TAKE does; default: keep its own frame")
     dynamic: bool = option(False, "add inertia: loose flesh lags, and swings when TAKE turns the head")
     bones: str = option("rigid", "motion of the mandible", type=click.Choice(["rigid", "prescribed", "soft"]))
-    contact: tuple[str, ...] = option(
-        (), "region of the skin that must not cross itself, as lips; repeat", name="--contact"
-    )
+    crossing: bool = option(False, "let lids and lips cross: contact costs time where they touch")
     surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
     targets: int | None = option(
         None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
@@ -104,11 +103,12 @@ class Animate:
 
     def _check(self) -> None:
         """UsageError for options that contradict."""
-        simulated = self.dynamic or self.bones != "rigid" or self.contact
-        if self.targets is not None and simulated:
-            self._refuse("--targets are of static frames; leave out --dynamic, --bones and --contact")
-        if self.accuracy is None and (self.bones != "rigid" or self.contact):
-            self._refuse(f"--bones and --contact are the simulator's: they need --accuracy, not {NONE!r}")
+        if self.targets is not None and (self.dynamic or self.bones != "rigid"):
+            self._refuse("--targets are of static frames; leave out --dynamic and --bones")
+        if self.accuracy is None and self.bones != "rigid":
+            self._refuse(f"--bones are the simulator's: they need --accuracy, not {NONE!r}")
+        if self.accuracy is None and self.crossing:
+            self._refuse(f"a rig alone knows no contact: --crossing needs --accuracy, not {NONE!r}")
 
     def _refuse(self, words: str) -> None:
         raise click.UsageError(words, click.get_current_context())
@@ -123,7 +123,7 @@ class Animate:
         from ..surrogate import Surrogate
         from ..surrogate.methods import bind_cheaply
 
-        chosen: dict[str, Any] = {"accuracy": self.accuracy, "bones": self.bones, "contact": self.contact}
+        chosen: dict[str, Any] = {"accuracy": self.accuracy, "bones": self.bones, "contact": not self.crossing}
         config = AnimateConfig(**self._files, **chosen)
         with show_progress() as progress:
             face, network = which.face(parameters, progress), Surrogate.load(self.surrogate)

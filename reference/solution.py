@@ -40,9 +40,7 @@ class Reason(str, Enum):
         "load or the shape a little, or prescribe the motion instead"
     )
     NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
-    CONTACT = (
-        "contact remains: surfaces still overlap deeper than allowed; move in smaller steps, or raise Contact.stiffness"
-    )
+    CONTACT = "surfaces cross that are held where they do: hold them apart, or leave them out of Contact"
     INTERRUPTED = "interrupted by the caller"
 
     def __str__(self) -> str:

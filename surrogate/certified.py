@@ -9,6 +9,9 @@ physics moves by more than 0.05 mm beyond blendshapes and bones (`ruler`); over 
 It is estimated from forces: a frame's tets are placed, and Newton's step says how far their forces would move them (see
 `reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network has seen are
 told as well.
+
+Where a face has contact and a frame's surfaces touch, the frame is the simulator's own, and its error that of Newton's
+step with the pairs that push. Whether they touch is asked where the frame's tets are.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from ..lhm.base.checks import check_arguments, finite, number
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..reference.face.correction import Correction, predict
+from ..reference.face.derivatives import spring_norm
 from ..reference.face.face import Face
 from ..reference.projective.hessian.newton_step import NewtonStep
 from .rigs.bound import BoundSurrogate
@@ -46,6 +50,7 @@ class DialPolicy:
     direct: float = 0.2  # an accuracy below this share of the rough error is sought by L-BFGS at once
     margin: float = 0.5  # of an accuracy that a round aims at: the error falls about as the residual does
     apart: float = 1.0  # [mm] mean distance of a frame from its first order; other faces' are farther
+    begun: float = 1e-4  # gradient norm, likewise, at which the error of a frame with contact is first told
     converged: float = 1e-6  # gradient norm over that of the targets' springs, each 1 mm long
     most_solves: int = 2000  # of a frame: lids that are pressed into each other find no rest
     doubt: float = 3.0  # what is not certain is off by at most this factor, but for some in a hundred
@@ -121,7 +126,7 @@ class CertifiedFace:
         for frame in self._correct(weights, after, accuracy):
             if frame.bound <= accuracy or (seconds is not None and frame.seconds >= seconds):
                 break
-        return frame
+        return self._part(frame, accuracy, after) if self._touches(frame) else frame
 
     @check_arguments
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
@@ -129,7 +134,45 @@ class CertifiedFace:
 
         Arguments and errors are those of `frame`.
         """
-        return self._correct(weights, after, None)
+        for frame in self._correct(weights, after, None):
+            if self._touches(frame):
+                yield replace(frame, certain=False, method=self.method)
+                yield self._part(frame, FINEST, after)
+                return
+            yield frame
+
+    def _touches(self, frame: CertifiedFrame) -> bool:
+        return self.face.derivatives.prepared.touches(frame.positions)
+
+    def _part(self, frame: CertifiedFrame, accuracy: float, after: Reached | None) -> CertifiedFrame:
+        """Solve a frame whose surfaces touch, from the frame before or the neutral face, to an accuracy [mm]."""
+        begin, linear, skin = time.perf_counter(), self.face.derivatives, self.face.head.skin_from_wrap
+        scene = self.face.scene(frame.weights)
+        start = linear.answer.positions if after is None else after.positions
+        share, solves = POLICY.begun, frame.solves
+        wrap = slice(len(self.face.head.bone))
+        while True:
+            solution = linear.prepared.solve(
+                scene, start=start, absolute=share * spring_norm(scene), max_iterations=POLICY.most_solves
+            )
+            left, certain = linear.prepared.estimate_left(solution.positions, linear.tangent, wrap, scene)
+            parted, solves = self.face.skin_after(frame.weights, solution.positions), solves + solution.iterations
+            errors = np.linalg.norm(skin @ left[wrap], axis=1)
+            counted = find_counted(parted + skin @ left[wrap], self.face.blend(frame.weights) + self.face.carried)
+            ended = replace(
+                frame,
+                positions=solution.positions,
+                skin=parted.astype(np.float32),
+                error=float(errors[counted].mean()),
+                errors=errors.astype(np.float32),
+                certain=certain and solution.converged,
+                method="converged",
+                seconds=frame.seconds + time.perf_counter() - begin,
+                solves=solves,
+            )
+            if ended.bound <= accuracy or share <= POLICY.converged or not solution.converged:
+                return ended
+            start, share = solution.positions, POLICY.further * share
 
     def _correct(self, weights, after: Reached | None, accuracy: float | None) -> Iterator[CertifiedFrame]:
         """Yield the best frame so far after each round: Newton's step, L-BFGS to the accuracy, and the error anew."""

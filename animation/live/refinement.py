@@ -29,10 +29,10 @@ class SupersededError(Exception):
 
 
 class Refinement:
-    """Refines answers about one face; what it prepared for a p serves all expressions under it."""
+    """Refines answers about one face, in contact; what it prepared for a p serves all expressions under it."""
 
     def __init__(self, face: Face):
-        self._face, self._network = face, Surrogate.load()
+        self._face, self._network = face.in_contact(), Surrogate.load()
         self._now: tuple[Parameters, CertifiedFace] | None = None
         self._analysis: Analysis | None = None
 

@@ -85,7 +85,7 @@ def differentiate(
     """Factor the Hessian at a neutral answer, which goes on by that where it is not accurate yet.
 
     accuracy as of `rest_among_targets`: one factor does for QUICK_ACCURACY and above, below it takes two. `like`, of
-    another face of the same template and choices, lends its symbolic work. Raises SceneError for a scene with contact.
+    another face of the same template and choices, lends its symbolic work.
     """
     prepared, near = rested
     tangent = prepared.tangent(near, like=None if like is None else like.pattern)

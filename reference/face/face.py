@@ -27,7 +27,7 @@ from .derivatives import (
     rest_among_targets,
 )
 from .dynamics import OSCILLATION, Swing, find_pivot, measure_looseness
-from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
+from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, contact_regions, facial_scene
 from .local import at_vertices, from_wraps, on_wraps
 from .parameters import Parameters
 from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
@@ -84,6 +84,11 @@ class Face:
     def on_wraps(self) -> Parameters:
         """The parameters as the simulator takes them, local values per triangle of the wraps."""
         return self.parameters if self.per == "wraps" else on_wraps(self.parameters, self.head)
+
+    def in_contact(self) -> Face:
+        """Return the same face with lids, lips and what lines them kept from crossing."""
+        regions = contact_regions(self.head)
+        return replace(self, choices={**self.choices, "contact": regions}) if regions else self
 
     def at_vertices(self, name: str) -> Floats:
         """Return a parameter at the skin's vertices, shape (n,), mapped to [-1, 1]; InputError for values per tet."""

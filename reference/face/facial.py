@@ -37,13 +37,15 @@ OF_TETS = (
     "muscle_volume",
 )
 GAP = 0.1
-"""What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
+"""What contact leaves between surfaces [mm], as thin as a film of tears; where they are nearer at rest, that."""
 PD_ENERGY = "PD"
 """The law that is projective dynamics' own energy, Strain and Volume."""
 LAWS: dict[str, Callable[[float, float], Material]] = {"neo-Hookean": NeoHookean}
 """Hyperelastic laws of a face by name, made of Lamé's moduli mu and lmbda [kPa]."""
 FaceLaw = str | Callable[[float, float], Material]
 """PD_ENERGY, a name of LAWS or of `add_law`, or a law's function of Lamé's moduli."""
+CONTACT_REGIONS = ("lips", "mouth", "lids", "eyes")
+"""Regions that touch one another as a face moves: lids, lips, and the skin that lines eyes and mouth."""
 WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
@@ -233,6 +235,11 @@ def _region_mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarr
     if mask.shape != head.bone.shape or mask.dtype != bool or not mask.any():
         raise SceneError(f"region: expected a mask of shape {head.bone.shape} with some vertices, got {mask.shape}")
     return mask
+
+
+def contact_regions(head: LayeredHead) -> tuple[str, ...]:
+    """Return the regions of a head that touch as a face moves, for `contact`: of lids, lips and what lines them."""
+    return tuple(name for name in CONTACT_REGIONS if name in head.regions)
 
 
 def _contact_triangles(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:

@@ -169,11 +169,11 @@ class Sequence:
         """Estimate how far the last frame's skin is from converged [mm], shape (skin vertices, 3); None where unknown.
 
         By Newton's step with the Hessian of the neutral face, whose factor costs a second once; also returns whether
-        the step is near its end. Contact, and other solvers than PD, have none. SceneError before there is a frame.
+        the step is near its end. Other solvers than PD have none. SceneError before there is a frame.
         """
         frame = self._frame_before()
         prepared = frame.prepared
-        if not isinstance(prepared, ProjectivePrepared) or frame.scene.of(Contact):
+        if not isinstance(prepared, ProjectivePrepared):
             return None
         if self._tangent is None:
             scene = self.face.neutral_scene()
@@ -232,10 +232,15 @@ class Sequence:
         return prepared.solve(scene, **options)
 
     def _start(self, scene: Scene, target: Target) -> Floats:
-        """The last frame, and on it the change that the expression makes and what the last change had beyond that."""
+        """The last frame, and on it the change that the expression makes and what the last change had beyond that.
+
+        With contact the last frame alone: beyond it surfaces might cross.
+        """
         ahead = self._carry(target.positions)
         start = np.array(scene.vertices)
         last = self._last()
+        if scene.of(Contact):
+            return start if last is None else last.positions
         if last is not None:
             if last.positions.shape != start.shape:
                 raise SceneError(f"start: {len(last.positions)} vertices before, {len(start)} in this scene")

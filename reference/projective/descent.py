@@ -67,6 +67,10 @@ class Observer(Protocol):
         """Take note of a point."""
         ...
 
+    def forget(self) -> None:
+        """Start anew to look for the best point."""
+        ...
+
 
 class Watch:
     """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation."""
@@ -131,8 +135,12 @@ class Untangling:
         self.stopped = self._watch.see(self._problem.at(point.place))
         return self.stopped
 
+    def forget(self):
+        """See `Watch`."""
+        self._watch.forget()
 
-Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
+
+Descent = Callable[[Problem, Point, Observer], tuple[Point, Reason]]
 
 
 def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
@@ -164,14 +172,16 @@ def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, 
     return step, ahead
 
 
-def after_untangling(descend: Descent, problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
-    """A way down after L-BFGS on the untangling energy, where the start needs that.
+def after_untangling(
+    descend: Descent, problem: Problem, point: Point, watch: Watch, *, untangle: Descent
+) -> tuple[Point, Reason]:
+    """A way down after another, `untangle`, on the untangling energy, where the start needs that.
 
     Stiff volumes have local minima among inverted tets; shape alone was never seen to stay in one.
     """
     if problem.untangling is not None:
         other = Untangling(problem, watch)
-        end, _ = lbfgs(problem.untangling, problem.untangling.at(point.place), other)
+        end, _ = untangle(problem.untangling, problem.untangling.at(point.place), other)
         point = problem.at(end.place)
         if other.stopped is not None:
             return point, other.stopped

@@ -33,22 +33,16 @@ class NewtonStepPolicy:
 
 @dataclass(frozen=True)
 class ContactPolicy:
-    """Contact of a surface with itself; see `contact.solver` and `contact.detection`."""
+    """Contact of a surface with itself; see `contact.descent` and `contact.surfaces`."""
 
-    patience: int = 10  # rounds without a lesser depth, after which contact is given up
-    allowed_depth: float = 0.05  # [mm], up to which surfaces may overlap in the end
-    parted: float = 0.02  # [mm] of depth, below which a descent goes on to the end
-    loose: float = 0.03  # of the first gradient norm: ends a descent while surfaces are deeper than `parted`
-    step: float = 1.0  # [mm] that no vertex of the surface goes further between two looks for contact
-    looks: int = 3  # rounds of looking and pushing at one place at most
-    nearly: float = 0.1  # [mm] of depth, with which the way goes on
-    sweeps: int = 200  # of Gauss-Seidel at most; the descent that follows makes up for what they leave
-    reach: float = 15.0  # [mm] behind the surface that flesh is looked through: the deepest overlap seen
-    on_a_face: float = 1e-6  # a vertex with a lesser barycentric weight in a tet touches it only
-    turned: float = 0.3  # cosine of a triangle's normal with a vertex' own, above which it did not go in there
-    parallel: float = 0.1  # sine between edges, below which they have no direction to be parted in
-    touching: float = 1e-3  # [mm]: a shorter gap has no direction
-    margin: float = 1.0  # of a mean edge, beyond the thickness: nearer vertices are watched before they touch
+    offset: float = 0.005  # [mm] beyond the gap: stiff contact acts below it, and so holds the gap itself
+    reach: float = 0.2  # [mm] within which pairs are rows: a step's gaps that may close are among them
+    slack: float = 0.1  # [mm] that vertices may move on before pairs are sought anew
+    kept: float = 0.2  # of a pair's distance that a step leaves at least
+    before: float = 0.999  # of the share at which a step would meet something
+    passes: int = 12  # of active sets in an iteration at most; the next one goes on
+    closed: float = 1e-9  # [mm] of depth in the model, above which a row is pressed
+    least: float = 1e-4  # of a step as it is bounded: the memory is emptied where no more of it lowers the energy
 
 
 @dataclass(frozen=True)

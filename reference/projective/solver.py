@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -23,21 +23,22 @@ from .hessian.newton_step import newton_step
 from .hessian.tangent import Pattern, Tangent
 from .policy import POLICY, ProjectivePolicy
 from .terms.energy import PARTS, Energy, recover
+from .terms.gaps import Pairs
 from .terms.tets import TetBlocks
 from .unknowns.coordinates import Coordinates, Place
 from .unknowns.system import System
 
 if TYPE_CHECKING:
-    from .contact import ContactSolver
+    from .contact import ContactDescent
 
 Method = Literal["lbfgs", "anderson", "plain"]
 METHODS: dict[str, Descent] = {
-    "lbfgs": partial(after_untangling, lbfgs),
-    "anderson": partial(after_untangling, anderson),
+    "lbfgs": partial(after_untangling, lbfgs, untangle=lbfgs),
+    "anderson": partial(after_untangling, anderson, untangle=lbfgs),
     "plain": plain,
 }
 TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
-"""Those with an energy, those that restrict `Coordinates`, and contact, which is solved for afterwards."""
+"""Those with an energy, those that restrict `Coordinates`, and contact, which has a descent of its own."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
 
@@ -85,7 +86,7 @@ class ProjectivePrepared:
     method: Method
     energy: Energy
     system: System
-    contact: ContactSolver | None
+    contact: ContactDescent | None
     spent: Seconds
     policy: ProjectivePolicy = POLICY
 
@@ -111,7 +112,7 @@ class ProjectivePrepared:
         every frame, wherever it starts. `metric`, from `tangent`, is the Hessian at an answer near by, in place of the
         PD matrix: from there to here far fewer iterations are left, each of about twice the price.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
-        scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
+        scene, whose descent is L-BFGS by whatever method, see `contact.descent.ContactDescent.summarise`.
         Raises SceneError if `scene` needs a new preparation, if start, tolerance or `absolute` are out of range, if the
         metric is of other unknowns, or if loads push a part that nothing holds.
         """
@@ -137,13 +138,19 @@ class ProjectivePrepared:
         first = problem.at(place)
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
         watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
-        point, reason = METHODS[self.method](problem, first, watch)
+        descend = METHODS[self.method]
+        if self.contact is not None:
+            descend = partial(after_untangling, self.contact.descend, untangle=self.contact.descend)
+        point, reason = descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
-        outcome: dict[str, float] = {}
-        if self.contact is not None and reason in (Reason.CONVERGED, Reason.STAGNATED):
-            point, reason, outcome = self.contact.solve(problem, point, scene.vertices, watch)
         positions = np.where(held, values, scene.vertices + point.u)
+        contact: dict[str, float] = {}
+        if self.contact is not None:
+            contact = self.contact.summarise(positions)
+            ended = reason in (Reason.CONVERGED, Reason.STAGNATED)
+            if ended and contact["contact_crossings"] > self.contact.crossings_at_rest:
+                reason = Reason.CONTACT
         return Solution(
             positions=positions,
             reason=reason,
@@ -151,10 +158,22 @@ class ProjectivePrepared:
             energy=point.energy,
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
-            detail=work.counts() | outcome,
+            detail=work.counts() | contact,
             recovery=partial(recover, scene, positions),
             times=recorder.times(self.spent),
         )
+
+    def freeze_contact(self, positions: Floats, scene: Scene | None = None) -> Scene:
+        """Return a scene whose Contact is that of the pairs near at positions [mm], shape (n, 3), as Gaps.
+
+        There it has the same energy, and as long as no other pair comes near: for solvers that look for none. A scene
+        without Contact is left as it is; scene as of `solve`.
+        """
+        scene = self.scene if scene is None else scene
+        if self.contact is None:
+            return scene
+        others = (term for term in scene.terms if not isinstance(term, Contact))
+        return replace(scene, terms=(*others, self.contact.freeze(positions)))
 
     def tangent(
         self,
@@ -169,14 +188,28 @@ class ProjectivePrepared:
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
         where the system has it (see `factorise_definite`); `like`, another tangent of the same
-        topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
+        topology, such as of another identity, lends its analysis. Contact is that of the pairs near at the solution.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
-        place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
-        energy = self.energy.for_scene(scene)
-        return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
+        positions = np.where(held, values, solution.positions)
+        return self._tangent_at(positions, scene, linear_solver=linear_solver, like=like)
+
+    def touches(self, positions: Floats) -> bool:
+        """Tell whether surfaces in Contact are too near at positions [mm], shape (n, 3), or cross."""
+        return self.contact is not None and self.contact.touches(positions)
+
+    def _tangent_at(self, positions: Floats, scene: Scene, **how: Any) -> Tangent:
+        """Factor the exact Hessian at positions [mm], with that of the pairs that are pressed there."""
+        energy, coordinates = self.energy.for_scene(scene), self.system.coordinates
+        if self.contact is not None:
+            gaps = self.contact.freeze(positions, pressed=True)
+            others = tuple(term for term in scene.terms if not isinstance(term, Contact))
+            scene = replace(scene, terms=(*others, gaps) if len(gaps.pairs) else others)
+            pairs = Pairs.from_scene(scene)
+            energy = energy if pairs is None else Energy((*energy.parts, pairs))
+        return Tangent.from_scene(scene, energy, coordinates, coordinates.start(positions - scene.vertices), **how)
 
     def estimate_left(
         self, positions: Floats, tangent: Tangent, vertices: Ints | slice, scene: Scene | None = None
@@ -184,13 +217,17 @@ class ProjectivePrepared:
         """Estimate how far vertices still are from a scene's minimum [mm], shape (n, 3), by a tangent of near by.
 
         vertices: those that count; scene as of `solve`. Also returns whether the estimate is good (`newton_step`).
-        SceneError for a tangent of other unknowns.
+        Where surfaces touch, the tangent of near by says nothing, and one is made there. SceneError for a tangent of
+        other unknowns.
         """
         scene = self.scene if scene is None else scene
-        coordinates = self.system.coordinates
+        coordinates, work = self.system.coordinates, _Work(self.system)
         if tangent.coordinates.size != coordinates.size:
             raise SceneError(f"tangent: it has {tangent.coordinates.size} unknowns, the scene {coordinates.size}")
-        work = _Work(self.system)
+        if self.touches(positions):
+            own = self._tangent_at(positions, scene)
+            gradient = coordinates.pull(own.energy.evaluate(own.place.u)[1], own.place)
+            return coordinates.move(own.place, -own.solve(gradient)).u - own.place.u, own.is_exact
         problem = Problem(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
         point = problem.at(coordinates.start(positions - scene.vertices))
         ahead = newton_step(problem, point, vertices, self.policy.newton_step)
@@ -214,9 +251,9 @@ def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy 
     system = System.from_matrix(matrix, anchored, Coordinates.from_scene(scene))
     contact = None
     if scene.of(Contact):
-        from .contact import ContactSolver  # costs an import of its own, which few scenes need
+        from .contact import ContactDescent  # costs an import of its own, which few scenes need
 
-        contact = ContactSolver.from_scene(scene, system, policy.contact)
+        contact = ContactDescent.from_scene(scene, system, policy.contact)
     return ProjectivePrepared(scene, method, energy, system, contact, clock.read(), policy)
 
 

@@ -1,8 +1,8 @@
 """Contact by other code: the barrier of ipctk (`pip install softdeca[contact]`), as one more part of the energy.
 
-Projective dynamics parts surfaces after a solve, by multipliers. Here a barrier over distances of vertices, edges and
-triangles keeps them apart during Newton's method (Li et al. 2020, "Incremental Potential Contact"). So one checks the
-other. A solve has to begin where the surfaces do not cross.
+Projective dynamics pushes by stiff springs what comes nearer than the gap. Here a barrier over distances of vertices,
+edges and triangles keeps them apart during Newton's method (Li et al. 2020, "Incremental Potential Contact"). So one
+checks the other. A solve has to begin where the surfaces do not cross.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ REACH, WIDE = 0.01, 0.1
 
 A wide one comes first: Newton's method meets it on the way, where a narrow one would cut every step short.
 """
+STIFFNESS = 100.0
+"""[kPa/mm] Times the reach it is the barrier's pressure. A much larger one would push at the outermost end of the reach
+alone, where Newton's method hardly finds it."""
 
 
 def load_ipctk() -> ModuleType:
@@ -38,11 +41,7 @@ def load_ipctk() -> ModuleType:
 
 
 class Barrier:
-    """The barrier of a Contact term, whose thickness is a distance that is never reached.
-
-    The term's stiffness times the reach is the barrier's pressure [kPa]. A much larger one would push at the outermost
-    end of the reach alone, where Newton's method hardly finds it.
-    """
+    """The barrier of a Contact term, whose thickness is a distance that is never reached; its stiffness is its own."""
 
     def __init__(self, term: terms.Contact, scene: Scene, discretisation: Discretisation):
         if discretisation.element != "P1":
@@ -52,8 +51,8 @@ class Barrier:
         triangles = np.asfortranarray(places.reshape(-1, 3), dtype=np.int32)
         rest = np.asfortranarray(scene.vertices[ids])
         self._mesh = self._ipctk.CollisionMesh(rest, self._ipctk.edges(triangles), triangles)
-        self._stiffness, self._reach = term.stiffness, REACH
-        self._potential = self._ipctk.BarrierPotential(REACH, term.stiffness * REACH, True)
+        self._reach = REACH
+        self._potential = self._ipctk.BarrierPotential(REACH, STIFFNESS * REACH, True)
         self._dofs, self._size, self._gap = discretisation.dofs[ids].ravel(), discretisation.size, term.thickness
 
     @classmethod
@@ -64,7 +63,7 @@ class Barrier:
     def widen(self) -> Barrier:
         """The same barrier with a WIDE reach."""
         wide = copy(self)
-        wide._reach, wide._potential = WIDE, self._ipctk.BarrierPotential(WIDE, self._stiffness * WIDE, True)
+        wide._reach, wide._potential = WIDE, self._ipctk.BarrierPotential(WIDE, STIFFNESS * WIDE, True)
         return wide
 
     def value(self, x: Floats) -> float:

@@ -18,6 +18,7 @@ from .. import terms
 from ..scene import Scene
 from .barrier import Barrier
 from .discretisation import Discretisation
+from .gaps import Gaps
 from .solids import Tets, Treatment, project_spd
 from .surfaces import Bends, Membranes
 
@@ -118,6 +119,7 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.Bending: Bends,
     terms.Target: Springs,
     terms.Contact: Barrier,
+    terms.Gaps: Gaps,
 }
 """The class that models each term that has an energy."""
 TERMS = (*PARTS, terms.Fixed, terms.RigidBody)

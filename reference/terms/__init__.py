@@ -6,7 +6,7 @@ A term without `tets` acts on all tets. Stiffnesses and the like are one number,
 
 from .loads import Gravity, Pressure, Traction
 from .solids import Hyperelastic, Solid, Strain, Volume
-from .surfaces import Bending, Contact, SurfaceStrain
+from .surfaces import Bending, Contact, Gaps, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
 from .vertices import Fixed, RigidBody, Target
 
@@ -15,6 +15,7 @@ __all__ = [
     "Bending",
     "Contact",
     "Fixed",
+    "Gaps",
     "Gravity",
     "Hyperelastic",
     "Mesh",

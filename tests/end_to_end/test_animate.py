@@ -223,8 +223,8 @@ def test_accuracies_are_lengths_or_words(command, tmp_path):
     for word in ("loose", "0", "-1", "nan"):
         ended = command("animate", "conversation:1", "--accuracy", word, "--out", tmp_path / "none")
         assert "expected a length from 1e-6 to 100 mm, 'tight' or 'none'" in ended.refusal()
-    ended = command("animate", "conversation:1", "--accuracy", "none", "--contact", "lips", "--out", tmp_path / "none")
-    assert "they need --accuracy" in ended.refusal() and not (tmp_path / "none").exists()
+    ended = command("animate", "conversation:1", "--accuracy", "none", "--crossing", "--out", tmp_path / "none")
+    assert "knows no contact" in ended.refusal() and not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(

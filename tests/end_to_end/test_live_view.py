@@ -20,7 +20,6 @@ from softdeca.lhm import expressions, fit_head, identities
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
-from softdeca.reference.face.correction import predict
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY, spring_norm
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.methods import NETWORK, NETWORK_AND_DERIVATIVES, PD
@@ -150,14 +149,14 @@ def test_each_answer_is_pythons_own(tab, head_file):
     shapes = expression_deltas(head, "person")
     network, code = Surrogate.load(), nearest_code(identities.Anny(), head.skin, ridge=1e-6)
     by_network = network.bind(head.skin, code, p, expressions=shapes).frame(weights)
-    face = Face(head, shapes, p)
+    face = Face(head, shapes, p, accuracy=TIGHT_ACCURACY).in_contact()
+    prepared = face.derivatives.prepared
     rig = network.bind(head.skin, code, p, expressions=shapes)
     by_both = rig.with_derivatives(*(array.astype(np.float32) for array in (face.offset, face.responses))).frame(
         weights
     )
-    scene, linear = face.scene(weights), face.derivatives
-    tight = TIGHT_ACCURACY * spring_norm(scene)
-    solution = linear.prepared.solve(scene, start=predict(face, weights), absolute=tight, metric=linear.tangent)
+    start, tight = face.derivatives.answer.positions, TIGHT_ACCURACY * spring_norm(prepared.scene)
+    solution = prepared.solve(face.scene(weights), start=start, absolute=tight)
     assert solution.converged
     simulated = face.skin_after(weights, solution.positions)
     for method, skin in ((NETWORK, by_network), (NETWORK_AND_DERIVATIVES, by_both), (PD, simulated)):

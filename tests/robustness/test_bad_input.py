@@ -75,7 +75,7 @@ WRONG = [
     ("animate conversation:1 --surrogate none.safetensors", "none.safetensors: no such file"),
     ("animate conversation:1 --parameters p.toml --accuracy none", "is beyond"),
     ("animate conversation:1 --accuracy loose", "expected a length from 1e-6 to 100 mm, 'tight' or 'none'"),
-    ("animate conversation:1 --accuracy none --contact lips", "they need --accuracy"),
+    ("animate conversation:1 --accuracy none --crossing", "knows no contact"),
     *((f"animate {words}", message) for words, message in [
         ("missing.csv", "missing.csv: no such file"),
         ("/dev/zero", "expected"),

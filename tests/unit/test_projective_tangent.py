@@ -1,7 +1,5 @@
 """What is factored of the exact Hessian: answers to it, raised eigenvalues, reuse, and a metric for descent."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -92,6 +90,3 @@ def test_wrong_use_is_named():
         tangent.vertices_by_targets(np.zeros((42, 3)))
     with pytest.raises(SceneError, match="other vertices, tets, bodies or held components"):
         tangent.vertices_by_scenes([[(other.scene, 1.0)]])
-    touching = replace(FACE, terms=(*FACE.terms, terms.Contact(HEAD.skin_wrap.triangles)))
-    with pytest.raises(SceneError, match="knows no Contact"):
-        prepare(touching).tangent(answer)

@@ -1,4 +1,4 @@
-"""PD's contact of lips and lids beside ipctk's barrier."""
+"""PD's contact of lips and lids: beside ipctk's barrier, and on hard frames of several people."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ....lhm.base.limits import Bound
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....lhm.head.head import LayeredHead
-from ....reference import Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
+from ....reference import Face, Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
+from ....surrogate.methods import PD
 from ...harness.study import Column, Row, Task, Values, at_most
-from ..measures import distances
+from ..measures import Stopwatch, distances, measure_overlap
 from ..person import OfPerson, check_known
 
 LIPS, LIDS = ("lips", "mouth"), ("lids", "eyes")
@@ -23,6 +25,45 @@ POSES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """Expressions in which the regions beside them would go through each other."""
 BOTH = "PD's contact and ipctk's barrier"
+BLINK, SQUINT = "eyeBlinkLeft+eyeBlinkRight", "eyeSquintLeft+eyeSquintRight"
+PRESS, SMILE = "mouthPressLeft+mouthPressRight", "mouthSmileLeft+mouthSmileRight"
+ROLLS = "mouthRollLower+mouthRollUpper"
+HARD: Mapping[str, str] = {
+    "blink": BLINK,
+    "blink, squint": f"{BLINK}+{SQUINT}",
+    "blink, squint, cheeks": f"{BLINK}+{SQUINT}+cheekSquintLeft+cheekSquintRight",
+    "blink of 0.8, squint": f"eyeBlinkLeft*0.8+eyeBlinkRight*0.8+{SQUINT}",
+    "wink, squint": f"eyeBlinkLeft+{SQUINT}",
+    "blink, brows down": f"{BLINK}+browDownLeft+browDownRight",
+    "press": PRESS,
+    "lower lip raised": "mouthShrugLower",
+    "both lips raised": "mouthShrugLower+mouthShrugUpper",
+    "close, jaw open": "mouthClose+jawOpen",
+    "close of 0.6, jaw of 0.5": "mouthClose*0.6+jawOpen*0.5",
+    "close": "mouthClose",
+    "close of 0.3": "mouthClose*0.3",
+    "pucker": "mouthPucker",
+    "pucker, funnel": "mouthPucker+mouthFunnel",
+    "pucker, press": f"mouthPucker+{PRESS}",
+    "rolls": ROLLS,
+    "lower roll, press": f"mouthRollLower+{PRESS}",
+    "upper roll, lower lip raised": "mouthRollUpper+mouthShrugLower",
+    "smile, press": f"{SMILE}+{PRESS}",
+    "frown, lower lip raised": "mouthFrownLeft+mouthFrownRight+mouthShrugLower",
+    "jaw forward, lower lip raised": "jawForward+mouthShrugLower",
+    "mouth left, press": f"mouthLeft+{PRESS}",
+    "blink, squint, press, lower lip raised": f"{BLINK}+{SQUINT}+{PRESS}+mouthShrugLower",
+    "jaw of 0.3, rolls": f"jawOpen*0.3+{ROLLS}",
+}
+"""Expressions in which lips or lids meet, but for two of an open jaw, which cost what they do without contact."""
+MADE_HARDER: Mapping[str, Parameters] = {
+    "soft": Parameters(soft_stiffness=2.0),
+    "3 g": Parameters(gravity=3.0),
+    "more volume": Parameters(soft_volume=1.4, muscle_volume=1.3),
+}
+FRAMES = Bound("frames", 43, "there are no more", 0)
+OTHERS = (1, 2, 3)
+"""Seeds of other people, beside the study's own."""
 AROUND = 5
 """Edges about the regions in contact, up to which tets are solved for: two more than contact reaches."""
 STEPS = 4
@@ -39,10 +80,10 @@ class Contact(OfPerson):
 
     name = "contact"
     heading = "Are lips and lids parted as another code parts them?"
-    question = "How far is PD's contact from ipctk's barrier?"
+    question = "How far is PD's contact from ipctk's barrier, and what does it do on hard frames?"
     columns = (
-        Column("depth_before_mm", "overlap without contact [mm]"),
-        Column("depth_after_mm", "with it [mm]"),
+        Column("overlap_mm", "overlap without contact [mm]"),
+        Column("crossings", "pairs that cross with it"),
         Column("moved_mean_mm", "contact moves, mean [mm]"),
         Column("moved_max_mm", "max [mm]"),
         Column("apart_mean_mm", "PD to barrier, mean [mm]"),
@@ -50,25 +91,53 @@ class Contact(OfPerson):
         Column("where", "where"),
         Column("force_pd_mn", "contact force by PD [mN]"),
         Column("force_barrier_mn", "by the barrier [mN]"),
+        Column("iterations_pd", "PD's iterations"),
+        Column("iterations_free", "without contact"),
         Column("iterations_barrier", "Newton's iterations"),
+        Column("times", "time over that without contact", cost=True),
     )
     note = (
         "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
-        "parts surfaces after the solve without contact; scikit-fem minimises the energy with ipctk's barrier from "
-        f"rest on. Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
-        "what each vertex is pushed with, the remainder of the energy's gradient without contact."
+        "keeps surfaces apart on its way from rest; scikit-fem minimises the energy with ipctk's barrier from rest on. "
+        f" Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
+        "what each vertex is pushed with, the remainder of the energy's gradient without contact. Hard frames are of "
+        "the whole face, from rest; their time is that of the processor, prepared, the second of two solves."
     )
 
+    version = 2
+
     poses: tuple[str, ...] = option(tuple(POSES), f"one of {', '.join(POSES)}; repeat for several", name="--pose")
+    frames: int = option(43, "hard frames that PD solves with contact and without, 43 at most", bound=FRAMES)
 
     def tasks(self) -> Sequence[Task]:
-        """List each pose; InputError for an unknown one."""
+        """List each pose, and the hard frames; InputError for an unknown pose."""
         self.check()
         check_known("pose", self.poses, POSES)
-        return [Task(pose, BOTH) for pose in self.poses]
+        frames = [Task(name, PD) for name in list(self._hard)[: self.frames]]
+        return [*(Task(pose, BOTH) for pose in self.poses), *frames]
+
+    @property
+    def _hard(self) -> Mapping[str, tuple[int | None, str, Parameters]]:
+        """Hard frames by name: the seed, the expression and p."""
+        own = {name: (None, text, Parameters()) for name, text in HARD.items()}
+        harder = {
+            f"{name}, {how}": (None, HARD[name], parameters)
+            for how, parameters in MADE_HARDER.items()
+            for name in ("blink, squint", "lower lip raised", "press")
+        }
+        others = {
+            f"{name}, seed {seed}": (seed, HARD[name], Parameters())
+            for seed in OTHERS
+            for name in ("blink", "both lips raised", "close, jaw open")
+        }
+        return own | harder | others
 
     def measure(self, task: Task) -> Values:
-        """Compare a pose by both codes."""
+        """Compare a pose by both codes, or a hard frame with contact and without."""
+        if task.method == PD:
+            seed, text, parameters = self._hard[task.case]
+            of = self.person(seed=seed)
+            return measure_frame(of.face(parameters), of.shape(text))
         of, (text, regions) = self.person(), POSES[task.case]
         head, shape, near = of.head, of.shape(text), _find_around(of.head, regions)
 
@@ -81,16 +150,19 @@ class Contact(OfPerson):
         return values | {"where": _name_place(head, values["worst_vertex"])}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Check that the barrier is solved, and that PD is nearer to it than a face without contact is."""
-        poses = [row.values for row in rows]
-        if not poses:
-            return []
-        failed = sum(values["reasons"][1] != str(Reason.CONVERGED) for values in poses)
-        share = max(values["apart_mean_mm"] / values["moved_mean_mm"] for values in poses)
-        return [
-            at_most("poses whose barrier was not solved", failed, 0),
-            at_most("mean distance of PD's contact to the barrier, of what contact moves", share, 0.5),
+        """Check that PD has converged and nothing crosses, that the barrier is solved, and that PD is near it."""
+        poses = [row.values for row in rows if row.method == BOTH]
+        done = [row.values for row in rows]
+        gates = [
+            at_most("answers of PD that cross", sum(values["crossings"] > 0 for values in done), 0),
+            at_most("answers of PD that have not converged", sum(not values["done"] for values in done), 0),
         ]
+        if poses:
+            failed = sum(values["reasons"][1] != str(Reason.CONVERGED) for values in poses)
+            share = max(values["apart_mean_mm"] / values["moved_mean_mm"] for values in poses)
+            gates.append(at_most("poses whose barrier was not solved", failed, 0))
+            gates.append(at_most("mean distance of PD's contact to the barrier, of what contact moves", share, 0.05))
+        return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how far the codes are apart in each pose."""
@@ -98,10 +170,55 @@ class Contact(OfPerson):
             f"{row.case}: contact moves the skin by {row.values['moved_mean_mm']:.2f} mm on average, PD and the "
             f"barrier are {row.values['apart_mean_mm']:.3f} mm apart, and push with "
             f"{row.values['force_pd_mn']:.0f} and {row.values['force_barrier_mn']:.0f} mN"
-            + ("." if row.values["done"] else f"; PD leaves an overlap of {row.values['depth_after_mm']:.2f} mm.")
+            + ("." if row.values["done"] else f"; {' and '.join(row.values['reasons'])}.")
             for row in rows
+            if row.method == BOTH
         ]
+        frames = [row.values for row in rows if row.method == PD]
+        if frames:
+            touching = [values for values in frames if values["pairs"]] or frames
+            left, crossing = (
+                sum(not values["done"] for values in frames),
+                sum(values["crossings"] > 0 for values in frames),
+            )
+            sentences.append(
+                f"Of {len(frames)} hard frames {sum(values['crossings_free'] > 0 for values in frames)} cross without "
+                f"contact; with it {crossing} cross and {left} have not converged. It moves a vertex by "
+                f"{max(values['moved_max_mm'] for values in frames):.1f} mm at most, and frames that touch cost "
+                f"{np.median([values['times'] for values in touching]):.1f} times those without, in the median."
+            )
         return " ".join(sentences)
+
+
+def measure_frame(face: Face, skin: Floats) -> dict:
+    """Solve an expression's skin (n, 3) [mm] by PD with contact and without; `times`: what contact costs, of without.
+
+    crossings: pairs of triangles. Each is solved twice, and the second time counts.
+    """
+    answers, times = [], []
+    for each in (face, face.in_contact()):
+        scene = each.expression_scene(skin)
+        prepared = prepare(each.neutral_scene())
+        prepared.solve(scene, tolerance=TOLERANCE)
+        watch = Stopwatch()
+        answers.append(prepared.solve(scene, tolerance=TOLERANCE))
+        times.append(watch.lap()[1])
+    free, touching = answers
+    (contact,) = scene.of(terms.Contact)
+    moved = distances(free.positions, touching.positions)
+    crossings, overlap = measure_overlap(free.positions, contact.triangles)
+    return {
+        "done": touching.converged,
+        "pairs": int(touching.detail["contact_pairs"]),
+        "crossings_free": crossings,
+        "overlap_mm": overlap,
+        "crossings": measure_overlap(touching.positions, contact.triangles)[0],
+        "moved_max_mm": float(moved.max()),
+        "force_pd_mn": touching.detail["contact_force"],
+        "iterations_pd": touching.iterations,
+        "iterations_free": free.iterations,
+        "times": times[1] / times[0],
+    }
 
 
 def solve_by_barrier(scene_at: Callable[[float], Scene]) -> Solution:
@@ -129,9 +246,8 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
         "done": by_pd.converged and by_barrier.converged and free.converged,
         "reasons": [str(by_pd.reason), str(by_barrier.reason)],
         "tets": len(scene.tets),
-        "pairs_before": int(by_pd.detail["contact_pairs_before"]),
-        "depth_before_mm": by_pd.detail["contact_depth_before"],
-        "depth_after_mm": by_pd.detail["contact_depth_after"],
+        "overlap_mm": measure_overlap(free.positions, contact.triangles)[1],
+        "crossings": int(by_pd.detail["contact_crossings"]),
         "moved_mean_mm": float(moved[counts].mean()),
         "moved_max_mm": float(moved.max()),
         "vertices_moved": int(counts.sum()),
@@ -141,6 +257,7 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
         "force_pd_mn": float(0.5 * forces[0].sum()),
         "force_barrier_mn": float(0.5 * forces[1].sum()),
         "iterations_pd": by_pd.iterations,
+        "iterations_free": free.iterations,
         "iterations_barrier": by_barrier.iterations,
     }
 

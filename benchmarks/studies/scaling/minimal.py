@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Face, Parameters, smallest_facial_scene
 from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE, choose, solve_skin

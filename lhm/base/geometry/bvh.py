@@ -226,27 +226,16 @@ class TriangleTree:
 
 
 @njit(cache=True)
-def _six_volumes(a, b, c, d):
-    """Return six times the signed volume of a tet."""
-    b0, b1, b2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    c0, c1, c2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    d0, d1, d2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-    return d0 * (b1 * c2 - b2 * c1) + d1 * (b2 * c0 - b0 * c2) + d2 * (b0 * c1 - b1 * c0)
-
-
-@njit(cache=True)
-def _find_containing(points, besides, ids, corners, order, start, stop, left, box):
-    """Return pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
-    pairs, weights = [], []
+def _overlap_boxes(query, query_ids, same, boxes, ids, order, start, stop, left, box, out):
+    """Write pairs (query, box) that overlap and have no common id, as far as there is room; return their number."""
     stack = np.empty(128, np.int64)
-    for i in range(len(points)):
-        p = points[i]
+    count = 0
+    for q in range(len(query)):
         stack[0], size = 0, 1
         while size > 0:
             size -= 1
             node = stack[size]
-            b = box[node]
-            if p[0] < b[0] or p[1] < b[1] or p[2] < b[2] or p[0] > b[3] or p[1] > b[4] or p[2] > b[5]:
+            if _apart(query[q], box[node]):
                 continue
             if left[node] >= 0:
                 stack[size], stack[size + 1] = left[node], left[node] + 1
@@ -254,45 +243,50 @@ def _find_containing(points, besides, ids, corners, order, start, stop, left, bo
                 continue
             for k in range(start[node], stop[node]):
                 t = order[k]
-                if (
-                    besides[i] == ids[t, 0]
-                    or besides[i] == ids[t, 1]
-                    or besides[i] == ids[t, 2]
-                    or besides[i] == ids[t, 3]
-                ):
+                if (same and t <= q) or _apart(query[q], boxes[t]):
                     continue
-                x = corners[t]
-                w0, w1 = _six_volumes(p, x[1], x[2], x[3]), _six_volumes(x[0], p, x[2], x[3])
-                w2, w3 = _six_volumes(x[0], x[1], p, x[3]), _six_volumes(x[0], x[1], x[2], p)
-                total = _six_volumes(x[0], x[1], x[2], x[3])
-                if total > 0 and w0 >= 0 and w1 >= 0 and w2 >= 0 and w3 >= 0:
-                    pairs.append((i, t))
-                    weights.append((w0 / total, w1 / total, w2 / total, w3 / total))
-    return pairs, weights
+                common = False
+                for i in query_ids[q]:
+                    for j in ids[t]:
+                        common = common or i == j
+                if not common:
+                    if count < len(out):
+                        out[count, 0], out[count, 1] = q, t
+                    count += 1
+    return count
 
 
 @dataclass(frozen=True, eq=False)
-class TetTree:
-    """Which tets (m, 4) of `vertices` (n, 3) [mm] hold a point; tets may overlap, and inverted ones hold nothing."""
+class BoxTree:
+    """A tree over boxes (m, 6), lower ends first, of elements with vertices `ids` (m, any)."""
 
-    vertices: Floats
-    tets: Ints
+    boxes: Floats
+    ids: Ints
     layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
-    corners: Floats = field(init=False, repr=False)
     nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self):
-        object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.tets]))
-        object.__setattr__(self, "nodes", _lay_out(self.corners, self.layout))
+        low, high = (np.ascontiguousarray(ends) for ends in np.hsplit(self.boxes, 2))
+        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
+        object.__setattr__(self, "nodes", nodes)
 
-    def moved(self, vertices: Floats) -> TetTree:
-        """Return the tree of the same tets over other vertices (n, 3) [mm]: quicker, good for small motions."""
-        return TetTree(vertices, self.tets, self.nodes[:-1])
+    def moved(self, boxes: Floats) -> BoxTree:
+        """Return the tree of the same elements in other boxes: quicker, good for small motions."""
+        return BoxTree(boxes, self.ids, self.nodes[:-1])
 
-    def containing(self, points: Floats, besides: Ints) -> tuple[Ints, Floats]:
-        """Return pairs (point, tet), shape (k, 2), of points with each tet that holds them; weights (k, 4) in it.
+    def self_overlaps(self) -> Ints:
+        """Return pairs of boxes that overlap and whose elements have no common vertex, each once, shape (r, 2)."""
+        return self._pairs(self.boxes, self.ids, True)
 
-        Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
+    def overlaps(self, boxes: Floats, ids: Ints) -> Ints:
+        """Return pairs (one of `boxes` (q, 6), own box) that overlap and have no common vertex, shape (r, 2).
+
+        ids (q, any): the vertices of the elements in those boxes.
         """
-        pairs, weights = _find_containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self.nodes)
-        return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(weights, dtype=np.float64).reshape(-1, 4)
+        return self._pairs(boxes, ids, False)
+
+    def _pairs(self, boxes: Floats, ids: Ints, same: bool) -> Ints:
+        out = np.empty((4 * len(self.boxes), 2), dtype=np.int64)
+        while (count := _overlap_boxes(boxes, ids, same, self.boxes, self.ids, *self.nodes, out)) > len(out):
+            out = np.empty((count, 2), dtype=np.int64)
+        return out[:count]

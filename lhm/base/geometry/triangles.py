@@ -153,20 +153,6 @@ def _find_parting(first, second):
     return shifts
 
 
-@njit(cache=True)
-def _find_crossed_edges(first, second):
-    crossings = []
-    for k in range(len(first)):
-        a, b = first[k], second[k]
-        for i in range(3):
-            if not segment_hits(a, i, (i + 1) % 3, b):
-                continue
-            for j in range(3):
-                if segment_hits(b, j, (j + 1) % 3, a):
-                    crossings.append((k, i, j))
-    return crossings
-
-
 def parting_shifts(first: Floats, second: Floats) -> Floats:
     """Return the length [mm] of the shortest shift that parts two triangles, for pairs of corners (k, 3, 3).
 
@@ -174,15 +160,6 @@ def parting_shifts(first: Floats, second: Floats) -> Floats:
     axes, as in Gottschalk, Lin and Manocha 1996.
     """
     return _find_parting(np.ascontiguousarray(first), np.ascontiguousarray(second))
-
-
-def crossed_edges(first: Floats, second: Floats) -> Ints:
-    """Return triples (pair, i, j), shape (r, 3): edge i of the first triangle meets the second, and j of it the first.
-
-    For pairs of corners (k, 3, 3); edge i goes from corner i to the next.
-    """
-    crossings = _find_crossed_edges(np.ascontiguousarray(first), np.ascontiguousarray(second))
-    return np.array(crossings, dtype=np.int64).reshape(-1, 3)
 
 
 def fan_crossings(vertices: Floats, triangles: Ints) -> Ints:

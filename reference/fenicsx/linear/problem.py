@@ -13,6 +13,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import (
     Bending,
+    Gaps,
     Hyperelastic,
     Pressure,
     RigidBody,
@@ -26,6 +27,7 @@ from .. import dolfinx_version as seam
 from ..dolfinx_version import MPI, PETSc
 from ..energy.assembly import Stiffness, rigid_motions
 from ..energy.bending import Rings
+from ..energy.gaps import Distances
 from ..energy.hyperelastic import MixedForms
 from ..energy.loads import FollowerPressure, Springs, dead_loads
 from ..energy.nodal import NodalEnergy
@@ -42,6 +44,7 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
     Volume: Solids,
     SurfaceStrain: Membrane,
     Bending: Rings,
+    Gaps: Distances,
     Pressure: FollowerPressure,
     Target: Springs,
 }

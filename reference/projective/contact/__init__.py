@@ -1,5 +1,5 @@
-"""Contact of a surface with itself, solved after the scene without it (SoftDECA 3.3.2)."""
+"""Contact of a surface with itself, inside the descent (SoftDECA 3.3.2)."""
 
-from .solver import ContactSolver
+from .descent import ContactDescent
 
-__all__ = ["ContactSolver"]
+__all__ = ["ContactDescent"]

@@ -79,7 +79,7 @@ class Tangent:
     ) -> Tangent:
         """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be; `like` lends its pattern."""
         if scene.of(Contact):
-            raise SceneError("a tangent knows no Contact: take the scene without it")
+            raise SceneError("a tangent knows no Contact: take `freeze_contact`'s scene")
         pattern = like.pattern if isinstance(like, Tangent) else like
         if pattern is None or not pattern.sparsity.fits(scene, energy.parts, coordinates):
             pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)

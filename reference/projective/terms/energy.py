@@ -16,6 +16,7 @@ from ...scene import Scene
 from ...solution import Stresses
 from ...terms import (
     Bending,
+    Gaps,
     Gravity,
     Strain,
     SurfaceStrain,
@@ -25,6 +26,7 @@ from ...terms import (
     Volume,
 )
 from .bending import Rings
+from .gaps import Pairs
 from .part import Part
 from .springs import DeadLoads, Springs
 from .tets import TetBlocks, shape_gradients
@@ -38,6 +40,7 @@ PARTS: dict[type[Term], type[Part]] = {
     SurfaceStrain: Triangles,
     Bending: Rings,
     Target: Springs,
+    Gaps: Pairs,
 }
 """The class that models each term that has an energy, in the order in which their energies are added up."""
 AnyPart = TypeVar("AnyPart", bound=Part)

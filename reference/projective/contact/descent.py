@@ -1,0 +1,245 @@
+"""The way down that surfaces do not cross: L-BFGS models elasticity, and contact is solved for in its model.
+
+Each iteration measures what is near, and finds the forces λ >= 0 of those rows for which the step of the model,
+d = -B⁻¹ (g - Pᵀ Cᵀ λ), leaves them pressed as λ = stiffness × depth says: a gap that the step would close is a row
+already, so the step goes round it. Continuous collision detection bounds the step, and energy with contact has to fall.
+L-BFGS learns from elasticity's gradient g alone, for contact is never modelled but as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ....lhm.base.geometry.bvh import TriangleTree
+from ....lhm.base.mesh import Floats, Ints
+from ...scene import Scene
+from ...solution import Reason
+from ...terms import Gaps
+from ..descent import Observer, Point, Problem, lbfgs
+from ..policy import POLICY, ContactPolicy
+from ..unknowns.coordinates import Place
+from ..unknowns.system import System
+from .model import Compliance, Model
+from .surfaces import ContactSurface, Nearby, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """A point without contact's energy, the contact vertices there (k, 3) [mm], and what is near on them."""
+
+    free: Point
+    x: Floats
+    rows: Rows
+    total: Point
+
+
+@dataclass(frozen=True, eq=False)
+class ContactDescent:
+    """A descent of a scene's energy with its Contact terms: their surfaces, and A⁻¹ between their vertices."""
+
+    rest: Floats
+    vertices: Ints
+    surfaces: Sequence[ContactSurface]
+    compliance: Compliance
+    system: System
+    policy: ContactPolicy = POLICY.contact
+
+    @classmethod
+    def from_scene(cls, scene: Scene, system: System, policy: ContactPolicy = POLICY.contact) -> ContactDescent:
+        """Make the surfaces of a scene; nothing is solved for yet."""
+        vertices, surfaces = ContactSurface.from_scene(scene, policy)
+        return cls(scene.vertices, vertices, surfaces, Compliance(system, vertices), system, policy)
+
+    def descend(self, problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+        """Minimise a problem's energy and contact's from a point; see `descent.Descent`. The watch sees both together.
+
+        As long as nothing touches this is L-BFGS without contact, which costs no more. A start at which more crosses
+        than at rest is left for rest. A point at which no step lowers the energy is STAGNATED.
+        """
+        nearby = Nearby(self.surfaces, self.policy)
+        if self.count_crossings(self.find_places(point.place)) > self.crossings_at_rest:
+            rest = np.where(self.system.coordinates.held, point.u, 0.0)
+            point = problem.at(self.system.coordinates.start(rest))
+        looks = Looks(self, nearby, watch)
+        end, reason = lbfgs(problem, point, looks)
+        if not looks.has_touched:
+            return end, reason
+        watch.forget()
+        return self._descend_touching(problem, point if looks.free is None else looks.free, watch, nearby)
+
+    def _descend_touching(
+        self, problem: Problem, point: Point, watch: Observer, nearby: Nearby
+    ) -> tuple[Point, Reason]:
+        model = Model(self.system, self.compliance, self.vertices, point.place.rotations)
+        x = self.find_places(point.place)
+        here = self._touch(point, x, nearby.find_rows(x))
+        solved = model.solve_start(point.gradient)
+        pushes = here.rows.spread(here.rows.forces, len(self.vertices))
+        while (reason := watch.see(here.total)) is None:
+            gradient = here.free.gradient
+            free = model.restrict_solution(gradient, solved)
+            wanted = self._find_pushes(model, here.rows, -free, pushes)
+            right, solved_right = -gradient, -solved
+            if wanted.any():
+                spread = model.spread(wanted)
+                right, solved_right = spread - gradient, model.solve_start(spread) - solved
+            step = model.solve(right, solved_right)
+            # What the model says of elasticity's energy along the step: slope and curvature.
+            taken = self._take(problem, nearby, here, step, (float(gradient @ step), float(right @ step)))
+            if taken is None:
+                if model.is_empty:
+                    return here.total, Reason.STAGNATED
+                model.clear()
+                continue
+            share, ahead = taken
+            before, solved = solved, model.solve_start(ahead.free.gradient)
+            model.add(share * step, ahead.free.gradient - gradient, solved - before)
+            pushes = pushes + share * (wanted - pushes)
+            here = ahead
+        return here.total, reason
+
+    def summarise(self, positions: Floats) -> dict[str, float]:
+        """Summarise contact at positions (n, 3) [mm] for `Solution.detail`: forces, and what crosses.
+
+        The force is half of what all vertices are pushed with [mN]; "contact_crossings" are pairs of triangles.
+        """
+        x = positions[self.vertices]
+        rows = Nearby(self.surfaces, self.policy).find_rows(x)
+        pushes = rows.spread(rows.forces, len(x))
+        return {
+            "contact_pairs": float(np.count_nonzero(rows.depth > 0.0)),
+            "contact_force": float(0.5 * np.linalg.norm(pushes, axis=1).sum()),
+            "contact_crossings": float(self.count_crossings(x)),
+        }
+
+    def touches(self, positions: Floats) -> bool:
+        """Tell whether pairs are too near at positions (n, 3) [mm], or more triangles cross than at rest."""
+        x = positions[self.vertices]
+        rows = Nearby(self.surfaces, self.policy).find_rows(x)
+        return bool((rows.depth > 0.0).any()) or self.count_crossings(x) > self.crossings_at_rest
+
+    @cached_property
+    def crossings_at_rest(self) -> int:
+        """Pairs of triangles that cross at rest, which nothing parts."""
+        return self.count_crossings(self.rest[self.vertices])
+
+    def count_crossings(self, x: Floats) -> int:
+        """Count the pairs of triangles that cross with contact vertices at x (k, 3) [mm]."""
+        return sum(len(TriangleTree(x, surface.triangles).self_crossings()) for surface in self.surfaces)
+
+    def find_places(self, place: Place) -> Floats:
+        """Return the contact vertices' positions [mm], shape (k, 3), at a place."""
+        return (self.rest + place.u)[self.vertices]
+
+    def freeze(self, positions: Floats, *, pressed: bool = False) -> Gaps:
+        """Return the pairs that are near at positions (n, 3) [mm], or only those that push, with their energy."""
+        rows = Nearby(self.surfaces, self.policy).find_rows(positions[self.vertices])
+        rows = rows.select(np.flatnonzero(rows.depth > 0.0)) if pressed else rows
+        return Gaps(self.vertices[rows.ids], rows.between_edges, rows.stiffness, rows.offset)
+
+    def _touch(self, point: Point, x: Floats, rows: Rows) -> Touching:
+        """Add contact to a point of the energy without it, with contact vertices at x (k, 3) and these rows near."""
+        forces = np.zeros_like(self.rest)
+        forces[self.vertices] = rows.spread(rows.forces, len(x))
+        gradient = point.gradient - self.system.coordinates.pull(forces, point.place)
+        return Touching(point, x, rows, Point(point.place, point.energy + rows.energy, gradient))
+
+    def _find_pushes(self, model: Model, rows: Rows, free: Floats, pushes: Floats) -> Floats:
+        """Find the forces on the contact vertices (k, 3) [mN] that the model's step ends with.
+
+        free (k, 3): its motion without any; pushes (k, 3): the forces of the step before, under which gaps that would
+        close count. Active sets, each a dense solve of (C S Cᵀ + 1 / stiffness) λ = depth after the free motion.
+        """
+        under = free + model.push(pushes) if pushes.any() else free
+        rows = rows.select(np.flatnonzero((rows.depth > 0.0) | (rows.depth > rows.widen(under))))
+        count = len(rows.ids)
+        if not count:
+            return np.zeros_like(free)
+        depth = rows.depth - rows.widen(free)
+        compliance = model.between(rows)
+        active = rows.depth > 0.0
+        if not active.any():
+            active = depth > 0.0
+        forces = np.zeros(count)
+        for _ in range(self.policy.passes):
+            chosen = np.flatnonzero(active)
+            matrix = compliance[np.ix_(chosen, chosen)] + np.diag(1.0 / rows.stiffness[chosen])
+            forces[:] = 0.0
+            if len(chosen):
+                forces[chosen] = cho_solve(cho_factor(matrix, check_finite=False), depth[chosen], check_finite=False)
+            closed = depth - compliance @ forces > self.policy.closed
+            closed[chosen] = forces[chosen] > 0.0
+            if np.array_equal(closed, active):
+                break
+            active = closed
+        return rows.spread(np.maximum(forces, 0.0), len(free))
+
+    def _take(
+        self, problem: Problem, nearby: Nearby, here: Touching, step: Floats, model: tuple[float, float]
+    ) -> tuple[float, Touching] | None:
+        """Take the share of a step that meets nothing and lowers the energy; None where none is found soon.
+
+        model: slope and curvature of elasticity's energy along the step; where contact's rises by more than that says
+        that it falls, elasticity is not asked.
+        """
+        share, policy, (slope, curvature) = 1.0, self.policy, model
+        rounding = problem.policy.rounding * abs(here.total.energy)
+        while share > policy.least:
+            place = problem.move(here.free.place, share * step)
+            x = self.find_places(place)
+            met = nearby.find_free_share(here.x, x - here.x)
+            if met < 1.0:
+                share *= policy.before * met
+                continue
+            rows = nearby.find_rows(x)
+            fall = -(share * slope + 0.5 * share**2 * curvature)
+            if rows.energy - here.rows.energy <= max(fall, 0.0) + rounding:
+                ahead = self._touch(problem.at(place), x, rows)
+                if ahead.total.energy <= here.total.energy + rounding:
+                    return share, ahead
+            share *= 0.5
+        return None
+
+
+class Looks:
+    """Shows a watch a descent without contact, and ends it where the way has met something.
+
+    It looks at first and last point, and in between after 1, 4, 16, ... iterations: along the straight way from the
+    last place that was `free`, and for what is too near.
+    """
+
+    def __init__(self, contact: ContactDescent, nearby: Nearby, watch: Observer):
+        self._contact, self._nearby, self._watch = contact, nearby, watch
+        self._seen, self._next = 0, 1
+        self.free: Point | None = None
+        self.has_touched = False
+
+    def see(self, point: Point) -> Reason | None:
+        """Take note of a point; it is shown to the watch unless it touches."""
+        reason = None
+        if self._seen in (0, self._next):
+            self._next = max(1, 4 * self._seen)
+            self._look(point)
+        if not self.has_touched:
+            reason = self._watch.see(point)
+            if reason is Reason.CONVERGED:
+                self._look(point)
+        self._seen += 1
+        return Reason.CONTACT if self.has_touched else reason
+
+    def forget(self):
+        """See `Watch`."""
+        self._watch.forget()
+
+    def _look(self, point: Point):
+        x = self._contact.find_places(point.place)
+        begin = x if self.free is None else self._contact.find_places(self.free.place)
+        is_free = self._nearby.find_free_share(begin, x - begin) >= 1.0
+        self.has_touched = not is_free or bool((self._nearby.find_rows(x).depth > 0.0).any())
+        if not self.has_touched:
+            self.free = point
