@@ -45,8 +45,8 @@ class ContactSurface:
             areas = Surface(rest, triangles).vertex_areas
             offset = term.thickness + policy.offset
             edges = unique_edges(triangles)
-            trees = tuple(BoxTree(enclose(elements, rest, rest), elements) for elements in (triangles, edges))
-            surfaces.append(cls(triangles, edges, rest, areas, offset, term.stiffness, trees))
+            of_triangles, of_edges = (BoxTree(enclose(each, rest, rest), each) for each in (triangles, edges))
+            surfaces.append(cls(triangles, edges, rest, areas, offset, term.stiffness, (of_triangles, of_edges)))
         return ids, tuple(surfaces)
 
     @cached_property
@@ -154,7 +154,8 @@ class _Candidates:
         self._surface, self._policy = surface, policy
         self._low = np.full((1, 3), np.inf)
         self._high = -self._low
-        self._at, self._least = None, 0.0
+        self._at: Floats | None = None
+        self._least = 0.0
 
     def find_rows(self, x: Floats) -> Rows:
         """See `Nearby`."""
@@ -197,4 +198,5 @@ def _merge(rows: Rows) -> Rows:
     keys = np.column_stack([np.minimum(*sides), np.maximum(*sides), np.round(1e9 * rows.offset).astype(np.int64)])
     _, chosen, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     merged = rows.select(chosen)
-    return replace(merged, stiffness=np.bincount(which.ravel(), rows.stiffness, len(chosen)))
+    together = np.bincount(which.ravel(), rows.stiffness, len(chosen)).astype(np.float64, copy=False)
+    return replace(merged, stiffness=together)
