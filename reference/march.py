@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -325,11 +326,16 @@ class _March:
         free = ~scene.dirichlet()[0]
         acting = np.where(free, now.gradient + self.stiffness * (now.x - pull), 0.0)
         self.scale = max(self.scale, float(np.linalg.norm(acting)))
-        asked = {"tolerance": self.motion.tolerance, "absolute": self.motion.tolerance * self.scale or None}
-        posed = self._with_springs(scene, pull)
-        found = self.prepared.solve(posed, start=now.x + self.h * now.v, **asked)
+        tolerance = self.motion.tolerance
+        settle = partial(
+            self.prepared.solve,
+            self._with_springs(scene, pull),
+            tolerance=tolerance,
+            absolute=tolerance * self.scale or None,
+        )
+        found = settle(start=now.x + self.h * now.v)
         if found.reason is Reason.NOT_FINITE:
-            found = self.prepared.solve(posed, start=now.x, **asked)
+            found = settle(start=now.x)
         if scene is not now.scene:
             self.scale = max(self.scale, float(found.history.gradient_norm[0]))
         return found

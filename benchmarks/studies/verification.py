@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -110,7 +111,8 @@ def _list_problems() -> Sequence[problems.Problem]:
 
 
 def _list_fine() -> Mapping[str, Outcomes]:
-    return {f"orders of {e}": lambda e=e: problems.manufactured.rates(e) for e in problems.manufactured.ORDERS}
+    rates, orders = problems.manufactured.rates, problems.manufactured.ORDERS
+    return {f"orders of {element}": partial(rates, element) for element in orders}
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from ...lhm.base.geometry.warp import rigid_motion
 from ...lhm.base.mesh import Floats
 from ..materials import Corotated, EnergyLaw, lame
+from ..materials.material import Isotropic
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, Volume
@@ -38,7 +39,7 @@ def free_block() -> Scene:
     return Scene(X, tets, (Strain(2 * mu), Volume(3 * lmbda)))
 
 
-def standing_block(law: EnergyLaw, cells: int = 4) -> Scene:
+def standing_block(law: Isotropic, cells: int = 4) -> Scene:
     """A block of a law on a held base."""
     X, tets = block(cells)
     return Scene(X, tets, (Hyperelastic(law), Fixed(vertices_at(X, 2, 0.0))))

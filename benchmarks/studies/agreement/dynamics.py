@@ -207,9 +207,10 @@ def shake(release: Release, frames: int) -> dict:
         return np.array([-reach * pace**2 * np.sin(pace * t), 0.0, 0.0])
 
     rest = release.scene.vertices[: len(release.face.head.bone)]
-    euler, tight = "implicit Euler", {"tolerance": TIGHT, "shaken": shaken}
-    runs = {PROJECTIVE: release.play(euler, frames, solver="projective", **tight)}
-    runs[EULER] = release.play(euler, frames, **tight)
+    runs = {
+        name: release.play("implicit Euler", frames, solver=solver, tolerance=TIGHT, shaken=shaken)
+        for name, solver in ((PROJECTIVE, "projective"), (EULER, "fenicsx"))
+    }
     runs |= {f"FEM, {scheme}": release.play(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
     fine = release.play("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
