@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ....lhm.base.mesh import Floats
-from ....reference import Face, Scene, SettledFace, Solution, prepare, settle, solve
+from ....reference import Face, Scene, SettledFace, Solution, prepare, settle, solve, terms
 from ....reference.face.facial import FaceLaw, apply_law
 from ....surrogate import Surrogate
 from ....surrogate.methods import (
@@ -33,6 +33,7 @@ from ..measures import (
     Trace,
     difference,
     distances,
+    measure_overlap,
     trace_solve,
     trace_to_itself,
 )
@@ -159,6 +160,10 @@ class SolvedCase:
     def _solve_by_fenicsx(self) -> Answer:
         settled, scene = self._set_scene(PD_ENERGY, "fenicsx")
         by_pd, begun, another = self.answer(PD).solution.positions, "settled", None
+        if self.case.contact:
+            frozen = prepare(scene).freeze_contact(by_pd)
+            solution = solve(frozen, solver="fenicsx", start=by_pd, tolerance=WARM)
+            return Answer(solution, frozen, settled, self._skin(settled, solution), "PD's answer, with its pairs")
         prepared = prepare(scene, solver="fenicsx")
         solution = prepared.solve(start=find_start(settled, scene), tolerance=TIGHT)
         apart = difference(solution.positions, by_pd, scene.vertices)
@@ -271,9 +276,15 @@ class SolvedCase:
             "least_ratio": float(solution.volume_ratio.min()),
             "soft_volume_percent": float(100.0 * (solution.volume_ratio[soft] @ volumes / volumes.sum() - 1.0)),
         }
-        told |= {name: value for name, value in solution.detail.items() if name.startswith("contact")}
+        if self.case.contact:
+            (contact,) = pd.scene.of(terms.Contact)
+            assert self.without is not None
+            free = self.without.answer(PD).solution
+            for when, each in (("before", free), ("after", solution)):
+                pairs, depth = measure_overlap(each.positions, contact.triangles)
+                told |= {f"crossings_{when}": pairs, f"overlap_{when}_mm": depth}
         if pd.settled is not None:
-            if not self.case.contact:  # each round of contact has an energy of its own
+            if not self.case.contact:  # the way without contact, until something is met, is in the history, too
                 energy = solution.history.energy
                 size = np.maximum(np.abs(energy[:-1]), np.finfo(float).tiny)
                 told["energy_rise"] = float(np.max(np.diff(energy) / size, initial=0.0))

@@ -129,7 +129,7 @@ class Agreement(OfPerson):
         if method not in TRUTHS:
             laws = () if solved.case.contact else (FENICSX_NEO_HOOKEAN,)
             return {"compared": [line for truth in (PD, *laws) for line in solved.compare(method, truth)]}
-        compared = [] if solved.case.contact else solved.compare(method, TRUTHS[method])
+        compared = solved.compare(method, TRUTHS[method])
         about = {"shown": solved.case.shown, "without_targets": solved.case.scene is not None}
         told = about | solved.tell_solve(method) | {"compared": compared}
         if method == PD:
@@ -307,8 +307,8 @@ EFFECT_TITLES = {
     "change_mean_mm": "changes the expression, mean [mm]",
     "change_max_mm": "max [mm]",
     "soft_volume_percent": "soft tissue's volume [%]",
-    "contact_depth_before": "lips overlap without contact [mm]",
-    "contact_depth_after": "with contact [mm]",
+    "overlap_before_mm": "lips overlap without contact [mm]",
+    "overlap_after_mm": "with contact [mm]",
 }
 EFFECT_NOTE = (
     "Flesh is the neck and the face below the brow, except lips, lids, mouth, eyes, teeth and ears; it fades in over "
@@ -328,7 +328,7 @@ FACE_TITLES = {
 def list_methods(case: Case, rivals: Sequence[str]) -> Sequence[str]:
     """List the labels of a case's rows: solvers, `rivals` where targets hold the skin, and its pictures last."""
     if case.contact:
-        solvers: Sequence[str] = (PD,)
+        solvers: Sequence[str] = (PD, FENICSX)
     else:
         solvers = FEWER_SOLVERS if case.scene is not None or case.without is not None else ALL_SOLVERS
     return (*solvers, *(rivals if case.scene is None else ()), BESIDE)
