@@ -66,12 +66,6 @@ class Stiffness:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
         return _find_slots(self.starts, self.columns, elements)
 
-    def has_room(self, elements: Ints) -> np.ndarray:
-        """Which of elements (m, k) the pattern couples all nodes of, shape (m,)."""
-        m, k = elements.shape
-        slots = np.minimum(self.slots(elements), len(self.columns) - 1)
-        return (self.columns[slots] == elements[:, None, :]).reshape(m, k * k).all(axis=1)
-
     def clear(self):
         """Set all values to zero."""
         self.values[:] = 0.0

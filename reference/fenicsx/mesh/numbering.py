@@ -38,7 +38,7 @@ def ranks_for(scene: Scene) -> MPI.Intracomm:
 
 
 class Numbering:
-    """A space of degree 1 or 2 on the scene's tets, and on `skin`, triangles (k, 3) that no term has.
+    """A space of degree 1 or 2 on the scene's tets.
 
     `ends` (n, 2) are the scene's vertices between which a node lies in the middle, twice the same at a corner;
     `corners` (k,) are the nodes at vertices, `vertex` (k,) theirs, and `dof` (scene vertices,) the inverse, -1 for a
@@ -48,7 +48,7 @@ class Numbering:
     owns, and `function_nodes` counts the nodes of its cells.
     """
 
-    def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE, skin: Ints | None = None):
+    def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE):
         self.degree, self.comm = degree, comm
         domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
         self.cell_vertices, self.tet = seam.cell_vertices(domain), seam.cell_tets(domain)
@@ -68,7 +68,7 @@ class Numbering:
         ids = seam.global_dofs(self.space)
         self.own_vertices = self.vertex[self.corners < owned]
         if comm.size > 1:
-            ids = self._with_distant(scene, skin, ids, owned)
+            ids = self._with_distant(scene, ids, owned)
         self.nodes = IndexMap(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
         self.all_vertices = gather(self.comm, self.own_vertices)
@@ -85,7 +85,7 @@ class Numbering:
         self._by_key = np.argsort(keys)
         self._keys = keys[self._by_key]
 
-    def _with_distant(self, scene: Scene, skin: Ints | None, ids: Ints, owned: int) -> Ints:
+    def _with_distant(self, scene: Scene, ids: Ints, owned: int) -> Ints:
         """Take vertices of triangles and rings that no cell here has; the numbers over all ranks, theirs too."""
         vertices = gather(self.comm, self.own_vertices)
         owner = np.full(len(self.dof), -1)
@@ -94,10 +94,11 @@ class Numbering:
         number[vertices] = gather(self.comm, ids[self.dof[self.own_vertices]])
         self._owner = owner
         needed = [np.empty(0, dtype=np.int64)]
-        triangles = [term.triangles for term in scene.of(OnTriangles)] + ([] if skin is None else [skin])
-        for each in triangles:  # a ring of vertices needs all triangles around one that is owned here
-            if self._in_tets[each].all():
-                needed += [each[self._here(each)].ravel(), each[(owner[each] == self.comm.rank).any(axis=1)].ravel()]
+        for term in scene.of(OnTriangles):  # a ring of vertices needs all triangles around one that is owned here
+            triangles = term.triangles
+            if self._in_tets[triangles].all():
+                mine = (owner[triangles] == self.comm.rank).any(axis=1)
+                needed += [triangles[self._here(triangles)].ravel(), triangles[mine].ravel()]
         needed_vertices = np.unique(np.concatenate(needed))
         distant = needed_vertices[self.dof[needed_vertices] < 0]
         self._number(np.concatenate([self.ends, np.column_stack([distant, distant])]))
