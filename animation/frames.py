@@ -115,9 +115,9 @@ class SimulatedFrames:
         estimate = None if self._face.choices.get("contact") else self._sequence.estimate_left()
         if estimate is None:
             return None, False
-        left, certain = estimate
-        counted = find_counted(self._sequence.skin(expression, solution) + left, expression + self._face.carried)
-        return float(np.linalg.norm(left, axis=1)[counted].mean()), certain
+        correction, certain = estimate
+        counted = find_counted(self._sequence.skin(expression, solution) + correction, expression + self._face.carried)
+        return float(np.linalg.norm(correction, axis=1)[counted].mean()), certain
 
 
 def _record(reason: str, solution: Solution | None = None) -> dict[str, Any]:

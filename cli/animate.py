@@ -87,9 +87,9 @@ class Animate:
         (), "region of the skin that must not cross itself, as lips; repeat", name="--contact"
     )
     surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
-    exact: bool = option(False, f"with --accuracy {NONE}: take the simulator's derivatives on any head, in seconds")
+    exact: bool = option(False, f"--accuracy {NONE}: take the simulator's derivatives on any head, in seconds")
     beyond: str = option(
-        "refuse", f"with --accuracy {NONE}: what the network has not seen", type=click.Choice(["refuse", "clamp"])
+        "refuse", f"--accuracy {NONE}: what the network has not seen", type=click.Choice(["refuse", "clamp"])
     )  # fmt: skip
     targets: int | None = option(
         None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
@@ -172,10 +172,10 @@ class Animate:
         for frame, reason in result.failed:
             click.echo(f"FAILED frame {frame}: {reason}")
         methods = ", ".join(f"{count} {method}" for method, count in result.methods.items())
-        told = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
+        error_text = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
         doubt = f", {result.uncertain} not certain" if result.uncertain else ""
         click.echo(
-            f"{result.frames} frames ({methods}), {len(result.failed)} failed; {told}{doubt}; "
+            f"{result.frames} frames ({methods}), {len(result.failed)} failed; {error_text}{doubt}; "
             f"bound in {result.bind_seconds:.2g} s, median {result.frame_ms:.2g} ms a frame"
         )
         for line in (*result.notes, *result.files):

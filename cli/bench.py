@@ -106,7 +106,7 @@ class WriteReport:
     """
 
     results: tuple[Path, ...] = argument("[RESULTS]...", (), type=FILE)
-    title: str = option("the fast simulator, finite elements and the network", "of the page")
+    title: str = option("the fast simulator, finite elements and the network", "title of the page")
     out: Path = option("out/report", "folder of the report", type=FOLDER)
 
     def run(self) -> int:

@@ -145,7 +145,7 @@ def write_template(folder: str | PathLike[str], mean: Surface) -> None:
 def read_template(folder: str | PathLike[str]) -> Surface:
     """Read the mean neutral skin; InputError names a file that is missing, damaged, or not the one of corpus.json."""
     path, named = Path(folder) / TEMPLATE, read_manifest(folder).said["template"]
-    arrays = read_arrays(path, of="a corpus' template")
+    arrays = read_arrays(path, kind="a corpus' template")
     try:
         if set(arrays) != {"vertices", "triangles"}:
             raise InputError(f"expected vertices and triangles, got {quote(', '.join(arrays))}")

@@ -57,7 +57,7 @@ class Dynamics(OfPerson):
     )
 
     level: int = option(1, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
-    frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}", bound=STUDIED_FRAMES)
+    frames: int = option(24, f"count at 60 per second, at least {LEAST_FRAMES}", bound=STUDIED_FRAMES)
 
     def tasks(self) -> Sequence[Task]:
         """List the motions; InputError for too few frames."""
@@ -187,9 +187,9 @@ def _name_march(scheme: str, per_frame: int) -> str:
 
 
 def _describe_motion(release: Release, name: str, positions: Floats, time_step: float) -> dict:
-    left = release.motion(positions)
-    found = swing(time_step * np.arange(len(left)), left) if len(left) > FEWEST else Swing(None, None, None)
-    return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(found)
+    shares = release.motion(positions)
+    fit = swing(time_step * np.arange(len(shares)), shares) if len(shares) > FEWEST else Swing(None, None, None)
+    return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(fit)
 
 
 def _describe_end(run: Trajectory | Frames) -> dict:
@@ -218,9 +218,9 @@ def shake(release: Release, frames: int) -> dict:
     runs |= {f"FEM, {scheme}": release.play_elements(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
     fine = release.play_elements("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
-    found = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
+    motions = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
     rows = []
-    for name, positions in found.items():
+    for name, positions in motions.items():
         together = min(len(positions), len(exact))
         rows.append(
             {
@@ -230,6 +230,6 @@ def shake(release: Release, frames: int) -> dict:
                 **_describe_end(fine if name == finest else runs[name]),
             }
         )
-    euler = found[EULER]
-    to_fem = _compare_motions(found[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
+    euler = motions[EULER]
+    to_fem = _compare_motions(motions[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
     return {"rows": rows, "to_fem": to_fem}

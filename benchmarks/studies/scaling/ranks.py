@@ -43,13 +43,13 @@ class Ranks(OfPerson):
     processes: tuple[str, ...] = option(
         ("1", "2", "4"), "counts to compare, the first is 1; repeat", name="--processes"
     )
-    expression: str = option("jawOpen*0.5", "of the head, as jawOpen*0.5+cheekPuff")
+    expression: str = option("jawOpen*0.5", "expression of the head, as jawOpen*0.5+cheekPuff")
     rounds: int = option(2, "rounds, in each of which every count has its turn", bound=REPEATS)
     repeats: int = option(5, "how often a phase is repeated in each round", bound=REPEATS)
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Of processes; InputError for other than 1 and others."""
+        """Counts of processes; InputError for other than 1 and others."""
         return parse_counts(self.processes)
 
     def tasks(self) -> Sequence[Task]:
@@ -61,8 +61,8 @@ class Ranks(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """Measure a row per count of processes."""
-        of = self.person()
-        scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
+        person = self.person()
+        scene = facial_scene(person.head, Parameters(), person.shape(self.expression), bones="prescribed")
         scene = apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene
         return {"rows": compare_phases(scene, self.counts, self.rounds, self.repeats)}
 
