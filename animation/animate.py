@@ -29,7 +29,7 @@ from .preview import check_preview
 
 @dataclass(frozen=True)
 class AnimateConfig(Output):
-    """What is made of a take, and how.
+    """Choices of an animated take.
 
     accuracy [mm]: the largest mean error of a frame. bones: how the mandible moves, "rigid" being free but rigid;
     contact: whether lids, lips and what lines them are kept from crossing.
@@ -47,7 +47,7 @@ class AnimateConfig(Output):
 
 @dataclass(frozen=True)
 class AnimateResult:
-    """How a take was animated: frames by method, the files, and what it took.
+    """Outcome of an animated take: frames by method, the files, and the time it took.
 
     failed: frames beyond the accuracy or without an answer, and why. error: the largest that was told [mm], None where
     none was. uncertain: how many frames told an error that is not certain. bind_seconds: before the first frame;
@@ -87,11 +87,11 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
     else:
         frames = certified_frames(certify(face, surrogate), take, config.accuracy)
     progress("settling: neutral face", 1.0)
-    bound = time.perf_counter() - begin
+    bind_seconds = time.perf_counter() - begin
     # The wrap ends below the neck: of a bust it is the head.
     stage = Stage(head.skin, face.shapes, find_pivot(head), head.skin_wrap.vertices, take)
     played = play(frames, stage, config, f"within {config.accuracy:g} mm", progress)
-    return _result(played, bound, reason.name)
+    return _result(played, bind_seconds, reason.name)
 
 
 def animate_rig(
@@ -106,7 +106,7 @@ def animate_rig(
     _check(wanted, take)
     begin = time.perf_counter()
     method, rig = bind(face)
-    bound = time.perf_counter() - begin
+    bind_seconds = time.perf_counter() - begin
     if wanted.turned and rig.swing is None:
         raise InputError(
             "turned: the weights do not tell what a head turns about; bind(exact=True) takes it of the head"
@@ -116,7 +116,7 @@ def animate_rig(
     framed = neutral.vertices[np.unique(neutral.triangles)]
     stage = Stage(neutral, face.shapes, pivot, framed, take)
     played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress)
-    return _result(played, bound), rig
+    return _result(played, bind_seconds), rig
 
 
 def _check(wanted: Output, take: Take) -> None:
@@ -125,7 +125,7 @@ def _check(wanted: Output, take: Take) -> None:
         raise InputError("turned: the take has no head rotation")
 
 
-def _result(played: Played, bound: float, neutral: str = Reason.CONVERGED.name) -> AnimateResult:
+def _result(played: Played, bind_seconds: float, neutral: str = Reason.CONVERGED.name) -> AnimateResult:
     """Sum up a log."""
     log = played.log
     errors = [row["error"] for row in log if row["error"] is not None]
@@ -135,7 +135,7 @@ def _result(played: Played, bound: float, neutral: str = Reason.CONVERGED.name) 
         error=max(errors) if errors else None,
         uncertain=sum(row["error"] is not None and not row["certain"] for row in log),
         failed=tuple((row["frame"], row["reason"]) for row in log if row["reason"]),
-        bind_seconds=bound,
+        bind_seconds=bind_seconds,
         frame_ms=1e3 * float(np.median([row["seconds"] for row in log])),
         files=played.files,
         notes=played.notes,

@@ -34,7 +34,7 @@ lines, which cut into a ball that touches them."""
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What moves as one: points (k, 3) [mm] in the mean skin, those of an eye from its `centre` (3,).
+    """A body that moves as one: points (k, 3) [mm] in the mean skin, those of an eye from its `centre` (3,).
 
     `carriers` (c,) are vertices of the skin. `fit` (4, c) gives their affine motion from their positions. Teeth follow
     that motion; an eye, whose `side` is Left or Right, follows its rotation, its change of volume and its translation.
@@ -46,8 +46,8 @@ class Body:
     side: str = ""
     centre: Floats | float = 0.0
 
-    def at(self, skin: Floats, weights: Floats | None) -> Floats:
-        """Where it is [mm], shape (k, 3)."""
+    def place(self, skin: Floats, weights: Floats | None) -> Floats:
+        """Place its points [mm], shape (k, 3)."""
         motion = self.fit @ skin[self.carriers]
         if self.side == "":
             return self.points @ motion[:3] + motion[3]
@@ -58,7 +58,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class EyesAndTeeth:
-    """What is drawn within a skin: left eye, right eye, upper and lower teeth.
+    """Organs within a skin: left eye, right eye, upper and lower teeth.
 
     `triangles` (m, 3) and `colours` (k, 3), 0 to 255, are those of all points together.
     """
@@ -67,13 +67,13 @@ class EyesAndTeeth:
     triangles: Ints
     colours: NDArray[np.uint8]
 
-    def at(self, skin: Floats, weights: Floats | None = None) -> Floats:
-        """Where they are [mm], shape (k, 3), in a skin (n, 3) that shows an expression of weights (52,)."""
-        return np.vstack([body.at(skin, weights) for body in self.bodies])
+    def place(self, skin: Floats, weights: Floats | None = None) -> Floats:
+        """Place their points [mm], shape (k, 3), in a skin (n, 3) that shows an expression of weights (52,)."""
+        return np.vstack([body.place(skin, weights) for body in self.bodies])
 
 
 def find_eyes_and_teeth(skin: Surface) -> EyesAndTeeth | None:
-    """What is drawn in a skin of the default triangles; None in another, of which no eyes and teeth are known."""
+    """Find the organs of a skin of the default triangles; None in another, of which no eyes and teeth are known."""
     return _default() if np.array_equal(skin.triangles, _mean().triangles) else None
 
 
@@ -95,7 +95,7 @@ def _mean() -> Surface:
 @cache
 def _default() -> EyesAndTeeth:
     data = read_arrays(
-        ANNY_WITHIN, "eyes", "radius", "teeth", "carriers", "counts", of="the default head's eyes and teeth"
+        ANNY_WITHIN, "eyes", "radius", "teeth", "carriers", "counts", kind="the default head's eyes and teeth"
     )
     skin, (ball, faces, colours) = _mean().vertices, _ball()
     groups = np.split(data["carriers"], np.cumsum(data["counts"])[:-1])

@@ -25,7 +25,7 @@ LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
 
 
 def expression_deltas(head: LayeredHead, name: str, space_name: str | None = None) -> Floats:
-    """What each expression adds to a head's skin [mm], shape (52, n, 3): by its own rig, or an identity space's.
+    """Return each expression's displacements of a skin [mm], shape (52, n, 3): by its own rig, or an identity space's.
 
     InputError, naming the head by `name`, if it has no rig, or is not of the space's topology.
     """
@@ -112,13 +112,13 @@ def _cut_tets(vertices: Floats, tets: np.ndarray, normal: int, place: float) -> 
     """The polygons, shape (3 or 4, 3), in which a plane across an axis cuts tets."""
     height = vertices[:, normal] - place
     above = height[tets] > 0
-    found = []
+    pieces = []
     for tet, up in zip(tets[above.any(1) & ~above.all(1)], above[above.any(1) & ~above.all(1)], strict=True):
         pairs = [(i, j) for i in tet[up] for j in tet[~up]]
         # Of two corners on either side the edges come as ac, ad, bc, bd: the polygon runs ac, ad, bd, bc.
         pairs = [pairs[0], pairs[1], pairs[3], pairs[2]] if len(pairs) == 4 else pairs
-        found.append(np.array([_between(vertices, height, i, j) for i, j in pairs]))
-    return found
+        pieces.append(np.array([_between(vertices, height, i, j) for i, j in pairs]))
+    return pieces
 
 
 def _cut_triangles(vertices: Floats, triangles: np.ndarray, normal: int, place: float) -> list[Floats]:
@@ -154,7 +154,7 @@ def draw_fit(head: LayeredHead) -> bytes:
 
 
 def draw_quality(head: LayeredHead) -> bytes:
-    """Where the tets of the smallest dihedral angles are, on the faded skin wrap, by angle [degrees]."""
+    """Draw the tets of the smallest dihedral angles, on the faded skin wrap, by angle [degrees]."""
     angles = smallest_dihedrals(head.vertices, head.tets)
     worst = np.argsort(angles)[:WORST]
     points = head.vertices[head.tets[worst]].mean(axis=1)

@@ -48,9 +48,9 @@ class Rig:
     remainder: Remainder | None = None
 
     @classmethod
-    def baked(cls, name: str, bound: BoundRig) -> Rig:
-        """Of a bound surrogate."""
-        rig = bound.bake()
+    def baked(cls, name: str, surrogate: BoundRig) -> Rig:
+        """Bake a bound surrogate."""
+        rig = surrogate.bake()
         return cls(name, rig.neutral, rig.targets, rig.mixing, rig.remainder_of)
 
 
@@ -137,7 +137,7 @@ def _rig(packed: Packed, where: str, rig: Rig) -> dict[str, Any]:
     def name(part: str) -> str:
         return f"{where} {part}"
 
-    found: dict[str, Any] = {
+    entry: dict[str, Any] = {
         "name": rig.name,
         "neutral": packed.add(name("neutral"), np.asarray(rig.neutral, dtype=np.float32)),
         "targets": packed.small(name("targets"), rig.targets),
@@ -145,11 +145,11 @@ def _rig(packed: Packed, where: str, rig: Rig) -> dict[str, Any]:
         "network": None,
     }
     if rig.remainder is not None:
-        found["network"] = {
+        entry["network"] = {
             part.name: packed.add(name(part.name), getattr(rig.remainder, part.name).astype(np.float32))
             for part in fields(rig.remainder)
         }
-    return found
+    return entry
 
 
 def _pose(packed: Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dict[str, Any]:
@@ -162,8 +162,8 @@ def _pose(packed: Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dic
 
 def _pack_inside(packed: Packed, skin: Surface) -> dict[str, Any] | None:
     """Eyes and teeth, where the skin's are known."""
-    found = find_eyes_and_teeth(skin)
-    if found is None:
+    organs = find_eyes_and_teeth(skin)
+    if organs is None:
         return None
     bodies = [
         {
@@ -173,14 +173,14 @@ def _pack_inside(packed: Packed, skin: Surface) -> dict[str, Any] | None:
             "side": body.side,
             "centre": np.broadcast_to(body.centre, 3).tolist(),
         }
-        for k, body in enumerate(found.bodies)
+        for k, body in enumerate(organs.bodies)
     ]
     return {
         "bodies": bodies,
         "turn": TURN,
         "back": BACK,
-        "triangles": packed.add("within triangles", found.triangles.astype(np.uint32)),
-        "colours": packed.add("within colours", to_linear_light(found.colours).astype(np.float32)),
+        "triangles": packed.add("within triangles", organs.triangles.astype(np.uint32)),
+        "colours": packed.add("within colours", to_linear_light(organs.colours).astype(np.float32)),
     }
 
 
@@ -237,7 +237,7 @@ def render_face_page(
 
     `poses` replace the usual ones. Raises InputError for a face that does not settle, and what the simulator raises.
     """
-    head, shapes, moved, n = face.head, face.shapes, face.first_order, len(face.head.bone)
+    head, shapes, motions, n = face.head, face.shapes, face.first_order, len(face.head.bone)
     simulated = Rig(DERIVATIVES, head.skin.vertices + face.offset, shapes + face.responses)
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return render_page(
@@ -247,7 +247,7 @@ def render_face_page(
         [Rig(BLENDSHAPES, head.skin.vertices, shapes), simulated, *rigs],
         poses=poses or [Pose(name, expressions.weights_of(named)) for name, named in POSES.items()],
         layers=[
-            Layer(name, head.skin_wrap.triangles, face.derivatives.answer.positions[rows], moved[:, rows], colour)
+            Layer(name, head.skin_wrap.triangles, face.derivatives.answer.positions[rows], motions[:, rows], colour)
             for (name, colour), rows in zip(LAYERS, below, strict=True)
         ],
     )

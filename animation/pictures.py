@@ -98,12 +98,12 @@ def add_back(plotter, surface: Surface):
 
 def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
     """Add a skin's eyes and teeth to a plotter, and return the mesh; None where none are known."""
-    found = find_eyes_and_teeth(skin)
-    if found is None:
+    organs = find_eyes_and_teeth(skin)
+    if organs is None:
         return None
-    mesh = to_polydata(load_pyvista(), found.at(skin.vertices, weights), found.triangles)
+    mesh = to_polydata(load_pyvista(), organs.place(skin.vertices, weights), organs.triangles)
     how = {"smooth_shading": True, "specular": 0.5, "specular_power": 30, "reset_camera": False}
-    plotter.add_mesh(mesh, scalars=found.colours, rgb=True, **how)
+    plotter.add_mesh(mesh, scalars=organs.colours, rgb=True, **how)
     return mesh
 
 

@@ -29,7 +29,7 @@ FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
 
 @dataclass(frozen=True)
 class Output:
-    """What is written of a take to the folder `out`.
+    """Files of a take in the folder `out`.
 
     `turned` shows the head turned as the take has it, about its neck, and not in its own frame.
     """
@@ -48,7 +48,7 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What a take is shown on.
+    """The scene of a take.
 
     neutral: the skin without p [mm]; deltas (52, n, 3) [mm]: what the weights add to it; pivot (3,) [mm]: what the head
     turns about; framed (k, 3) [mm]: the points that a preview has in view.
@@ -130,11 +130,11 @@ def _write_preview(
     """Write blendshapes beside frames, given by their number less the neutral skin [mm]."""
 
     def pairs() -> Iterator[tuple[Floats, Floats]]:
-        for done, (number, moved) in enumerate(kept.items()):
+        for done, (number, displacement) in enumerate(kept.items()):
             progress(f"preview: {path.name}", done / len(kept))
             blended = stage.blend(number)
-            left = stage.turn(blended, number) if wanted.turned else blended
-            yield left, stage.neutral.vertices + moved
+            plain = stage.turn(blended, number) if wanted.turned else blended
+            yield plain, stage.neutral.vertices + displacement
 
     take, numbers = stage.take, list(kept)
     weights = take.weights[numbers]

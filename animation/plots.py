@@ -28,7 +28,7 @@ _narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 
 def draw_learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
-    """What each point of a training has, errors in mm, against steps: PNG."""
+    """Draw each point of a training, errors in mm, against steps: PNG."""
     figure, axis = subplots(figsize=(6, 3.4))
     steps = [point["step"] for point in curve]
     for name in curve[0]:
@@ -64,7 +64,7 @@ def plot_costs(scores: Sequence):
 
 
 def draw_histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
-    """How often each value occurs, a panel per (name, unit, values, bound); the bound, if any, as a red line."""
+    """Draw how often each value occurs, a panel per (name, unit, values, bound); the bound, if any, as a red line."""
     columns = min(4, len(panels))
     rows = math.ceil(len(panels) / columns)
     figure, axes = subplots(rows, columns, figsize=(3.1 * columns, 2.3 * rows), squeeze=False)

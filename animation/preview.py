@@ -30,7 +30,7 @@ SIZE = 400
 
 
 def choose_frames(count: int, rate: float, kind: Preview) -> range:
-    """Which frames of a take of so many, at `rate` [Hz], a preview shows: a GIF at most 25 a second, for 20 s."""
+    """Choose the frames of a take of so many, at `rate` [Hz], a preview shows: a GIF at most 25 a second, for 20 s."""
     if kind != "gif":
         return range(count)
     return range(0, min(count, int(np.ceil(GIF_SECONDS * rate))), max(1, int(np.ceil(rate / GIF_RATE))))
@@ -72,11 +72,11 @@ def render_frames(
     organs = find_eyes_and_teeth(neutral)
     for pair, gaze in zip(pairs, repeat(None) if weights is None else weights, strict=False):
         for (mesh, reverse, inner, offset), vertices in zip(meshes, pair, strict=True):
-            moved = neutral.with_vertices(vertices + offset)
-            mesh.points, reverse.points = moved.vertices, close_openings(moved).vertices
-            mesh.point_data.active_normals = moved.vertex_normals
+            surface = neutral.with_vertices(vertices + offset)
+            mesh.points, reverse.points = surface.vertices, close_openings(surface).vertices
+            mesh.point_data.active_normals = surface.vertex_normals
             if organs is not None:
-                inner.points = organs.at(moved.vertices, gaze)
+                inner.points = organs.place(surface.vertices, gaze)
         plotter.render()
         yield _add_captions(np.asarray(plotter.screenshot(None, return_img=True)), captions)
     plotter.close()

@@ -51,7 +51,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
     tested on. `small`: fewer cases of each, on the level of `agreement`.
     """
     whose, level, learned = agreement.identities, agreement.level, agreement.network() is not None
-    found: list[tuple[Study, str]] = [
+    chosen: list[tuple[Study, str]] = [
         (agreement, ""),
         (Verification(), "two layers" if small else ""),
         (Hard(solvers=("projective",)), "flattened" if small else ""),
@@ -61,21 +61,21 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
         effects = ("defaults", "40 % more soft tissue")
         split = Split(identities=whose, level=level, expressions=frames, effects=effects, refined=())
-        found.append((split, ""))
+        chosen.append((split, ""))
     if learned:
-        found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
-        found.append((Dial(faces=1, frames=1 if small else 2, level=level), ""))
+        chosen.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
+        chosen.append((Dial(faces=1, frames=1 if small else 2, level=level), ""))
     repeats = 1 if small else 5
-    found += [
+    chosen += [
         (Throughput(identities=whose, level=level), ITERATION),
         (WorkPrecision(identities=whose, level=level, expressions=("jawOpen",), repeats=repeats), FACE),
     ]
-    return [RunRequest(study, out / study.name, match) for study, match in found]
+    return [RunRequest(study, out / study.name, match) for study, match in chosen]
 
 
 @dataclass(frozen=True)
 class Done:
-    """What the studies gave, why others could not be run, by name, the report's files, and a sentence on the cost."""
+    """Results of the studies, why others could not be run, by name, the report's files, and a sentence on the cost."""
 
     results: Sequence[Results]
     failed: Sequence[tuple[str, str]]
@@ -107,9 +107,9 @@ def run_study(agreement: Agreement, out: Path, *, small: bool = False, progress:
         template = load_template(identities.from_text(agreement.identities), level=level, progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{plan.digest}"
         made, failed = [], []
-        found = choose_studies(agreement, out, corpus, small=small)
+        chosen = choose_studies(agreement, out, corpus, small=small)
         # What is timed is run by itself: nothing of ours runs beside it.
-        for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
+        for asked in ([each for each in chosen if not each.study.timed], *([e] for e in chosen if e.study.timed)):
             if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):
                 space = identities.from_text(agreement.identities)
                 people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)

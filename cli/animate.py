@@ -165,10 +165,10 @@ class Animate:
         for frame, reason in result.failed:
             click.echo(f"FAILED frame {frame}: {reason}")
         methods = ", ".join(f"{count} {method}" for method, count in result.methods.items())
-        told = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
+        error_text = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
         doubt = f", {result.uncertain} not certain" if result.uncertain else ""
         click.echo(
-            f"{result.frames} frames ({methods}), {len(result.failed)} failed; {told}{doubt}; "
+            f"{result.frames} frames ({methods}), {len(result.failed)} failed; {error_text}{doubt}; "
             f"bound in {result.bind_seconds:.2g} s, median {result.frame_ms:.2g} ms a frame"
         )
         for line in (*result.notes, *result.files):

@@ -36,12 +36,12 @@ class CorpusFolder(click.Path):
     def convert(self, value, param, ctx):
         """Give the corpus' folder; InputError where a study has several."""
         folder = Path(str(super().convert(value, param, ctx)))
-        own = sorted(path.parent for path in folder.glob("surrogate/corpus-*/corpus.json"))
-        if (folder / "corpus.json").exists() or not own:
+        corpora = sorted(path.parent for path in folder.glob("surrogate/corpus-*/corpus.json"))
+        if (folder / "corpus.json").exists() or not corpora:
             return folder
-        if len(own) > 1:
-            raise InputError(f"{folder}: a study with {len(own)} corpora; give one, as {own[0]}")
-        return own[0]
+        if len(corpora) > 1:
+            raise InputError(f"{folder}: a study with {len(corpora)} corpora; give one, as {corpora[0]}")
+        return corpora[0]
 
 
 @click.group()

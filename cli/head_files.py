@@ -142,7 +142,7 @@ class Import:
                 arrays, out = ict.read_folder(self.folder, progress=progress), self.out or Path("ict_facekit.npz")
                 space = ict.space_from_arrays(arrays, self.folder)
                 count, missing = len(arrays["expression_names"]), space.missing
-                told = (
+                summary = (
                     f"{len(arrays['vertices'])} vertices, {space.code_size} identity shapes, {count} expression shapes"
                 )
             else:
@@ -152,9 +152,9 @@ class Import:
                 arrays = bodyparts.read_folder(self.folder, progress=progress)
                 bodyparts.anatomy_from_arrays(arrays, self.folder)
                 missing = bodyparts.missing_parts(arrays)
-                told = f"{len(arrays['part_name'])} parts of {len(arrays['faces'])} triangles"
+                summary = f"{len(arrays['part_name'])} parts of {len(arrays['faces'])} triangles"
             write_arrays(out, arrays)
-        click.echo(told)
+        click.echo(summary)
         if missing:
             click.echo(f"without {', '.join(missing)}")
         click.echo(f"wrote {out}")

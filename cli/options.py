@@ -40,7 +40,7 @@ def count_range(bound: Bound) -> click.IntRange:
 
 
 class Request(Protocol):
-    """What a command was asked for; `run` does it and returns the exit status."""
+    """A command with its options; `run` does it and returns the exit status."""
 
     def __init__(self, **options: Any) -> None: ...
 

@@ -61,7 +61,7 @@ POLICY = DialPolicy()
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """Where a frame of weights (52,) has brought the tets' vertices [mm], shape (k, 3): the next begins there."""
+    """The tets' vertices [mm], shape (k, 3), as a frame of weights (52,) leaves them: the next begins there."""
 
     weights: Floats
     positions: Floats
@@ -87,7 +87,7 @@ class CertifiedFrame(Reached):
 
     @property
     def bound(self) -> float:
-        """What the error [mm] is at most, but for some in a hundred."""
+        """The bound of the error [mm], but for some in a hundred."""
         return self.error if self.certain else POLICY.doubt * self.error
 
 
@@ -211,13 +211,15 @@ class CertifiedFace:
         if np.shape(after.positions) != start.shape:
             shape = np.shape(after.positions)
             raise InputError(f"after: a frame of another face, with vertices of shape {shape}, not {start.shape}")
-        left = finite("after", after.positions) - predict(self.face, check_weights(after.weights).astype(np.float64))
-        if (away := float(np.linalg.norm(left, axis=1).mean())) > POLICY.apart:
+        correction = finite("after", after.positions) - predict(
+            self.face, check_weights(after.weights).astype(np.float64)
+        )
+        if (away := float(np.linalg.norm(correction, axis=1).mean())) > POLICY.apart:
             raise InputError(
                 f"after: a frame of another face: {away:.2g} mm from this one's first order, "
                 f"expected at most {POLICY.apart:g}"
             )
-        return start + left
+        return start + correction
 
     def _find_answer(self, correction: Correction, step: Floats) -> tuple[Floats, np.ndarray]:
         """Return the skin (n, 3) [mm] where a step would lead, and which vertices an error counts."""

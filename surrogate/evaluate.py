@@ -29,7 +29,7 @@ UNSCALED = "no bone scaled"
 
 @dataclass(frozen=True)
 class Cost:
-    """What a user waits for, as processor time of one thread; None where it was not measured.
+    """Waiting times of a user, as processor time of one thread; None where it was not measured.
 
     fit_seconds: learning. head_ms: fitting a person's head, where the method needs one. bind_ms: all that one person
     and p need besides, the simulator's part included. frame_ms: one frame at a time, with its blendshapes.
@@ -98,7 +98,7 @@ class Binds(Protocol):
 
     @property
     def needs(self) -> Needs:
-        """What a bind needs."""
+        """The needs of a bind."""
         ...
 
     def bind(self, face: KeptFace, /) -> Rig:
@@ -107,7 +107,7 @@ class Binds(Protocol):
 
 
 class Learns(Protocol):
-    """What learns from a corpus' training faces before it binds others."""
+    """A method that learns from a corpus' training faces before it binds others."""
 
     needs: Needs
 

@@ -57,12 +57,12 @@ def swing_where_loose(looseness: Looseness, face: KeptFace, mean: Surface) -> Sw
     for name in OSCILLATION:
         row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
         values.append(np.asarray(Parameters.info(name).denormalise(np.clip(waves @ row, -1.0, 1.0))))
-    loose, pivot = looseness.at(face.code)
+    loose, pivot = looseness.predict(face.code)
     return Swing(loose, values[0], values[1], pivot)
 
 
 class Plays(Protocol):
-    """What learns from sequences, and plays them."""
+    """A method that learns from sequences, and plays them."""
 
     needs: Needs
 

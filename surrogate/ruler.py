@@ -59,15 +59,17 @@ def measure(error: Floats, motion: Floats) -> Ruler:
     if not moves.any():
         nan = float("nan")
         return Ruler(nan, nan, nan, nan, nan, 0)
-    left, moved = error[moves], float(motion[moves].mean())
-    mean = float(left.mean())
-    return Ruler(mean, float(np.percentile(left, 95.0)), float(left.max()), moved, mean / moved, int(moves.sum()))
+    errors, mean_motion = error[moves], float(motion[moves].mean())
+    mean = float(errors.mean())
+    return Ruler(
+        mean, float(np.percentile(errors, 95.0)), float(errors.max()), mean_motion, mean / mean_motion, int(moves.sum())
+    )
 
 
 def kind_of(names: Iterable[str]) -> str:
     """Name the kind, of KINDS, of a face by the static parameters that differ from their default."""
     differing = set(names)
-    effects = [kind for kind, of in EFFECTS.items() if differing & set(of)]
+    effects = [kind for kind, parameters in EFFECTS.items() if differing & set(parameters)]
     if not effects:
         return MATERIALS if differing else DEFAULT
     return effects[0] if len(effects) == 1 else SEVERAL

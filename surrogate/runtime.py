@@ -174,7 +174,7 @@ class Surrogate:
         if learned is not None:
             columns = dict(zip((*STATIC, *OSCILLATION), (*static.T, *oscillation), strict=True))
             return learned.bind(self.inputs.code(code), np.stack([columns[name] for name in NAMES], axis=1))
-        return None if known is None else Swing.from_shares(*known.at(code), oscillation)
+        return None if known is None else Swing.from_shares(*known.predict(code), oscillation)
 
     @property
     def has_derivatives(self) -> bool:
@@ -199,11 +199,11 @@ class Surrogate:
                 offset, responses = simulated.offset, simulated.responses
                 modes = replace(modes, offset=offset.astype(np.float32), responses=responses.astype(np.float32))
             rig = BoundSurrogate(skin, modes, shapes, swing)
-            moved = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
-        if not moved <= MOVED:
+            farthest = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
+        if not farthest <= MOVED:
             raise InputError(
-                f"weights: they move a vertex of this face by {moved:.3g} mm, expected at most {MOVED:g} mm; are they "
-                "damaged?"
+                f"weights: they move a vertex of this face by {farthest:.3g} mm, expected at most {MOVED:g} mm; are "
+                "they damaged?"
             )
         return rig
 

@@ -64,9 +64,9 @@ class FirstAnswer:
         error = mean = None
         if known.share is not None:
             blended = self._face.blend(change.weights.astype(np.float64))
-            moved = np.linalg.norm(skin - blended - known.carried, axis=1)
-            counted = moves if (moves := moved > MOVES).any() else np.ones_like(moves)
-            error, mean = (known.share * moved).astype(np.float32), float(known.share * moved[counted].mean())
+            motion = np.linalg.norm(skin - blended - known.carried, axis=1)
+            counted = moves if (moves := motion > MOVES).any() else np.ones_like(moves)
+            error, mean = (known.share * motion).astype(np.float32), float(known.share * motion[counted].mean())
         seconds = time.perf_counter() - begin
         return Frame(change.number, known.method, skin, error, mean, certain=False, is_last=False, seconds=seconds)
 

@@ -31,7 +31,7 @@ _COLUMNS = {name: k for k, name in enumerate(ARKIT)}
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What a page asks for: its number of the change, weights (52,) and p."""
+    """A page's wish: its number of the change, weights (52,) and p."""
 
     number: int
     weights: Floats32

@@ -193,9 +193,9 @@ def _open_jaw(head: LayeredHead, resting: np.ndarray) -> Floats:
     """Displacement [mm] of the skull wrap, (n, 3): the mandible turned, linings between it and what rests."""
     skull, mandible = head.skull_wrap.vertices, head.bone == MANDIBLE
     turn = Rotation.from_euler("x", JAW_ANGLE, degrees=True).as_matrix()
-    moved = np.zeros_like(skull)
-    moved[mandible] = (skull[mandible] - JAW_AXIS) @ turn.T + JAW_AXIS - skull[mandible]
-    return fill_harmonically(head.skull_wrap.triangles, moved, mandible | resting)
+    displacement = np.zeros_like(skull)
+    displacement[mandible] = (skull[mandible] - JAW_AXIS) @ turn.T + JAW_AXIS - skull[mandible]
+    return fill_harmonically(head.skull_wrap.triangles, displacement, mandible | resting)
 
 
 def _nearest(vertices: Floats, place: tuple[float, float, float]) -> int:

@@ -344,8 +344,8 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
         _check_once(name, answer, FORMATS[path.suffix.lower()], content)
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         if bad.size:
-            told = f"{bad.size:,} of {len(values):,} rows of {name!r} are NaN or infinite, the first is {bad[0]:,}"
-            return Score("not finite", f"{problem}, {mesh.name} mesh: NOT FINITE: {told}")
+            reason = f"{bad.size:,} of {len(values):,} rows of {name!r} are NaN or infinite, the first is {bad[0]:,}"
+            return Score("not finite", f"{problem}, {mesh.name} mesh: NOT FINITE: {reason}")
         if np.abs(values).max() > MOST[name]:
             raise AnswerError(f"{name!r}: {np.abs(values).max():.3g} is too large; expected at most {MOST[name]:g}")
     if "cauchy" in arrays:
@@ -355,13 +355,13 @@ def score(path: Path, archive: Archive, problem: str = "") -> Score:
             raise AnswerError(
                 f"'cauchy': not symmetric; that of tet {apart.argmax():,} differs by {apart.max():.3g} kPa"
             )
-    moved = arrays["displacement"]
-    verdict, told = judge(moved, mesh, archive, problem)
-    line = f"{problem}, {mesh.name} mesh: {verdict.upper()}: {told}"
+    displacement = arrays["displacement"]
+    verdict, reason = judge(displacement, mesh, archive, problem)
+    line = f"{problem}, {mesh.name} mesh: {verdict.upper()}: {reason}"
     if verdict == "truncated":
         return Score(verdict, line)
     quantities = measure(
-        archive.description, mesh.level, moved, arrays.get("reaction"), arrays.get("cauchy"), mesh.shares
+        archive.description, mesh.level, displacement, arrays.get("reaction"), arrays.get("cauchy"), mesh.shares
     )
     return Score(verdict, line, tuple(_compare(archive.problems[problem]["quantities"], quantities)))
 
@@ -380,14 +380,14 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
     converged = linear + mesh.interpolate(way)
     ends, by_mesh = moved[:count], _rms(way)
     off = _rms(ends - limit)
-    told = (
+    reason = (
         f"{off:.3g} mm RMS from the converged answer, whose band is {asked['band_mm']:.2g} mm; "
         f"skin {_skin(ends, limit, skin)}"
     )
     faults = []
-    held = _norms(moved - linear)[mesh.held].max()
-    if held > max(HELD * largest, SAME_PLACE):
-        faults.append(f"held points are up to {held:.3g} mm from where they are held")
+    slip = _norms(moved - linear)[mesh.held].max()
+    if slip > max(HELD * largest, SAME_PLACE):
+        faults.append(f"held points are up to {slip:.3g} mm from where they are held")
     between = moved - linear - mesh.interpolate(ends - linear[:count])  # zero at the coarse mesh's points
     strayed = _rms(between) > BETWEEN[0] * by_mesh or _norms(between).max() > BETWEEN[1] * _norms(way).max()
     if strayed:
@@ -397,16 +397,16 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
         )
     if not faults:
         if off <= asked["band_mm"] and _norms(ends - limit).max() <= asked["largest_mm"]:
-            return "right", told
+            return "right", reason
         apart = _norms(moved - linear).max()
         if apart <= SAME_ANSWER * largest:
-            return "right on this mesh", f"linear tets' answer on it to {apart:.1g} mm; {told}"
+            return "right on this mesh", f"linear tets' answer on it to {apart:.1g} mm; {reason}"
         share = np.clip(np.sum((ends - linear[:count]) * way) / max(np.sum(way**2), 1e-300), 0.0, 1.0)
-        left = ends - linear[:count] - share * way
-        if _rms(left) <= EXPLAINED * by_mesh and _norms(left).max() <= 0.5 * _norms(way).max():
+        residual = ends - linear[:count] - share * way
+        if _rms(residual) <= EXPLAINED * by_mesh and _norms(residual).max() <= 0.5 * _norms(way).max():
             return (
                 "right on this mesh",
-                f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {told}",
+                f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {reason}",
             )
     for truth in (linear, converged):
         for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
@@ -419,7 +419,7 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
             motion += f" and {angle:.2g} degrees" if angle > 0.05 else ""
             rest = _rms((still - mesh.points)[:count] - limit)
             return "shifted", f"as a whole {motion}; without that {rest:.3g} mm RMS from the converged answer"
-    return "wrong", "; ".join([told, f"linear tets on this mesh are {by_mesh:.3g} mm off", *faults])
+    return "wrong", "; ".join([reason, f"linear tets on this mesh are {by_mesh:.3g} mm off", *faults])
 
 
 def measure(
@@ -513,8 +513,8 @@ def _check_tets(answer: meshio.Mesh, mesh: Mesh) -> None:
 def _orientations(tets: np.ndarray) -> np.ndarray:
     """Whether the corners (m, 4) of tets are an even permutation of their numbers in order: 1, else -1."""
     signs = [np.sign(tets[:, b] - tets[:, a]) for a in range(4) for b in range(a + 1, 4)]
-    found: np.ndarray = np.prod(signs, axis=0)
-    return found
+    orientations: np.ndarray = np.prod(signs, axis=0)
+    return orientations
 
 
 def _check_once(name: str, answer: meshio.Mesh, kind: str, content: bytes) -> None:

@@ -60,31 +60,31 @@ def collect_points(rows: Rows) -> dict[str, Point]:
     Seconds are those of one head (`work-precision`) where it has the method, else of `surrogate`. Errors to the
     simulator's answer are those on unseen people (`surrogate`) where it has the method. A solver stands at 0.01 mm.
     """
-    found: dict[str, Point] = {}
+    points: dict[str, Point] = {}
     grouped: dict[str, list[Mapping]] = {}
     for row in rows.get("work-precision", ()):
         if FACE_ENERGY in row.values["law"]:
             grouped.setdefault(row.values["solver"], []).append(row.values)
-    for name, of in grouped.items():
-        if (point := _time_method(of)) is not None:
-            found[name] = point
+    for name, records in grouped.items():
+        if (point := _time_method(records)) is not None:
+            points[name] = point
     for method, score in _collect_scores(rows).get(OVERALL, {}).items():
-        if method in found:
-            found[method] = Point(found[method].first, found[method].each, score["mean"])
+        if method in points:
+            points[method] = Point(points[method].first, points[method].each, score["mean"])
         elif score.get("bind_ms") is not None and score.get("frame_ms") is not None:
             bind, frame = 1e-3 * score["bind_ms"], 1e-3 * score["frame_ms"]
-            found[method] = Point(bind + frame, frame, score["mean"])
-    shown = {name: found[name] for name in found if name in SHOWN}
+            points[method] = Point(bind + frame, frame, score["mean"])
+    shown = {name: points[name] for name in points if name in SHOWN}
     return dict(sorted(shown.items(), key=lambda item: (item[0] not in SOLVERS, item[1].error)))
 
 
-def _time_method(of: Sequence[Mapping]) -> Point | None:
+def _time_method(records: Sequence[Mapping]) -> Point | None:
     """Medians over expressions; None for a solver that one of them does not bring to 0.01 mm."""
-    ready = float(np.median([np.median(values["set_up_s"]) for values in of]))
-    if "to_hundredth_s" not in of[0]:
-        each = float(np.median([np.median(values["solve_s"]) for values in of]))
-        return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in of])))
-    reached = [values["to_hundredth_s"] for values in of]
+    ready = float(np.median([np.median(values["set_up_s"]) for values in records]))
+    if "to_hundredth_s" not in records[0]:
+        each = float(np.median([np.median(values["solve_s"]) for values in records]))
+        return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in records])))
+    reached = [values["to_hundredth_s"] for values in records]
     if None in reached:
         return None
     each = float(np.median(reached))
@@ -93,34 +93,34 @@ def _time_method(of: Sequence[Mapping]) -> Point | None:
 
 def _collect_scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
     """The lines of the study `surrogate`, by kind of frames and method."""
-    found: dict[str, dict[str, Mapping]] = {}
+    scores: dict[str, dict[str, Mapping]] = {}
     for row in rows.get("surrogate", ()):
         for line in row.values["rows"]:
-            found.setdefault(line["kind"], {})[line["method"]] = line
-    return found
+            scores.setdefault(line["kind"], {})[line["method"]] = line
+    return scores
 
 
 def write_sentences(rows: Rows) -> list[str]:
     """Write at most five; the first says on which kinds of frames the network loses to a rival without learning."""
-    made = (
+    sentences = (
         _tell_losses(rows),
         _tell_overall(rows),
         _tell_agreement(rows),
         _tell_law(rows),
         _tell_costs(collect_points(rows)),
     )
-    return [text for text in made if text]
+    return [text for text in sentences if text]
 
 
 def _tell_losses(rows: Rows) -> str:
     lost, compared = [], 0
-    for kind, of in _collect_scores(rows).items():
-        rivals = {name: of[name]["mean"] for name in (SETTLED, CARRIED) if name in of}
-        if kind == OVERALL or NETWORK not in of or not rivals:
+    for kind, scores in _collect_scores(rows).items():
+        rivals = {name: scores[name]["mean"] for name in (SETTLED, CARRIED) if name in scores}
+        if kind == OVERALL or NETWORK not in scores or not rivals:
             continue
         compared += 1
         rival = min(rivals, key=lambda name: rivals[name])
-        if rivals[rival] <= (mine := of[NETWORK]["mean"]):
+        if rivals[rival] <= (mine := scores[NETWORK]["mean"]):
             lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
     for effect, (rival, share, own) in find_lost_effects(rows.get("split", ())).items():
         lost.append(f"{effect} ({rival} leaves {100 * share:.0f} % of the motion, network {100 * own:.0f} %)")
@@ -134,9 +134,9 @@ def find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]
     lost = {}
     frames = [row for row in rows if "share" in row.values]
     for effect in dict.fromkeys(row.case for row in frames):
-        of = [row.values for row in frames if row.case == effect]
+        records = [row.values for row in frames if row.case == effect]
         own, settled, carried = (
-            float(np.mean([values[key] for values in of])) for key in ("share", "share_settled", "share_carried")
+            float(np.mean([values[key] for values in records])) for key in ("share", "share_settled", "share_carried")
         )
         rival, share = (SETTLED, settled) if settled <= carried else (CARRIED, carried)
         if share <= own:
@@ -186,17 +186,17 @@ def _tell_law(rows: Rows) -> str:
     )
 
 
-def _tell_costs(found: Mapping[str, Point]) -> str:
+def _tell_costs(points: Mapping[str, Point]) -> str:
     """Say which solver to pick for a frame, and which method for many frames of a face."""
-    solvers = sorted((name for name in (PD, FENICSX) if name in found), key=lambda name: found[name].each)
+    solvers = sorted((name for name in (PD, FENICSX) if name in points), key=lambda name: points[name].each)
     sentences = []
     if len(solvers) > 1:
-        best, other = ((name, _format_seconds(found[name].each)) for name in solvers)
+        best, other = ((name, _format_seconds(points[name].each)) for name in solvers)
         sentences.append(
             f"For a frame to {ACCURACY:g} mm pick {best[0]}, which takes {best[1]}; {other[0]} takes {other[1]}."
         )
-    if solvers and NETWORK in found:
-        first, each, error = found[NETWORK].first, found[NETWORK].each, found[NETWORK].error
+    if solvers and NETWORK in points:
+        first, each, error = points[NETWORK].first, points[NETWORK].each, points[NETWORK].error
         sentences.append(
             f"For many frames of a face pick the network: {_format_seconds(each)} each after "
             f"{_format_seconds(first)}, at {error:.3f} mm."
@@ -213,21 +213,21 @@ def draw_figure(rows: Rows) -> str:
 
     An empty text where fewer than two methods are there.
     """
-    found = collect_points(rows)
-    if len(found) < 2:
+    points = collect_points(rows)
+    if len(points) < 2:
         return ""
     drawn, axis = subplots(figsize=(12, 4.4))
-    for name, point in found.items():
+    for name, point in points.items():
         colour, mark = METHODS[name].colour, METHODS[name].mark
         axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
         axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
         axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)
     for row in rows.get("work-precision", ()):
         name = row.values["solver"]
-        if name in found and name in SOLVERS and FACE_ENERGY in row.values["law"]:
+        if name in points and name in SOLVERS and FACE_ENERGY in row.values["law"]:
             seconds = np.median(row.values["set_up_s"]) + np.array(row.values["seconds"])
             axis.plot(seconds, row.values["error_mm"], color=METHODS[name].colour, lw=0.8, ls=":")
-    errors = [point.error for point in found.values()]
+    errors = [point.error for point in points.values()]
     if dial := _collect_dial(rows):
         axis.plot(*zip(*dial, strict=True), f"{METHODS[DIAL].mark}-", color=METHODS[DIAL].colour, ms=5, label=DIAL)
         errors += [error for _, error in dial]
@@ -241,11 +241,11 @@ def _collect_dial(rows: Rows) -> list[tuple[float, float]]:
     """Medians of seconds and true error [mm] of a frame, by the accuracy that is asked for."""
     by_accuracy: dict[float, list[Mapping]] = {}
     for row in rows.get("dial", ()):
-        for told in row.values["told"]:
-            by_accuracy.setdefault(told["accuracy"], []).append(told)
+        for frame in row.values["told"]:
+            by_accuracy.setdefault(frame["accuracy"], []).append(frame)
     return [
-        (1e-3 * float(np.median([each["ms"] for each in of])), float(np.median([each["true"] for each in of])))
-        for of in by_accuracy.values()
+        (1e-3 * float(np.median([each["ms"] for each in frames])), float(np.median([each["true"] for each in frames])))
+        for frames in by_accuracy.values()
     ]
 
 

@@ -34,14 +34,14 @@ def read_cpu_seconds() -> float:
 def peak_megabytes() -> float:
     """Give the most memory [MB] that this process has held since its start, or since `reset_peak`."""
     # Not ru_maxrss alone: through exec it keeps what the parent held.
-    found = _status("VmHWM")
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MEGABYTE if found is None else found
+    size = _status("VmHWM")
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MEGABYTE if size is None else size
 
 
 def held_megabytes() -> float:
     """Give the memory [MB] that this process holds now; where the system does not say, the most it has held."""
-    found = _status("VmRSS")
-    return peak_megabytes() if found is None else found
+    size = _status("VmRSS")
+    return peak_megabytes() if size is None else size
 
 
 def reset_peak() -> None:
@@ -75,7 +75,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task ended: "done" with values, "skipped" or "failed" with a reason; its costs.
+    """End of a task: "done" with values, "skipped" or "failed" with a reason; its costs.
 
     `seconds` of wall time; `cpu` [s], of its process and of those that it started, None where it was killed; peak
     memory [MB].

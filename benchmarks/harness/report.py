@@ -125,8 +125,8 @@ def write_report(
             "report.json": json.dumps({name: part.results.json() for name, part in ordered.items()}, indent=1),
             "tables.tex": "\n".join(
                 to_latex(table, f"{name} {table.caption}")
-                for name, of in tables.items()
-                for table in (of if any(row.done for row in ordered[name].results.rows) else ())
+                for name, shown in tables.items()
+                for table in (shown if any(row.done for row in ordered[name].results.rows) else ())
             ),
         }
     for name, text in files.items():

@@ -82,10 +82,12 @@ def _check_list(name: str, items: Any, kinds: dict[str, tuple[type, ...]], neede
     for number, item in enumerate(items):
         if not isinstance(item, dict):
             raise InputError(f"{name} {number}: expected an object, got {quote(item)}")
-        for place, (key, of) in enumerate(kinds.items()):
+        for place, (key, types) in enumerate(kinds.items()):
             if key not in item and place < needed:
                 raise InputError(f"{name} {number}: no {key}")
-            if key in item and (not isinstance(item[key], of) or (isinstance(item[key], bool) and bool not in of)):
+            if key in item and (
+                not isinstance(item[key], types) or (isinstance(item[key], bool) and bool not in types)
+            ):
                 raise InputError(f"{name} {number}, {key}: got {quote(item[key])}")
 
 
@@ -171,7 +173,7 @@ def compare_results(before: Path, after: Path, kind: type[Study]) -> Comparison:
 
 
 def _is_number(value: Any) -> bool:
-    """Of a number, or of repeated ones."""
+    """Whether a value is a number, or repeated ones."""
     several = value if isinstance(value, list) else [value]
     return bool(several) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in several)
 

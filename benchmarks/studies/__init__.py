@@ -75,7 +75,7 @@ def group_studies(names: Collection[str]) -> dict[str, list[str]]:
     """Group names of studies by the questions that they answer, in the order of QUESTIONS; own ones come last."""
     groups = {question: [name for name in ours if name in names] for question, ours in QUESTIONS.items()}
     groups[OTHER] = [name for name in names if name not in STUDIES]
-    return {question: found for question, found in groups.items() if found}
+    return {question: studies for question, studies in groups.items() if studies}
 
 
 def load_study(name: str) -> type[Study]:
@@ -85,5 +85,5 @@ def load_study(name: str) -> type[Study]:
     if name not in STUDIES:
         raise InputError(f"study {quote(name)!r}: not here; `softdeca bench --add FILE` brings one of your own")
     module, _, kind = STUDIES[name].partition(":")
-    found: type[Study] = getattr(import_module(f".{module}", __package__), kind)
-    return found
+    study: type[Study] = getattr(import_module(f".{module}", __package__), kind)
+    return study

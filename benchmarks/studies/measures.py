@@ -93,13 +93,13 @@ class Trace:
 
     def seconds_to(self, bound: float) -> float | None:
         """Time [s] from which on the error stays at most `bound` [mm], None if it does not."""
-        at = self.iterations_to(bound)
-        return None if at is None else float(self.seconds[at])
+        arrival = self.iterations_to(bound)
+        return None if arrival is None else float(self.seconds[arrival])
 
     def tolerance_for(self, bound: float) -> float | None:
         """Give the tolerance by which this solve stops where its error comes to stay at most `bound` [mm]."""
-        at = self.iterations_to(bound)
-        return None if at is None else float(np.min(self.gradient[: at + 1]))
+        arrival = self.iterations_to(bound)
+        return None if arrival is None else float(np.min(self.gradient[: arrival + 1]))
 
 
 def trace_solve(
@@ -208,11 +208,11 @@ def time_solve(
 def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
     """Repeat `work` so often, after one call that is not counted; less often where that takes over BUDGET."""
     work()
-    found: list[Result] = []
+    results: list[Result] = []
     begin = time.perf_counter()
-    while not found or (len(found) < repeats and time.perf_counter() - begin < BUDGET):
-        found.append(work())
-    return found
+    while not results or (len(results) < repeats and time.perf_counter() - begin < BUDGET):
+        results.append(work())
+    return results
 
 
 def count_work(solution: Solution) -> dict:
@@ -268,7 +268,7 @@ LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """Where a sequence of answers goes.
+    """The limit of a sequence of answers.
 
     `positions` [mm], shape (n, 3), of the limit; `observed` order (None where two answers are the same or there are
     only two), the order `used`, and `index` [mm]: the GCI, a bound of the finest answer's RMS error.

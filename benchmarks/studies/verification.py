@@ -62,9 +62,9 @@ class Verification(Study):
     def measure(self, task: Task) -> Values:
         """Measure the outcomes of a problem, or of a series of meshes."""
         if task.case == HEAD:
-            of = person(level=HEAD_LEVEL)
+            subject = person(level=HEAD_LEVEL)
             scene = facial_scene(
-                of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
+                subject.head, Parameters(), subject.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
             )
             return {"outcomes": [asdict(compare_felupe(apply_law(scene, "neo-Hookean")))]}
         fine = _list_fine().get(task.case)
@@ -170,7 +170,9 @@ class Hard(Study):
         for row in rows:
             kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
             by_kind.setdefault(kind, {}).setdefault(row.method, []).append(row)
-        lines = [[kind, *(_describe_runs(by.get(way, [])) for way in ways)] for kind, by in by_kind.items()]
+        lines = [
+            [kind, *(_describe_runs(by_method.get(way, [])) for way in ways)] for kind, by_method in by_kind.items()
+        ]
         note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
         return [
             Table("By solver and element", ["solver and element", *KINDS], counts),
@@ -244,13 +246,13 @@ def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
         # FElupe takes whole steps of Newton's: in one go they turn tets inside out, where the law is infinite.
         for each in items[len(bodies) :]:
             each.share = step / STEPS
-        found = felupe.newtonraphson(
+        answer = felupe.newtonraphson(
             items=items, x0=field, dof0=dof0, dof1=dof1, ext0=target * step / STEPS, tol=TOLERANCE, maxiter=MOST,
             solver=solve_linear, verbose=0,
         )  # fmt: skip
-        if not found.success:
+        if not answer.success:
             raise SoftdecaError(f"FElupe: step {step} of {STEPS} not converged after {MOST} iterations")
-        field, iterations = found.x, iterations + int(found.iterations)
+        field, iterations = answer.x, iterations + int(answer.iterations)
     return scene.vertices + field[0].values, iterations
 
 

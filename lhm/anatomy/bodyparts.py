@@ -90,7 +90,7 @@ class Anatomy:
 
 def load(path: str | os.PathLike[str]) -> Anatomy:
     """Read the anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
-    return anatomy_from_arrays(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
+    return anatomy_from_arrays(read_arrays(path, *_NEEDED, kind="BodyParts3D's data"), path)
 
 
 def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:

@@ -139,10 +139,10 @@ class _Tissue:
         self.phi, self.marks, self.lids, self.policy = phi, marks, lids, policy
 
     def depths(self, points: Floats, normals: Floats) -> Depths:
-        return self.at(points, normals)[0]
+        return self.measure(points, normals)[0]
 
-    def at(self, points: Floats, normals: Floats) -> tuple[Depths, Floats]:
-        """Depths and the direction to the closest skin, (k, 3)."""
+    def measure(self, points: Floats, normals: Floats) -> tuple[Depths, Floats]:
+        """Measure depths and the direction to the closest skin, (k, 3)."""
         phi, outward, triangle, weights = self.phi(points)
         corners = self.phi.tree.vertices[self.phi.tree.triangles[triangle]]
         over = np.einsum("kc,kcd->kd", weights, corners)
@@ -152,7 +152,7 @@ class _Tissue:
 
     def excess(self, points: Floats, normals: Floats) -> Floats:
         """Vectors (k, 3) that bring points within the bounds of depth, and zero where nothing is asked for."""
-        tissue, outward = self.at(points, normals)
+        tissue, outward = self.measure(points, normals)
         policy = self.policy
         least = np.maximum(policy.thinnest * tissue.wanted, policy.least)
         # Deep muscle covers the neck's side of the skull, the fossae and the ramus: no upper bound holds there.
@@ -162,7 +162,7 @@ class _Tissue:
 
 
 def _pull(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
-    """Where control points (k, 3) go from `x`: corrections of depth, spread over fewer and fewer neighbours."""
+    """Move control points (k, 3) from `x`: corrections of depth, spread over fewer and fewer neighbours."""
     apart = cdist(start, start)
     for spread in np.repeat(tissue.policy.spreads, tissue.policy.rounds):
         weight = np.exp(-((apart / spread) ** 2))
@@ -179,7 +179,7 @@ def _align(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goal
     weight = np.append(np.full(len(held), vault.sum() / len(held)), np.ones(vault.sum()))
     for _ in range(20):
         x = fit(exposed[vault])
-        depths, outward = tissue.at(x, normals[vault] @ fit.rotation.T)
+        depths, outward = tissue.measure(x, normals[vault] @ fit.rotation.T)
         target = x + (depths.depth - depths.wanted)[:, None] * outward
         fit = fit_similarity(source, np.vstack([goals, target]), weight)
     return fit
@@ -190,7 +190,7 @@ _CHIN_AXES = np.array([[0.0, 0.0, 1.0], [0.0, -(0.5**0.5), 0.5**0.5]])
 
 
 def _goals(outer: Surface, marks: Landmarks, policy: PlacementPolicy) -> Floats:
-    """Where eyes, the incisors' edge, pogonion and gnathion belong, shape (5, 3)."""
+    """Place eyes, the incisors' edge, pogonion and gnathion belong, shape (5, 3)."""
     x = outer.vertices
     origin = marks.eyes.mean(axis=0)
     drop, unit = origin[1] - marks.mouth[1], marks.face_width

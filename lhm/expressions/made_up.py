@@ -80,7 +80,7 @@ CONTRADICTORY = (
 
 @dataclass(frozen=True)
 class ExpressionPolicy:
-    """How random expressions are drawn, and how one goes over into the next; spans of durations in [s]."""
+    """Constants of random expressions, and of the way from one to the next; spans of durations in [s]."""
 
     jaw_share: float = 0.6  # of expressions with an open jaw
     symmetric_share: float = 0.8  # of pairs
@@ -323,7 +323,7 @@ def _turns(rng: np.random.Generator, times: Floats) -> Floats:
 
 
 def _smiles(face: _Face, rng: np.random.Generator) -> Floats:
-    """How broad the smile is, shape (frames,): zero but for some seconds now and then, first within `smile_every`."""
+    """Make the smile's breadth, shape (frames,): zero but for some seconds now and then, first within `smile_every`."""
     broad = np.zeros(face.frames)
     until = float(face.times[-1])
     length = min(rng.uniform(*TALKER.smile_lasts), max(0.75 * until, 1.0 / face.rate))
@@ -340,21 +340,21 @@ def _smiles(face: _Face, rng: np.random.Generator) -> Floats:
 def _mouth(face: _Face, rng: np.random.Generator, talking: Floats, rounded: Floats) -> None:
     """Syllables; `rounded`: to what share lips are pursed where they would be."""
     names = sorted({name for target in (*CONSONANTS, *VOWELS, REST) for name in target})
-    at, targets = [-1.0], [REST]
+    moments, targets = [-1.0], [REST]
     effort = [1.0]
-    while at[-1] <= face.times[-1]:
+    while moments[-1] <= face.times[-1]:
         length = 1.0 / rng.uniform(*TALKER.syllables)
-        start = at[-1] + 0.6 * length
+        start = moments[-1] + 0.6 * length
         talks = talking[np.clip(round(start * face.rate), 0, face.frames - 1)] > 0.5
         consonant, vowel = CONSONANTS[rng.integers(len(CONSONANTS))], VOWELS[rng.integers(len(VOWELS))]
-        at += [start, start + 0.4 * length]
+        moments += [start, start + 0.4 * length]
         targets += [consonant, vowel] if talks else [REST, REST]
         effort += [rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.2)]
     full = np.array([[target.get(name, 0.0) for name in names] for target in targets])
     values = full * np.array(effort)[:, None]
     for name, column in zip(names, values.T, strict=True):
-        moved = face.smooth(np.interp(face.times, at, column), TALKER.coarticulation)
-        face.add(name, moved * rounded if name in ROUNDED else moved)
+        smoothed = face.smooth(np.interp(face.times, moments, column), TALKER.coarticulation)
+        face.add(name, smoothed * rounded if name in ROUNDED else smoothed)
 
 
 def _mood(face: _Face, talking: Floats, smile: Floats) -> None:
@@ -402,12 +402,12 @@ def _gaze(face: _Face, rng: np.random.Generator, deviation: float) -> Floats:
     count = int(face.times[-1] / 0.3) + 2
     until = np.cumsum(rng.uniform(0.3, 2.0, count))
     points = rng.normal(0.0, deviation, count) * np.where(rng.random(count) < TALKER.glances, TALKER.glance, 1.0)
-    held = points[np.searchsorted(until, face.times, side="right").clip(max=count - 1)]
-    return face.smooth(held, 0.02)
+    gaze = points[np.searchsorted(until, face.times, side="right").clip(max=count - 1)]
+    return face.smooth(gaze, 0.02)
 
 
 def _blinks(face: _Face, rng: np.random.Generator) -> Floats:
-    """How far the lids are closed by blinks, shape (frames,): down, closed for a frame or more, and slowly up."""
+    """Close the lids by blinks, a share of shape (frames,): down, closed for a frame or more, and slowly up."""
     times, closed = face.times, np.zeros(face.frames)
     shortest = min(1.01 / (TALKER.held * face.rate), TALKER.blink_lasts[1])
     length = max(rng.uniform(*TALKER.blink_lasts), shortest)

@@ -68,7 +68,7 @@ ANGLES = ("Yaw", "Pitch", "Roll")
 OTHER_COLUMNS = {
     "timecode",
     "blendshapecount",
-    *(f"{of}{angle}".lower() for of in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
+    *(f"{part}{angle}".lower() for part in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
 }
 FULL_TURN = 6.3
 """[rad] Of an angle in a file: a little more than 2 pi."""
@@ -135,7 +135,7 @@ def read_livelink(text: str) -> Take:
 
 
 def _expression_columns(header: list[str]) -> dict[int, str]:
-    """Which columns hold which of the 52."""
+    """Find the columns of the 52."""
     columns = {number: BY_LOWER[name.lower()] for number, name in enumerate(header) if name.lower() in BY_LOWER}
     names = list(columns.values())
     if not names:
@@ -170,8 +170,8 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     if not usual:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, expected below {TIMECODE_RATES[-1]}")
-    at = seconds * usual[0] + parts[:, 3]
-    steps = np.diff(at)
+    frame_numbers = seconds * usual[0] + parts[:, 3]
+    steps = np.diff(frame_numbers)
     if (steps <= 0).any():
         raise InputError(f"line {timecodes[int(np.argmax(steps <= 0)) + 1][0]}, column Timecode: time does not rise")
     step = round(float(np.median(steps)), 2) if len(steps) else 1.0
@@ -179,7 +179,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
     if len(across) >= 3 and np.median(across) > 3.0 * step + 1.0:
         line = timecodes[int(parts[:, 3].argmax())][0]
         raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
-    return _check_rate(usual[0] / max(step, 0.01)), (at - at[0]) / usual[0]
+    return _check_rate(usual[0] / max(step, 0.01)), (frame_numbers - frame_numbers[0]) / usual[0]
 
 
 # A recorder's weights.csv: a row per quantity, a column per frame.

@@ -98,7 +98,7 @@ def starts(take: Take, length: int) -> Ints:
 
 
 def _find_recorded(take: Take) -> NDArray[np.bool_]:
-    """Which frames are not made up across a gap, shape (frames,)."""
+    """Mark the frames that are not made up across a gap, shape (frames,)."""
     inside = np.zeros(len(take.times), dtype=bool)
     for begin, end in take.gaps:
         inside |= (take.times > begin) & (take.times < end)

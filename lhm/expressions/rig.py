@@ -55,5 +55,5 @@ def blend(space: LinearSpace, code, weights) -> Floats:
     values = np.atleast_2d(check_weights(weights))
     deltas = space.expression_deltas(code)
     used = np.flatnonzero(values.any(axis=0))
-    moved = np.tensordot(values[:, used], deltas[used], axes=1)
-    return space.skin(code).vertices + moved
+    displacement = np.tensordot(values[:, used], deltas[used], axes=1)
+    return space.skin(code).vertices + displacement

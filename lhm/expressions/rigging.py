@@ -94,7 +94,7 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = PO
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """What examples (k, m, 6) and generic shapes (52, m, 6) add to each face's edges [mm], and r_i, shape (52, m)."""
+    """Changes of each face's edges [mm] by examples (k, m, 6) and generic shapes (52, m, 6), and r_i, shape (52, m)."""
 
     examples: Floats
     generic: Floats
@@ -105,8 +105,8 @@ class _Edges:
         hold = np.empty((len(generic), len(neutral.triangles)))
         for shape, delta in enumerate(generic):
             jacobians = deformation_gradients(neutral.vertices, neutral.vertices + delta, neutral.triangles)
-            moved = np.linalg.norm(jacobians - np.eye(3), axis=(1, 2)) / 0.01  # per cent
-            hold[shape] = ((1.0 + moved) / (0.1 + moved)) ** 2
+            strain = np.linalg.norm(jacobians - np.eye(3), axis=(1, 2)) / 0.01  # per cent
+            hold[shape] = ((1.0 + strain) / (0.1 + strain)) ** 2
         return cls(_edges(motions, neutral.triangles), _edges(generic, neutral.triangles), hold)
 
     def corrections(self, weights: Floats, beta: float) -> Floats:
@@ -134,8 +134,8 @@ def _fit_weights(shapes: Floats, motions: Floats, start: Floats, areas: Floats, 
     fitted = np.zeros_like(start)
     basis = (shapes[used] * np.sqrt(areas)[:, None]).reshape(len(used), -1)
     gram = basis @ basis.T
-    own = gram.diagonal()
-    trust = gamma * np.where(own > 0.0, own, 1.0)
+    squares = gram.diagonal()
+    trust = gamma * np.where(squares > 0.0, squares, 1.0)
     factor = np.linalg.cholesky(gram + np.diag(trust))
     for example, motion in enumerate(motions):
         right = basis @ (motion * np.sqrt(areas)[:, None]).ravel() + trust * start[example, used]

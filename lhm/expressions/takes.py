@@ -64,15 +64,17 @@ class Take:
                 f"take: {times[-1] - times[0]:.3g} s from first to last frame, expected at most {LONGEST:g}"
             )
         check_rate(self.rate)
-        held = {"weights": weights, "times": times}
+        arrays = {"weights": weights, "times": times}
         if self.head is not None:
-            held["head"] = np.array(self.head, dtype=np.float64)
-            if held["head"].shape != (len(weights), 3) or not np.isfinite(held["head"]).all():
-                raise InputError(f"take: expected finite angles of shape ({len(weights)}, 3), got {held['head'].shape}")
-            farthest = float(np.abs(held["head"]).max())
+            arrays["head"] = np.array(self.head, dtype=np.float64)
+            if arrays["head"].shape != (len(weights), 3) or not np.isfinite(arrays["head"]).all():
+                raise InputError(
+                    f"take: expected finite angles of shape ({len(weights)}, 3), got {arrays['head'].shape}"
+                )
+            farthest = float(np.abs(arrays["head"]).max())
             if farthest > TURNED:
                 raise InputError(f"take: head turned by {farthest:.3g} rad, expected {TURNED:g} at most")
-        for name, values in held.items():
+        for name, values in arrays.items():
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
@@ -83,12 +85,12 @@ class Take:
 
     @property
     def clipped(self) -> int:
-        """How many values lay outside [0, 1] where they came from."""
+        """The number of values that lay outside [0, 1] where they came from."""
         return len(self.clipped_at)
 
     @property
     def lost(self) -> int:
-        """How many frames were left out since they had no face."""
+        """The number of frames that were left out since they had no face."""
         return len(self.lost_at)
 
     def part(self, chosen: slice) -> Take:

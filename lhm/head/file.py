@@ -85,10 +85,10 @@ def _rig_to_arrays(rig: Rig | None) -> dict[str, np.ndarray]:
     """Return a rig as arrays: displacements of the vertices that it moves."""
     if rig is None:
         return {}
-    moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
+    vertices = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
     about = {"source": rig.source, "missing": rig.missing}
     shape = np.array(rig.deltas.shape[1])
-    arrays = {"rig_vertices": shape, "rig_moved": moved, "rig_deltas": rig.deltas[:, moved]}
+    arrays = {"rig_vertices": shape, "rig_moved": vertices, "rig_deltas": rig.deltas[:, vertices]}
     return arrays | {"rig_about": np.array(json.dumps(about))}
 
 
@@ -184,7 +184,7 @@ def _check_bones(head: LayeredHead) -> None:
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a layered head"):
-        arrays = read_arrays(path, of="a layered head")
+        arrays = read_arrays(path, kind="a layered head")
         if arrays.get("format", np.array("")).tolist() != FORMAT:
             raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
         if "registered_vertices" in arrays:
@@ -196,12 +196,12 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
 
 
 @contextmanager
-def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
-    """Make every error an InputError that names the file, once; `of` is what the file should be."""
+def naming_damage(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
+    """Make every error an InputError that names the file, once; `kind` is what the file should be."""
     try:
         yield
     except KeyError as error:
-        raise InputError(f"{path}: not {of}, array {error.args[0]!r} is missing") from None
+        raise InputError(f"{path}: not {kind}, array {error.args[0]!r} is missing") from None
     except ValueError as error:  # a SoftdecaError too
         said = str(error)
         raise InputError(said if said.startswith(one_line(f"{path}:")) else f"{path}: damaged, {said}") from None
@@ -287,10 +287,10 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
     count = checks.integers("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
     if int(count) != skin_n:
         raise InputError(f"rig_vertices: {int(count)}, the skin has {skin_n}")
-    moved = checks.indices_below("rig_moved", arrays["rig_moved"], skin_n, (None,))
-    if (np.diff(moved) <= 0).any():
+    vertices = checks.indices_below("rig_moved", arrays["rig_moved"], skin_n, (None,))
+    if (np.diff(vertices) <= 0).any():
         raise InputError("rig_moved: expected vertices in rising order, each once")
-    given = checks.real("rig_deltas", arrays["rig_deltas"], (len(ARKIT), len(moved), 3), most=extent)
+    given = checks.real("rig_deltas", arrays["rig_deltas"], (len(ARKIT), len(vertices), 3), most=extent)
     farthest = float(np.abs(given).max(initial=0.0))
     if 0.0 < farthest < LEAST_MOVED:
         raise InputError(
@@ -299,7 +299,7 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
         )
     about = parse_json(checks.text("rig_about", arrays["rig_about"]))
     deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)
-    deltas[:, moved] = given
+    deltas[:, vertices] = given
     if not isinstance(about, dict):
         raise InputError("rig_about: expected source and missing")
     missing = checks.texts("rig_about: missing", about.get("missing"))

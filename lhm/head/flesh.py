@@ -30,7 +30,7 @@ POLICY = FleshPolicy()
 
 
 def flesh_share(head: LayeredHead, *, fade: float = POLICY.fade) -> Floats:
-    """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
+    """Find fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
 
     The share rises over `fade` [mm] along the skin. Raises InputError for a head that lacks one of these regions.
     """
@@ -52,7 +52,7 @@ def cheek_share(head: LayeredHead) -> Floats:
 
 
 def expressive_share(head: LayeredHead) -> Floats:
-    """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
+    """Find skin that facial muscles move, shape (n,), 0 to 1: the face with mouth and eyes; elsewhere skin is tied.
 
     The share rises over `fade` along the skin, and falls again far within the mouth, whose lining goes with the
     jaw. A head without the region "face" is one everywhere.
@@ -68,7 +68,7 @@ def expressive_share(head: LayeredHead) -> Floats:
 
 
 def socket_share(head: LayeredHead) -> Floats:
-    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` within."""
+    """Find the lining of the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` within."""
     return _fade_within(head, "eyes", "lids", (0.0, POLICY.fade))
 
 
@@ -78,7 +78,7 @@ def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
 
 
 def _fade_within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
-    """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
+    """Measure the way into a lining, shape (n,): 0 to 1 `between` these distances [mm] from the region at its edge."""
     share, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
     inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
     if inside.any() and not inside.all():

@@ -304,10 +304,10 @@ def measure_face(skin: Floats, skull: Floats, bone: Ints, regions: Mapping[str, 
     values: dict[str, Any] = dict.fromkeys(
         ("turned", "eyes_across", "eyes_to_mouth", "mandible_over_eyes", "cranium_under_mouth")
     )
-    found = find_face_axes(skin, regions)
-    if found is None:
+    face_axes = find_face_axes(skin, regions)
+    if face_axes is None:
         return values
-    middle, axes = found
+    middle, axes = face_axes
     eyes, mouth = ((skin[regions[name]] - middle) @ axes for name in ("eyes", "mouth"))
     height, in_face = (skull - middle) @ axes[:, 1], np.asarray(regions.get("face", np.zeros(len(bone), bool)))
     values["turned"] = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0))))
@@ -417,22 +417,22 @@ def _measure_sideways(
 ) -> dict[str, Any]:
     """Where the rig moves lips and face; None where the head lacks rig, regions or shapes, or these do nothing."""
     values: dict[str, Any] = dict.fromkeys(("jaw_drop", "sideways", "own_side"))
-    found = find_face_axes(wrap, regions)
-    if rigged is None or found is None:
+    face_axes = find_face_axes(wrap, regions)
+    if rigged is None or face_axes is None:
         return values
-    (rig, weights), (middle, axes) = rigged, found
-    moved = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in rig.missing}
+    (rig, weights), (middle, axes) = rigged, face_axes
+    motions = {name: rig.deltas[k].astype(np.float64) @ axes for k, name in enumerate(ARKIT) if name not in rig.missing}
     x = (skin.vertices - middle) @ axes
     lips = weights @ np.asarray(regions.get("lips", np.zeros(len(wrap))), dtype=np.float64) > 0.5
     lower = lips & (x[:, 1] < ((wrap[regions["mouth"]] - middle) @ axes)[:, 1].mean())
     if lower.any():
-        if "jawOpen" in moved:
-            values["jaw_drop"] = float(-moved["jawOpen"][lower, 1].mean())
-        shifts = [_side(name) * float(moved[name][lower, 0].mean()) for name in SIDEWAYS if name in moved]
+        if "jawOpen" in motions:
+            values["jaw_drop"] = float(-motions["jawOpen"][lower, 1].mean())
+        shifts = [_side(name) * float(motions[name][lower, 0].mean()) for name in SIDEWAYS if name in motions]
         values["sideways"] = min(shifts, default=None)
     shares = []
-    for name in moved.keys() & set(SIDED):
-        length = np.linalg.norm(moved[name], axis=1)
+    for name in motions.keys() & set(SIDED):
+        length = np.linalg.norm(motions[name], axis=1)
         shares.append(length[_side(name) * x[:, 0] > 0].sum() / max(length.sum(), 1e-30))
     values["own_side"] = float(np.mean(shares)) if shares else None
     return values

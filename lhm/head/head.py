@@ -107,9 +107,9 @@ class LayeredHead:
 
     @check_arguments
     def wrap_targets(self, expression: Floats) -> Floats:
-        """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""
-        moved = _check_shape("expression", expression, self.skin.vertices) - self.skin.vertices
-        return self.skin_wrap.vertices + self.wrap_from_skin @ moved
+        """Carry the skin wrap's vertices [mm], shape (n, 3), with a skin expression [mm], shape (skin vertices, 3)."""
+        displacement = _check_shape("expression", expression, self.skin.vertices) - self.skin.vertices
+        return self.skin_wrap.vertices + self.wrap_from_skin @ displacement
 
     @check_arguments
     def skin_after(self, expression: Floats, wrap: Floats) -> Floats:
@@ -117,8 +117,8 @@ class LayeredHead:
 
         The wrap's deviation from its target is added to the expression, so detail finer than the wrap is kept.
         """
-        moved = _check_shape("wrap", wrap, self.skin_wrap.vertices) - self.wrap_targets(expression)
-        return expression + self.skin_from_wrap @ moved
+        displacement = _check_shape("wrap", wrap, self.skin_wrap.vertices) - self.wrap_targets(expression)
+        return expression + self.skin_from_wrap @ displacement
 
 
 def _check_shape(name: str, values: Floats, like: Floats) -> Floats:

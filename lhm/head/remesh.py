@@ -174,8 +174,8 @@ def _tets(gmsh: ModuleType, volume: int) -> Ints:
 
 
 def _reason(gmsh: ModuleType, error: object) -> str:
-    told = [line.partition(": ")[2] for line in gmsh.logger.get() if line.startswith("Error")]
-    return (told or [str(error)])[0].strip()
+    errors = [line.partition(": ")[2] for line in gmsh.logger.get() if line.startswith("Error")]
+    return (errors or [str(error)])[0].strip()
 
 
 def _fills(tets: Ints, triangles: Ints, outer: int, inner: int) -> bool:

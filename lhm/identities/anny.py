@@ -35,7 +35,7 @@ def Anny() -> TransferredSpace:
 
     Raises InputError where the installation is damaged.
     """
-    arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", of="the default head")
+    arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", kind="the default head")
     mean = Surface(arrays["mean"], arrays["triangles"])
     return TransferredSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"])
 

@@ -43,9 +43,9 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
     or asks for anything but arrays to be loaded.
     """
     if Path(path).suffix.lower() == ".npz":
-        data = read_arrays(path, *_NEEDED, of="FLAME's data")
+        data = read_arrays(path, *_NEEDED, kind="FLAME's data")
     else:
-        data = read_pickled(path, *_NEEDED, of="FLAME's data")
+        data = read_pickled(path, *_NEEDED, kind="FLAME's data")
     try:
         return _space({name: np.asarray(data[name]) for name in _NEEDED})
     except (ValueError, IndexError, TypeError, KeyError) as error:

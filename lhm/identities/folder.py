@@ -58,12 +58,12 @@ def _meshes(folder: Path) -> list[Path]:
     return files
 
 
-def _alike(file: Path, first: Surface, of: Path, unit: str) -> Surface:
+def _alike(file: Path, first: Surface, first_file: Path, unit: str) -> Surface:
     skin = read_surface(file, unit=unit)
     if len(skin.vertices) != len(first.vertices) or not np.array_equal(skin.triangles, first.triangles):
         raise InputError(
             f"{file}: another topology ({len(skin.vertices)} vertices, {len(skin.triangles)} triangles) than "
-            f"{of.name} ({len(first.vertices)}, {len(first.triangles)})"
+            f"{first_file.name} ({len(first.vertices)}, {len(first.triangles)})"
         )
     return skin
 
@@ -76,7 +76,7 @@ def _components(skins: Floats) -> tuple[Floats, Floats]:
     return mean, (sizes[kept, None] * components[kept]).reshape(len(kept), *mean.shape)
 
 
-def _expressions(folder: Path, first: Surface, of: Path, unit: str) -> tuple[Floats, tuple[str, ...]]:
+def _expressions(folder: Path, first: Surface, first_file: Path, unit: str) -> tuple[Floats, tuple[str, ...]]:
     deltas = np.zeros((len(ARKIT), *first.vertices.shape))
     files = {file.stem: file for file in _meshes(folder)} if folder.is_dir() else {}
     if files and "neutral" not in files:
@@ -85,9 +85,9 @@ def _expressions(folder: Path, first: Surface, of: Path, unit: str) -> tuple[Flo
         if name not in (*ARKIT, "neutral"):
             raise InputError(f"{file}: {name!r} is none of ARKit's expressions, nor 'neutral'")
     if files:
-        neutral = _alike(files.pop("neutral"), first, of, unit).vertices
+        neutral = _alike(files.pop("neutral"), first, first_file, unit).vertices
         for name, file in files.items():
-            deltas[ARKIT.index(name)] = _alike(file, first, of, unit).vertices - neutral
+            deltas[ARKIT.index(name)] = _alike(file, first, first_file, unit).vertices - neutral
     return deltas, tuple(name for name in ARKIT if name not in files)
 
 

@@ -69,7 +69,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
-    return space_from_arrays(read_arrays(path, *_NEEDED, of="ICT-FaceKit's data"), path)
+    return space_from_arrays(read_arrays(path, *_NEEDED, kind="ICT-FaceKit's data"), path)
 
 
 def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:

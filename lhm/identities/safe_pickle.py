@@ -105,7 +105,7 @@ class _Reader(pickle._Unpickler):
         raise pickle.UnpicklingError(f"it asks for {module}.{name}, which is no array")
 
 
-def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str, np.ndarray]:
+def read_pickled(path: str | os.PathLike[str], *names: str, kind: str) -> dict[str, np.ndarray]:
     """Read the arrays of these names from a pickled dict; sparse ones are made dense.
 
     Nothing that the file names is imported or called, but numpy's own arrays. Raises InputError, one line that names
@@ -116,12 +116,12 @@ def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str
         read = _Reader(io.BytesIO(content), encoding="latin1").load()
     except Exception as error:  # a damaged pickle raises whatever its bytes happen to ask for
         reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise InputError(f"{path}: not {of}, or damaged ({reason})") from None
+        raise InputError(f"{path}: not {kind}, or damaged ({reason})") from None
     if not isinstance(read, dict):
-        raise InputError(f"{path}: not {of} (a pickled {type(read).__name__}, expected a dict)")
+        raise InputError(f"{path}: not {kind} (a pickled {type(read).__name__}, expected a dict)")
     missing = [name for name in names if name not in read]
     if missing:
-        raise InputError(f"{path}: not {of}, array {missing[0]!r} is missing")
+        raise InputError(f"{path}: not {kind}, array {missing[0]!r} is missing")
     arrays = {}
     for name in names:
         try:

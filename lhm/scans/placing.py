@@ -23,7 +23,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 @dataclass(frozen=True)
 class PlacingPolicy:
-    """How a face is looked for in a scan, and what is taken for one; sizes are relative to the template's."""
+    """Constants of the search for a face in a scan; sizes are relative to the template's."""
 
     usual_sizes: tuple[float, float] = (0.75, 1.35)  # of a face, by which a known unit is taken
     named_sizes: tuple[float, float] = (0.55, 1.8)  # of a face in the unit that is said
@@ -97,9 +97,9 @@ def find_placement(
                 f"{POLICY.worst_score:g}); is it a head, with its face? --up, --front and --unit, or --landmarks, say "
                 "where it is"
             )
-    told, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
-    rotation, way = _upright(motion.rotation.T, known=up is not None and front is not None)
-    return Placement(Similarity(scale, rotation, np.zeros(3)), off, (told, way))
+    about_unit, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
+    rotation, about_axes = _upright(motion.rotation.T, known=up is not None and front is not None)
+    return Placement(Similarity(scale, rotation, np.zeros(3)), off, (about_unit, about_axes))
 
 
 def millimetres(unit: str) -> float:
@@ -194,13 +194,13 @@ def _best(
     more = np.unique(np.linspace(0, len(points) - 1, POLICY.last_points).astype(int))
     fine = []
     for number, start in enumerate(starts):
-        moved = icp(start, points[more], normals[more], target, 20)
-        if 0.3 < moved.scale < 3.0:
-            fine.append((score_start(moved, points[more], normals[more], target), number, moved))
+        motion = icp(start, points[more], normals[more], target, 20)
+        if 0.3 < motion.scale < 3.0:
+            fine.append((score_start(motion, points[more], normals[more], target), number, motion))
     if not fine:
         return Similarity(1.0, np.eye(3), np.zeros(3)), np.inf
-    moved = icp(min(fine, key=lambda item: item[:2])[2], points, normals, target, 10)
-    return moved, score_start(moved, points, normals, target)
+    motion = icp(min(fine, key=lambda item: item[:2])[2], points, normals, target, 10)
+    return motion, score_start(motion, points, normals, target)
 
 
 def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
@@ -218,7 +218,7 @@ def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
 
 
 def _unit(given: float | None, guess: float, extent: float) -> tuple[str, float]:
-    """What is said about the unit, and millimetres in it."""
+    """Return a sentence about the unit, and the millimetres in it."""
     if given is not None:
         size = given / guess
         if not POLICY.named_sizes[0] <= size <= POLICY.named_sizes[1]:
@@ -270,15 +270,15 @@ class Sieve:
         turn = np.array([start.rotation for start in starts])
         shift = np.array([start.shift for start in starts])
         for step in range(steps + 1):
-            moved = scale[:, None, None] * np.einsum("sij,kj->ski", turn, points) + shift[:, None]
+            places = scale[:, None, None] * np.einsum("sij,kj->ski", turn, points) + shift[:, None]
             turned = np.einsum("sij,kj->ski", turn, normals)
-            query = np.concatenate([moved, POLICY.turned * turned], axis=2).reshape(-1, 6)
+            query = np.concatenate([places, POLICY.turned * turned], axis=2).reshape(-1, 6)
             distance, nearest = self.tree.query(query)
             distance = distance.reshape(len(starts), -1)
             if step == steps:
                 break
             weight = 1.0 / (1.0 + (distance / 10.0) ** 2)
-            scale, turn, shift = _fits(points, self.points[nearest].reshape(moved.shape), weight, scale)
+            scale, turn, shift = _fits(points, self.points[nearest].reshape(places.shape), weight, scale)
         off = np.minimum(distance, POLICY.farthest).mean(axis=1) / scale
         off[(scale <= POLICY.least_scale * 1.001) | (scale >= POLICY.most_scale * 0.999)] = np.inf
         order = np.argsort(off, kind="stable")[:kept]

@@ -147,9 +147,9 @@ def _one_piece(given: Repaired) -> Repaired:
     weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     how = "largest"
     if scan.morphs:
-        moved = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
-        if moved.any():
-            weight, how = weight * moved[scan.triangles].mean(axis=1), "one that the morph targets move most"
+        motion = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
+        if motion.any():
+            weight, how = weight * motion[scan.triangles].mean(axis=1), "one that the morph targets move most"
     kept = of_triangle == np.bincount(of_triangle, weights=weight, minlength=count).argmax()
     note = (
         f"of {pieces} separate pieces the {how} was kept; {np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?)"

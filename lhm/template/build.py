@@ -64,7 +64,7 @@ POLICY = BuildPolicy()
 
 
 class SpaceOptions(TypedDict):
-    """What an identity space knows of its mean head; see `build_template`."""
+    """An identity space's knowledge of its mean head; see `build_template`."""
 
     parts: Ints
     jaw: Floats
@@ -86,18 +86,18 @@ def load_template(
     `level` 1, 2 or 3: 1,212, 4,842 or 19,362 vertices per wrap. Raises FitError, naming what failed, if no valid
     layers could be made.
     """
-    of = Anny() if space is None else space
+    people = Anny() if space is None else space
     if level not in LEVELS:
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
         return template_to_arrays(
-            build_template(of.mean, **space_options(of), level=level, name=of.name, progress=progress)
+            build_template(people.mean, **space_options(people), level=level, name=people.name, progress=progress)
         )
 
-    name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
+    name = f"template-{people.name}-{people.fingerprint()}-{level}-{FORMAT}"
     template = load_or_make(name, make, template_from_arrays)
-    return replace(template, regressor=default_regressor(template, of), space=of)
+    return replace(template, regressor=default_regressor(template, people), space=people)
 
 
 def build_template(
@@ -207,7 +207,7 @@ def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: 
 
 @dataclass(frozen=True, eq=False)
 class _Wanted:
-    """Where the inner wraps are wanted.
+    """Places that the inner wraps should have.
 
     `connectors` (n, 3) [mm] from skin to skull wrap; the muscle wrap's `share` of the way, `depth` and `room` [mm] and
     whether the skull wrap is to lie on a given skull, all (n,).

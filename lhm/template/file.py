@@ -101,7 +101,7 @@ def save_template(path: str | os.PathLike[str], template: Template) -> None:
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a template"):
-        arrays = read_arrays(path, of="a template")
+        arrays = read_arrays(path, kind="a template")
         if arrays.get("format", np.array("")).tolist() != FORMAT:
             raise InputError(f"{path}: not a template of this version (expected {FORMAT!r})")
         return template_from_arrays(arrays)

@@ -211,11 +211,11 @@ def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floa
 
     What the warp leaves of the skin's displacement is added to each column through the wrap's tie to the skin.
     """
-    moved, n = skin - template.skin.vertices, template.columns.n
-    coefficients = prepared.warp.coefficients(moved[prepared.centres])
-    left = template.wrap_from_skin @ (moved - prepared.at_skin @ coefficients)
+    displacement, n = skin - template.skin.vertices, template.columns.n
+    coefficients = prepared.warp.coefficients(displacement[prepared.centres])
+    residual = template.wrap_from_skin @ (displacement - prepared.at_skin @ coefficients)
     shift = prepared.at_wraps @ coefficients
-    return template.stack[:n] + shift[:n] + left, template.stack[2 * n :] + shift[n:] + left
+    return template.stack[:n] + shift[:n] + residual, template.stack[2 * n :] + shift[n:] + residual
 
 
 def _depths(

@@ -69,13 +69,13 @@ def carry_wraps(
     """
     skin, muscle, rest = (wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap))
     rotation, translation = jaw_motion(head, neutral, wrap_targets)
-    moved = wrap_targets - skin
+    displacement = wrap_targets - skin
     skull = scale_skull(head, parameters)
     skull[head.bone == MANDIBLE] = skull[head.bone == MANDIBLE] @ rotation.T + translation
-    skull[head.bone == FREE] += moved[head.bone == FREE]
+    skull[head.bone == FREE] += displacement[head.bone == FREE]
     depth = np.linalg.norm(rest - skin, axis=1)
     share = np.clip(np.linalg.norm(muscle - skin, axis=1) / np.maximum(depth, 1e-12), 0.0, 1.0)[:, None]
-    return wrap_targets, muscle + (1.0 - share) * moved + share * (skull - rest), skull
+    return wrap_targets, muscle + (1.0 - share) * displacement + share * (skull - rest), skull
 
 
 def rigid_bones(

@@ -33,16 +33,16 @@ def skin_by_parameters(face: Face, along: Mapping[str, float | Floats]) -> dict[
 
     def scene_at(parameters: Parameters, targets: Floats) -> Scene:
         shifted = replace(settled, displacement=targets - head.skin.vertices)
-        moved = Face(head, parameters=parameters, per="wraps", choices=face.choices)
-        return moved.settled_as(shifted).neutral_scene()
+        changed = Face(head, parameters=parameters, per="wraps", choices=face.choices)
+        return changed.settled_as(shifted).neutral_scene()
 
     rested = rest_among_targets(settling_at(parameters, skin), settled.positions, TIGHT_ACCURACY)
     settling = differentiate(rested, accuracy=TIGHT_ACCURACY, like=face.derivatives.analysis)
     moves = vertices_by_parameters(settling.tangent, settling_at, parameters, skin, along)
     drift = {name: head.skin_from_wrap @ move[: len(head.bone)] for name, move in moves.items()}
-    moved = vertices_by_parameters(face.derivatives.tangent, scene_at, parameters, skin, along, drift=drift)
-    skins = carry_to_skin(head, np.stack(list(moved.values())), np.stack(list(drift.values())))
-    return dict(zip(moved, skins, strict=True))
+    motions = vertices_by_parameters(face.derivatives.tangent, scene_at, parameters, skin, along, drift=drift)
+    skins = carry_to_skin(head, np.stack(list(motions.values())), np.stack(list(drift.values())))
+    return dict(zip(motions, skins, strict=True))
 
 
 def vertices_by_parameters(

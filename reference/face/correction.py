@@ -35,9 +35,9 @@ class Correction:
         self._linear = face.derivatives
         prepared = self._linear.prepared
         self.size = spring_norm(prepared.scene)
-        moved = _combine(weights, face.goals)
+        motion = _combine(weights, face.goals)
         self._energy = Energy(
-            tuple(part.shift(moved) if isinstance(part, Springs) else part for part in prepared.energy.parts)
+            tuple(part.shift(motion) if isinstance(part, Springs) else part for part in prepared.energy.parts)
         )
         self._coordinates = prepared.system.coordinates
         self._memory = Memory(self._coordinates.size)
@@ -81,10 +81,10 @@ class Correction:
     def take(self, step: Floats) -> bool:
         """Go along a step as far as the energy falls enough; False, and nothing moves, where it does not soon."""
         # Halvings: where tets fold, the model may hold for less.
-        taken = search_line(self._problem, self.point, step, 3)
-        if taken is None:
+        result = search_line(self._problem, self.point, step, 3)
+        if result is None:
             return False
-        step, ahead = taken
+        step, ahead = result
         self._memory.add(step, ahead.gradient - self.point.gradient)
         self.point = ahead
         return True

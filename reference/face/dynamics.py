@@ -113,7 +113,7 @@ class Recurrence:
     def from_head(cls, head: LayeredHead, parameters: Parameters, time_step: float) -> Recurrence:
         """Make that of a head under p at the skin wrap's vertices, each coefficient of shape (n,).
 
-        Frames are time_step [s] apart. For the skin's own vertices, `.at(head.skin_from_wrap)`. Raises what
+        Frames are time_step [s] apart. For the skin's own vertices, `.average(head.skin_from_wrap)`. Raises what
         `from_oscillator` raises, and SceneError for a field of another length.
         """
         frequency, damping = (
@@ -127,22 +127,22 @@ class Recurrence:
         return cls(*((float(c) if c.ndim == 0 else c) for c in (alpha, beta, gamma, driven)))
 
     def target(self, target: Floats, last: Floats, before: Floats) -> Floats:
-        """Where inertia makes the skin seek to be [mm], from the static target and the two frames before, (n, 3)."""
+        """Return where the skin seeks to be [mm], from the static target and the two frames before, (n, 3)."""
         alpha, beta, gamma = (_column(c) for c in (self.alpha, self.beta, self.gamma))
         return gamma * target + 2.0 * alpha * last - beta * before
 
     def driven_by(self, lag: Floats) -> Floats:
-        """By how much [mm] the base's motion moves what the skin seeks, from `base_lag`, shape (n, 3)."""
+        """Return the shift [mm] of that place by the base's motion, from `base_lag`, shape (n, 3)."""
         return _column(self.driven) * lag
 
-    def at(self, weights: csr_matrix) -> Recurrence:
+    def average(self, weights: csr_matrix) -> Recurrence:
         """Average the recurrence to other vertices by `weights` (other, n), not negative, rows summing to one.
 
         A mean of stable ones is stable. With a head's `skin_from_wrap` it is that of its skin's vertices.
         """
         n = weights.shape[1]
-        own = (self.alpha, self.beta, self.driven)
-        return self._from_poles(*(weights @ np.broadcast_to(np.asarray(c, dtype=np.float64), n) for c in own))
+        coefficients = (self.alpha, self.beta, self.driven)
+        return self._from_poles(*(weights @ np.broadcast_to(np.asarray(c, dtype=np.float64), n) for c in coefficients))
 
     def stiffness(self, stiffness: float | Floats) -> Floats:
         """Stiffness of the springs in dynamic frames from that of statics, k/γ; any unit, a number or shape (n,)."""
@@ -160,7 +160,7 @@ class Recurrence:
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """How a bound face swings: loose shares in [0, 1], frequency [Hz] and damping ratio, (n,); pivot (3,) [mm]."""
+    """The swing of a face: loose shares in [0, 1], frequency [Hz] and damping ratio, (n,); pivot (3,) [mm]."""
 
     loose: Floats
     frequency: Floats

@@ -101,12 +101,12 @@ class Face:
 
     @cached_property
     def carried(self) -> Floats:
-        """How scaled bones carry the neutral skin [mm], shape (n, 3)."""
+        """Displacement of the neutral skin with scaled bones [mm], shape (n, 3)."""
         return carry_skin(self.head, self.on_wraps)
 
     @cached_property
     def swing(self) -> Swing:
-        """How its skin swings: loose where the head has flesh far from bone, by p's frequency and damping there."""
+        """The swing of its skin: loose where the head has flesh far from bone, by p's frequency and damping there."""
         # Weights of skin off the wrap's triangles reach a little beyond their corners.
         shares = np.clip(self.head.skin_from_wrap @ measure_looseness(self.head), 0.0, 1.0)
         oscillation = np.stack([self.at_vertices(name) for name in OSCILLATION])
@@ -184,13 +184,13 @@ class Face:
 
     @cached_property
     def goals(self) -> Floats:
-        """How the springs' ends move with each shape [mm], shape (52, springs, 3)."""
-        moved = np.stack([self.head.wrap_from_skin @ shape for shape in self.shapes])
-        return palsy.Springs.from_head(self.head, self.on_wraps).move(moved)
+        """Motion of the springs' ends with each shape [mm], shape (52, springs, 3)."""
+        motions = np.stack([self.head.wrap_from_skin @ shape for shape in self.shapes])
+        return palsy.Springs.from_head(self.head, self.on_wraps).move(motions)
 
     @cached_property
     def first_order(self) -> Floats:
-        """How the scene's vertices move with each shape [mm], shape (52, scene's vertices, 3)."""
+        """Motion of the scene's vertices with each shape [mm], shape (52, scene's vertices, 3)."""
         return self.derivatives.tangent.vertices_by_targets(self.goals)
 
     @cached_property

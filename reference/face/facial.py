@@ -180,13 +180,13 @@ def _make_skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[ter
     wrap = head.skin_wrap
     kept = inside[wrap.triangles].any(axis=1)
 
-    def at(name: str):
+    def spread(name: str):
         value = spread_to_triangles(name, getattr(p, name), wrap)
         return np.asarray(value)[kept] if np.ndim(value) else value
 
     triangles = wrap.triangles[kept]
-    parts: list[terms.Term] = [terms.SurfaceStrain(triangles, at("skin_stiffness"), at("skin_growth"))]
-    return parts + ([terms.Bending(triangles, at("skin_bending"))] if np.any(p.skin_bending) else [])
+    parts: list[terms.Term] = [terms.SurfaceStrain(triangles, spread("skin_stiffness"), spread("skin_growth"))]
+    return parts + ([terms.Bending(triangles, spread("skin_bending"))] if np.any(p.skin_bending) else [])
 
 
 def _attach(

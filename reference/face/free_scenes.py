@@ -110,10 +110,10 @@ def jaw_hinge(head: LayeredHead) -> Floats:
 def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) -> Scene:
     """Hold both bones where the skull wrap `skull` [mm], shape (n, 3), has them, and springs on the lining alone."""
     scene = facial_scene(head, parameters, head.skin.vertices, bones="prescribed")
-    moved = skull - head.skull_wrap.vertices
+    motion = skull - head.skull_wrap.vertices
     bone = head.bone != FREE
     carried = head.skin_wrap.vertices + (
-        fill_harmonically(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
+        fill_harmonically(head.skull_wrap.triangles, motion, bone) if motion.any() else np.zeros_like(motion)
     )
     none = np.zeros(len(bone), dtype=bool)
     lining = np.any([head.regions.get(name, none) for name in LINING], axis=0) & ~head.regions.get("lips", none)

@@ -26,7 +26,7 @@ Model = TypeVar("Model")
 
 @dataclass(frozen=True, eq=False)
 class Smallest:
-    """What was left out, in that order, and the largest change [mm] of the answer by all of it together.
+    """Pieces that were left out, in that order, and the largest change [mm] of the answer by all of it together.
 
     changes: the largest change [mm] by each piece alone, None for one without which there is no answer; model: what is
     left.
@@ -62,14 +62,14 @@ def find_smallest(
             return None
 
     changes = {name: change(without(whole)) for name, without in pieces.items()}
-    left, gone, total = whole, [], 0.0
+    smallest, gone, total = whole, [], 0.0
     for _, name in sorted((size, name) for name, size in changes.items() if size is not None and size <= within):
-        tried = pieces[name](left)
+        tried = pieces[name](smallest)
         together = change(tried)
         if together is not None and together <= within:
-            left, total = tried, together
+            smallest, total = tried, together
             gone.append(name)
-    return Smallest(tuple(gone), total, changes, left)
+    return Smallest(tuple(gone), total, changes, smallest)
 
 
 @check_arguments

@@ -22,7 +22,7 @@ SEAM = 10.0
 
 
 def left_share(skin: Surface) -> Floats:
-    """How far each vertex of a head's skin or skin wrap is on the subject's left (+x), in [0, 1], shape (n,).
+    """Measure the share of each vertex of a skin or skin wrap on the subject's left (+x), in [0, 1], shape (n,).
 
     The two halves blend over `SEAM` millimetres to each side of the middle.
     """

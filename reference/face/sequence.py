@@ -181,8 +181,8 @@ class Sequence:
             scene = replace(scene, terms=tuple(springs if term is _target(scene) else term for term in scene.terms))
             self._tangent = prepared.tangent(replace(frame.solution, positions=self.face.settled().positions), scene)
         wrap = slice(len(self.head.bone))
-        left, is_near = prepared.estimate_left(frame.solution.positions, self._tangent, wrap, frame.scene)
-        return self.head.skin_from_wrap @ left[wrap], is_near
+        correction, is_near = prepared.estimate_left(frame.solution.positions, self._tangent, wrap, frame.scene)
+        return self.head.skin_from_wrap @ correction[wrap], is_near
 
     def _frame_before(self) -> _LastFrame:
         if self._last_frame is None:
@@ -258,7 +258,7 @@ class Sequence:
         return State(positions, self.head.wrap_targets(settled.skin), positions[:n])
 
     def _beyond(self, positions: Floats, sought: Floats) -> Floats:
-        """How far [mm] the wraps' vertices are from where the expression alone takes them."""
+        """Return the distance [mm] of the wraps' vertices from where the expression alone takes them."""
         ahead = self._carry(sought)
         return positions[: len(ahead)] - ahead
 

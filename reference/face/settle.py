@@ -44,7 +44,7 @@ GROWING = ("soft_volume", "muscle_volume", "skin_growth")
 
 @dataclass(frozen=True, eq=False)
 class SettledFace:
-    """Where a head's neutral face comes to rest under p.
+    """Rest of a head's neutral face under p.
 
     positions (scene's vertices, 3) [mm]: of the tets; neutral (skin vertices, 3) [mm]: the skin without p, which has
     moved by `displacement`, of the same shape. `solution` is None where p leaves the neutral face as it is. `law` is
@@ -101,8 +101,9 @@ def settle(
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
-    by = ("projective" if law == PD_ENERGY else "fenicsx") if solver is None else solver
-    if by not in all_solvers():
+    if solver is None:
+        solver = "projective" if law == PD_ENERGY else "fenicsx"
+    if solver not in all_solvers():
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
@@ -113,11 +114,11 @@ def settle(
     start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
     if law != PD_ENERGY:
         start, scene = _start_of_law(scene, start), apply_law(scene, law)
-    solution = prepare(scene, solver=by).solve(
+    solution = prepare(scene, solver=solver).solve(
         start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
     )
-    moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
-    return SettledFace(solution.positions, head.skin.vertices, head.skin_from_wrap @ moved, solution, law)
+    displacement = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
+    return SettledFace(solution.positions, head.skin.vertices, head.skin_from_wrap @ displacement, solution, law)
 
 
 def _start_of_law(scene: Scene, start: Floats) -> Floats:
@@ -142,19 +143,19 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
     parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
     skin = head.skin.vertices + carry_skin(head, parameters)
     scene = facial_scene(head, parameters, skin, **choices | {"bones": "prescribed", "neutral": skin})
-    kept = 1.0 - (flesh_share(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
+    share = 1.0 - (flesh_share(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
     return replace(
         scene,
         terms=tuple(
-            replace(t, stiffness=t.stiffness * kept) if isinstance(t, terms.Target) else t for t in scene.terms
+            replace(t, stiffness=t.stiffness * share) if isinstance(t, terms.Target) else t for t in scene.terms
         ),
     )
 
 
 def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
     """Displace the wraps [mm], shape (n, 3), with the bones that p scales, harmonic along the skull between."""
-    moved = scale_skull(head, parameters) - head.skull_wrap.vertices
-    return fill_harmonically(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
+    motion = scale_skull(head, parameters) - head.skull_wrap.vertices
+    return fill_harmonically(head.skull_wrap.triangles, motion, head.bone != FREE) if motion.any() else motion
 
 
 def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:
@@ -168,5 +169,5 @@ def carry_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | Non
     A start without inverted tets, from which the energy can only fall.
     """
     stack = Stack.from_head(head, (1, 1), ()) if stack is None else stack
-    moved = bones_displacement(head, parameters)
-    return stack.interpolate(*(wrap.vertices + moved for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))
+    motion = bones_displacement(head, parameters)
+    return stack.interpolate(*(wrap.vertices + motion for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))

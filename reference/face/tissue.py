@@ -141,8 +141,8 @@ class Stack:
             rest = stack_wraps([self.vertices[first : first + n] for first in firsts], self.counts)
             return stack_wraps(now, self.counts) + (self.vertices - rest)
         wraps = np.vstack([skin, muscle, skull])
-        moved = wraps - self.vertices[: len(wraps)]
-        return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])
+        displacement = wraps - self.vertices[: len(wraps)]
+        return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ displacement])
 
 
 def _inverse_distance_weights(vertices: Floats, wraps: int, neighbours: int) -> csr_matrix:
@@ -277,16 +277,16 @@ def nested_start(
     if positions.shape != rest.shape:
         raise SceneError(f"positions: expected shape {rest.shape}, got {positions.shape}")
     across = _between(coarse_layers, layers)
-    moved = np.einsum("fc,cnd->fnd", across, (positions - rest).reshape(-1, n, 3))
+    motions = np.einsum("fc,cnd->fnd", across, (positions - rest).reshape(-1, n, 3))
     triangles = coarse.skin_wrap.triangles
-    while moved.shape[1] < len(head.bone):
-        triangles, ends = split_triangles(triangles, moved.shape[1])
-        moved = np.concatenate([moved, moved[:, ends].mean(axis=2)], axis=1)
+    while motions.shape[1] < len(head.bone):
+        triangles, ends = split_triangles(triangles, motions.shape[1])
+        motions = np.concatenate([motions, motions[:, ends].mean(axis=2)], axis=1)
     if not np.array_equal(triangles, head.skin_wrap.triangles):
         raise SceneError("coarse: the head's wraps are not its wraps' triangles split into four")
-    if scene.vertices.size != moved.size:
-        raise SceneError(f"scene: expected {moved.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
-    start = scene.vertices + moved.reshape(-1, 3)
+    if scene.vertices.size != motions.size:
+        raise SceneError(f"scene: expected {motions.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
+    start = scene.vertices + motions.reshape(-1, 3)
     return untangle(start, scene.tets, np.ones(len(start), dtype=bool), policy.least_volume * scene.volumes)
 
 

@@ -60,7 +60,7 @@ def licence_of(people: People) -> str:
 
 def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
     """Count frames, |T - S| in the face by kind of parameters and by source, iterations, and reasons of rejection."""
-    moved: dict[str, list[Floats]] = {}
+    motions: dict[str, list[Floats]] = {}
     iterations: list[Floats] = []
     for identity in corpus.people_there():
         path = corpus.shard_path(identity)
@@ -73,8 +73,8 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
         for key, mask in [("all", good), *((kind, good & (kinds == kind.encode())) for kind in KINDS)] + [
             (source, good & (sources == source)) for source in np.unique(sources)
         ]:
-            moved.setdefault(str(key), []).append(arrays["statics/moved"][mask])
-    gathered = {key: np.concatenate(values) for key, values in moved.items()}
+            motions.setdefault(str(key), []).append(arrays["statics/moved"][mask])
+    gathered = {key: np.concatenate(values) for key, values in motions.items()}
     reasons: dict[str, int] = {}
     for rejection in status.rejected:
         reason = shorten_reason(rejection.reason)
@@ -173,8 +173,8 @@ processor seconds that it took, which differ between runs.
 
 def _ranges(kind: type) -> str:
     """Join the ranges of a table's columns, which `intact` checks."""
-    told = {name: column.describe_range() for name, column in columns_of(kind).items()}
-    return "; ".join(f"{name} {words}" for name, words in told.items() if words)
+    ranges = {name: column.describe_range() for name, column in columns_of(kind).items()}
+    return "; ".join(f"{name} {words}" for name, words in ranges.items() if words)
 
 
 def _category(frames: int) -> str:
@@ -281,5 +281,5 @@ def _sha256(path: Path) -> str:
 
 def card_json(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any]) -> dict[str, Any]:
     """Return the card's figures and counts, to be kept where the data is not."""
-    kept = asdict(status) | {"rejected": len(status.rejected), "damaged": len(status.damaged)}
-    return {"plan": json.loads(corpus.plan.to_json()) | {"digest": corpus.plan.digest}, "status": kept, **figures}
+    report = asdict(status) | {"rejected": len(status.rejected), "damaged": len(status.damaged)}
+    return {"plan": json.loads(corpus.plan.to_json()) | {"digest": corpus.plan.digest}, "status": report, **figures}

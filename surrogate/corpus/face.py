@@ -69,7 +69,7 @@ class KeptFace:
 
     @property
     def shapes(self) -> np.ndarray:
-        """What each weight adds to the person's skin [mm], shape (52, n, 3)."""
+        """Displacements of the person's skin by each weight [mm], shape (52, n, 3)."""
         return self.person.shapes
 
     @property
@@ -97,7 +97,7 @@ class KeptFace:
 
     @cached_property
     def carried(self) -> Floats32:
-        """How scaled bones carry the neutral skin [mm], shape (n, 3); a head is fitted only where p scales one."""
+        """Displacement of the neutral skin with scaled bones [mm], (n, 3); a head is fitted only where p scales one."""
         if all(self.parameters.level(name) == Parameters.info(name).default for name in BONES):
             return np.zeros(self.skin.vertices.shape, dtype=np.float32)
         return self.live.carried.astype(np.float32)
@@ -114,7 +114,7 @@ class KeptFace:
 
     @property
     def relaxed(self) -> Floats32:
-        """How far the settled face moves to rest among its targets [mm], shape (n, 3)."""
+        """Displacement of the settled face to its rest among its targets [mm], shape (n, 3)."""
         return self.offset.astype(np.float32) - self.displacement
 
 

@@ -190,8 +190,8 @@ class Corpus:
         or changed meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
-            for left in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
-                left.unlink(missing_ok=True)  # of a process that was killed while it wrote
+            for leftover in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
+                leftover.unlink(missing_ok=True)  # of a process that was killed while it wrote
             pending = [k for k in self._order() if not self.is_whole(k)]
             self._write_manifest()
             if self.plan.sequences and pending:
@@ -382,10 +382,10 @@ class _Rate:
         wall = time.monotonic() - self._begin
         people = self._plan.identities - self._left
         frames = self._plan.groups * self._plan.frames * self._done * 3600.0 / max(self._spent, 1e-9)
-        left = wall / self._done * self._left
+        remaining = wall / self._done * self._left
         self._progress(
             f"corpus: {people} of {self._plan.identities} people, {frames:.0f} static frames a core-hour with all that "
-            f"belongs to them, {describe_duration(left)} left",
+            f"belongs to them, {describe_duration(remaining)} left",
             people / self._plan.identities,
         )
 

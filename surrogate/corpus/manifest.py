@@ -114,7 +114,7 @@ def write_template(folder: Path, mean: Surface) -> None:
 def read_template(folder: Path, named: str) -> Surface:
     """Read the mean neutral skin; InputError for a file that is missing, damaged, or not the one `named`."""
     path = folder / TEMPLATE
-    arrays = read_arrays(path, of="a corpus' template")
+    arrays = read_arrays(path, kind="a corpus' template")
     try:
         if set(arrays) != {"vertices", "triangles"}:
             raise InputError(f"expected vertices and triangles, got {quote(', '.join(arrays))}")

@@ -115,7 +115,7 @@ def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progre
     path = folder / RUN
     owner = f"{plan.digest}-{people.name}"
     try:
-        arrays = read_arrays(path, "local", "owner", "checksum", of="the velocities of a corpus")
+        arrays = read_arrays(path, "local", "owner", "checksum", kind="the velocities of a corpus")
         if str(arrays["owner"]) == owner and str(arrays["checksum"]) == _checksum(arrays["local"]):
             return Velocities(arrays["local"].astype(np.float32))
     except InputError:
@@ -139,9 +139,9 @@ def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocitie
         begin = time.monotonic()
         for number, w in enumerate(weights):
             yield face.blend(w)
-            left = (time.monotonic() - begin) / (number + 1) * (plan.run - number - 1) / 60.0
+            minutes = (time.monotonic() - begin) / (number + 1) * (plan.run - number - 1) / 60.0
             on_progress(
-                f"velocities: a long run for all sequences, frame {number + 1} of {plan.run}, {left:.0f} min left",
+                f"velocities: a long run for all sequences, frame {number + 1} of {plan.run}, {minutes:.0f} min left",
                 (number + 1) / plan.run,
             )
 

@@ -120,7 +120,7 @@ def describe_answer(plan: CorpusPlan, face: Face, weights: Floats | Floats32, so
     """Make the answer that a corpus keeps of a solution."""
     corrected = (face.skin_after(weights, solution.positions) - face.blend(weights)).astype(np.float16)
     inverted = solution.volume_ratio <= 0.0
-    moved = np.linalg.norm(corrected[_find_face(face.head)].astype(np.float64), axis=1)
+    distances = np.linalg.norm(corrected[_find_face(face.head)].astype(np.float64), axis=1)
     crossings, wrap = 0, face.head.skin_wrap
     if np.isfinite(solution.positions).all():
         tree = TriangleTree(solution.positions[: len(wrap.vertices)], wrap.triangles)
@@ -128,7 +128,7 @@ def describe_answer(plan: CorpusPlan, face: Face, weights: Floats | Floats32, so
     return Answer(
         corrected=corrected,
         status=_judge(plan, face.head, solution, inverted, corrected),
-        moved=(float(moved.mean()), float(np.percentile(moved, 95.0))),
+        moved=(float(distances.mean()), float(np.percentile(distances, 95.0))),
         iterations=solution.iterations,
         residual=float(solution.history.gradient_norm[-1]) / spring_norm(face.derivatives.prepared.scene),
         smallest_volume_ratio=float(solution.volume_ratio.min()),

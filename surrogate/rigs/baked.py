@@ -45,24 +45,24 @@ def usual_expressions(seed: int, count: int) -> Floats32:
     return weights
 
 
-def compress(bound: FaceModes) -> FaceModes:
+def compress(full: FaceModes) -> FaceModes:
     """Return the same face in principal components of its remainder: they are what a frame costs; see LEFT_OUT."""
-    amplitudes = bound.remainder_of(usual_expressions(2, COMPRESSED)).astype(np.float64)
-    flat = bound.modes.reshape(len(bound.modes), -1)
+    amplitudes = full.remainder_of(usual_expressions(2, COMPRESSED)).astype(np.float64)
+    flat = full.modes.reshape(len(full.modes), -1)
     second = amplitudes.T @ amplitudes / len(amplitudes)
     # Of the two Gram matrices, since components of amplitudes · modes are wanted and modes are not orthogonal.
     gram = ssyrk(1.0, flat.T, trans=1).astype(np.float64)  # its upper triangle, in a third of a product's time
     size, turn = np.linalg.eigh(gram, UPLO="U")
     root = turn * np.sqrt(np.maximum(size, 1e-12 * size[-1]))
     power, vectors = np.linalg.eigh(root.T @ second @ root)
-    tail = np.cumsum(np.maximum(power, 0.0)) / bound.modes.shape[1]
+    tail = np.cumsum(np.maximum(power, 0.0)) / full.modes.shape[1]
     kept = vectors[:, np.count_nonzero(tail <= LEFT_OUT**2) :][:, ::-1]
     into = root @ kept  # amplitudes of the components, of those of the modes
     back = np.linalg.solve(root.T, kept).T  # components, of the modes
-    remainder = bound.remainder_of
+    remainder = full.remainder_of
     return replace(
-        bound,
-        modes=(back.astype(np.float32) @ flat).reshape(-1, *bound.modes.shape[1:]),
+        full,
+        modes=(back.astype(np.float32) @ flat).reshape(-1, *full.modes.shape[1:]),
         remainder_of=replace(
             remainder,
             outer=np.ascontiguousarray(remainder.outer @ into, dtype=np.float32),

@@ -46,7 +46,7 @@ NOTHING = 0.02
 
 
 class Swings(Protocol):
-    """How a bound face swings: coefficients of Eq. 21, and what its head turns about."""
+    """The swing of a bound face: coefficients of Eq. 21, and what its head turns about."""
 
     @property
     def pivot(self) -> Floats:
@@ -82,7 +82,7 @@ class LearnedSwing:
 
 @dataclass(frozen=True, eq=False)
 class Looseness:
-    """Where flesh of a space's people is loose, and what their heads turn about: linear in the code.
+    """Looseness of the flesh of a space's people, and the points that their heads turn about: linear in the code.
 
     Both follow from a fitted head's depths of bone, which a bind in milliseconds has not. shares (1 + c, n): of each
     vertex that swings; pivots (1 + c, 3) [mm]: of the mean, then by number of the code.
@@ -112,8 +112,8 @@ class Looseness:
         inverse: Floats = np.linalg.solve(rows.T @ rows + penalty, rows.T)
         return cls(inverse @ np.array(shares), inverse @ np.array(pivots))
 
-    def at(self, code: Floats) -> tuple[Floats, Floats]:
-        """Shares (n,), in [0, 1], and pivot (3,) [mm] of a person."""
+    def predict(self, code: Floats) -> tuple[Floats, Floats]:
+        """Predict the shares (n,), in [0, 1], and the pivot (3,) [mm] of a person."""
         row = np.append(1.0, code)
         shares = row @ self.shares
         return np.where(shares > NOTHING, np.clip(shares, 0.0, 1.0), 0.0), row @ self.pivots

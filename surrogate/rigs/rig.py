@@ -57,18 +57,20 @@ class CorrectedRig:
         return surface
 
 
-def check_skin(skin: Surface, template: Surface, of: str) -> None:
-    """Raise InputError for a skin [mm] that has not the triangles, size, direction and shape of a template `of`."""
+def check_skin(skin: Surface, template: Surface, reference: str) -> None:
+    """Raise InputError for a skin [mm] that has not the triangles, size, direction and shape of a template."""
     if len(skin.vertices) != len(template.vertices):
-        raise InputError(f"skin: {len(skin.vertices)} vertices, {of} has {len(template.vertices)}")
+        raise InputError(f"skin: {len(skin.vertices)} vertices, {reference} has {len(template.vertices)}")
     if not np.array_equal(skin.triangles, template.triangles):
-        raise InputError(f"skin: its triangles are not those of {of}")
+        raise InputError(f"skin: its triangles are not those of {reference}")
     if not is_upright(template, skin):
-        raise InputError(f"skin: not of the size of {of} [mm], or turned from it, which looks along +z with +y up")
+        raise InputError(
+            f"skin: not of the size of {reference} [mm], or turned from it, which looks along +z with +y up"
+        )
     rotation, _ = rigid_motion(skin.vertices, template.vertices)
     turned, middle = (skin.vertices - skin.vertices.mean(axis=0)) @ rotation.T, template.vertices.mean(axis=0)
     scaled = turned * (np.linalg.norm(template.vertices - middle) / np.linalg.norm(turned))
-    check_moved("skin", template, scaled + middle, of=of)
+    check_moved("skin", template, scaled + middle, reference=reference)
 
 
 def check_code(code, size: int) -> Floats:

@@ -125,10 +125,10 @@ def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_i
 
 def test_a_recurrence_at_other_vertices_is_the_mean():
     found = from_oscillator(np.array([2.0, 8.0]), 0.3, STEP)
-    between = found.at(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
+    between = found.average(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
     assert between.alpha == pytest.approx(np.array([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]) @ found.alpha, abs=1e-15)
     assert between.gamma[[0, 2]] == pytest.approx(found.gamma, abs=1e-15)
-    assert from_oscillator(4.0, 0.3, STEP).at(csr_matrix(np.eye(3))).beta.shape == (3,)
+    assert from_oscillator(4.0, 0.3, STEP).average(csr_matrix(np.eye(3))).beta.shape == (3,)
 
 
 @pytest.mark.parametrize("loose", [-0.1, 1.1, np.nan])
@@ -163,7 +163,7 @@ def test_the_recurrence_of_a_head_is_one_call(default, sphere_head):
     flesh, follows = share == 1.0, share == 0.0
     assert flesh.any() and np.all(found.alpha[flesh] == uniform.alpha) and np.all(found.beta[flesh] == uniform.beta)
     assert np.all(found.gamma[follows] == 1.0) and np.all(found.alpha[follows] == 0.0)
-    skin = found.at(head.skin_from_wrap)
+    skin = found.average(head.skin_from_wrap)
     assert skin.gamma.shape == (len(head.skin.vertices),)
     everywhere = Recurrence.from_head(sphere_head, p, STEP)  # without regions
     assert np.ptp(everywhere.gamma) == 0.0 and everywhere.gamma[0] == uniform.gamma

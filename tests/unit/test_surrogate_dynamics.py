@@ -113,7 +113,7 @@ def test_blendshapes_of_ones_own_lag_alike(rig):
 def test_looseness_of_people_is_linear_in_their_code(head):
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
     found = Looseness.from_people(people, count=12)
-    shares, pivot = found.at(np.zeros(SPACE.code_size))
+    shares, pivot = found.predict(np.zeros(SPACE.code_size))
     # A sphere without regions is loose everywhere, and turns about its middle.
     assert shares == pytest.approx(np.ones(N)) and np.abs(pivot).max() < 2.0
     assert found.shares.shape == (1 + SPACE.code_size, N)

@@ -18,7 +18,7 @@ EYE, TEETH = slice(0, 960), slice(1920, None)
 def shown(named, code=None):
     weights = expressions.weights_of(named)
     skin = expressions.blend(SPACE, np.zeros(SPACE.code_size) if code is None else code, weights[None])[0]
-    return skin, find_eyes_and_teeth(SPACE.mean).at(skin, weights)
+    return skin, find_eyes_and_teeth(SPACE.mean).place(skin, weights)
 
 
 def test_eyes_lie_behind_open_lids_and_within_the_head():
@@ -62,7 +62,7 @@ def test_the_lower_teeth_go_with_the_jaw_and_the_upper_ones_stay():
 def test_they_turn_with_the_head():
     skin, rest = shown({})
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    moved = find_eyes_and_teeth(SPACE.mean).at(skin @ turn.T + [5.0, 0, 0])
+    moved = find_eyes_and_teeth(SPACE.mean).place(skin @ turn.T + [5.0, 0, 0])
     assert np.allclose(moved, rest @ turn.T + [5.0, 0, 0], atol=1e-6)
 
 

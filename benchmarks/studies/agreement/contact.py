@@ -136,10 +136,10 @@ class Contact(OfPerson):
         """Compare a pose by both codes, or a hard frame with contact and without."""
         if task.method == PD:
             seed, text, parameters = self._hard[task.case]
-            of = self.person(seed=seed)
-            return measure_frame(of.face(parameters), of.shape(text))
-        of, (text, regions) = self.person(), POSES[task.case]
-        head, shape, near = of.head, of.shape(text), _find_around(of.head, regions)
+            person = self.person(seed=seed)
+            return measure_frame(person.face(parameters), person.shape(text))
+        person, (text, regions) = self.person(), POSES[task.case]
+        head, shape, near = person.head, person.shape(text), _find_around(person.head, regions)
 
         def scene_at(share: float) -> Scene:
             targets = head.skin.vertices + share * (shape - head.skin.vertices)
@@ -238,9 +238,9 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
     without = replace(scene, terms=tuple(term for term in scene.terms if term is not contact))
     ids = np.unique(contact.triangles)
     by_pd, free = solve(scene, tolerance=TOLERANCE), solve(without, tolerance=TOLERANCE)
-    moved = distances(by_barrier.positions, free.positions)[ids]
+    motion = distances(by_barrier.positions, free.positions)[ids]
     apart = distances(by_barrier.positions, by_pd.positions)[ids]
-    counts = moved > MOVES
+    counts = motion > MOVES
     forces = [measure_pushes(without, ids, each.positions) for each in (by_pd, by_barrier)]
     return {
         "done": by_pd.converged and by_barrier.converged and free.converged,
@@ -248,8 +248,8 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
         "tets": len(scene.tets),
         "overlap_mm": measure_overlap(free.positions, contact.triangles)[1],
         "crossings": int(by_pd.detail["contact_crossings"]),
-        "moved_mean_mm": float(moved[counts].mean()),
-        "moved_max_mm": float(moved.max()),
+        "moved_mean_mm": float(motion[counts].mean()),
+        "moved_max_mm": float(motion.max()),
         "vertices_moved": int(counts.sum()),
         "apart_mean_mm": float(apart[counts].mean()),
         "apart_max_mm": float(apart.max()),
@@ -282,6 +282,6 @@ def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:
 
 def _name_place(head: LayeredHead, vertex: int) -> str:
     """Name the region of a vertex, the smallest that it is of."""
-    at = vertex % len(head.bone)
-    named = [name for name, mask in head.regions.items() if mask[at]]
+    place = vertex % len(head.bone)
+    named = [name for name, mask in head.regions.items() if mask[place]]
     return min(named, key=lambda name: int(head.regions[name].sum())) if named else "beside"

@@ -184,9 +184,9 @@ def _name_march(scheme: str, per_frame: int) -> str:
 
 
 def _describe_motion(release: Release, name: str, positions: Floats, time_step: float) -> dict:
-    left = release.motion(positions)
-    found = swing(time_step * np.arange(len(left)), left) if len(left) > FEWEST else Swing(None, None, None)
-    return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(found)
+    shares = release.motion(positions)
+    fit = swing(time_step * np.arange(len(shares)), shares) if len(shares) > FEWEST else Swing(None, None, None)
+    return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(fit)
 
 
 def _describe_end(run: Trajectory | Frames) -> dict:
@@ -214,9 +214,9 @@ def shake(release: Release, frames: int) -> dict:
     runs |= {f"FEM, {scheme}": release.play(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
     fine = release.play("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
-    found = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
+    motions = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
     rows = []
-    for name, positions in found.items():
+    for name, positions in motions.items():
         together = min(len(positions), len(exact))
         rows.append(
             {
@@ -226,6 +226,6 @@ def shake(release: Release, frames: int) -> dict:
                 **_describe_end(fine if name == finest else runs[name]),
             }
         )
-    euler = found[EULER]
-    to_fem = _compare_motions(found[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
+    euler = motions[EULER]
+    to_fem = _compare_motions(motions[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
     return {"rows": rows, "to_fem": to_fem}

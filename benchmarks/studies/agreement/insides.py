@@ -37,12 +37,12 @@ def compare_insides(
     (_, scene, solution), (_, law_scene, law_solution) = one, other
     ids = mandible(head)
     free = any(np.array_equal(body.vertices, ids) for body in law_scene.of(terms.RigidBody))
-    apart = held = None
+    apart = load = None
     if free:
         apart = mandible_apart(head, law_solution.positions, solution.positions)
         prepared = prepare(with_mandible_at(head, law_scene, solution.positions), solver="fenicsx")
         answer = prepared.solve(start=solution.positions, tolerance=TOLERANCE)
-        held = load_on_mandible(head, answer) if answer.converged else None
+        load = load_on_mandible(head, answer) if answer.converged else None
     prescribed: dict[str, Solution | None] = {} if free or not len(ids) else {n: s for n, _, s in (one, other)}
     if settled is not None:
         prescribed = {name: face.solution for (name, _, _), face in zip((one, other), settled, strict=True)}
@@ -50,7 +50,7 @@ def compare_insides(
         "vertices": asdict(difference(law_solution.positions, solution.positions, scene.vertices)),
         "stress": {n: stress_by_layer(head, sc, s) for n, sc, s in (one, other)},
         "mandible": apart,
-        "held_at_pd": held,
+        "held_at_pd": load,
         "prescribed": {n: load_on_mandible(head, each) for n, each in prescribed.items() if each is not None},
     }
 
@@ -132,9 +132,9 @@ def tabulate_insides(rows: Iterable[Row], one: str, other: str) -> list[Table]:
     jaws += [f"prescribed: {key}, {law} [{unit}]" for key, unit in LOADS.items() for law in (one, other)]
     places = []
     for case, values in inside.items():
-        free, held, loads = values.get("mandible") or {}, values.get("held_at_pd") or {}, values["prescribed"]
+        free, load, loads = values.get("mandible") or {}, values.get("held_at_pd") or {}, values["prescribed"]
         prescribed = [loads.get(law, {}).get(key) for key in LOADS for law in (one, other)]
-        places.append((case, free.get("mm"), free.get("degrees"), held.get("force"), held.get("torque"), *prescribed))
+        places.append((case, free.get("mm"), free.get("degrees"), load.get("force"), load.get("torque"), *prescribed))
     balance = "A free mandible is in balance. Torques are about the axis between the ears."
     return [
         Table(f"Inside: {one} and {other}", titles, cells, note),

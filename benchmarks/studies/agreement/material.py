@@ -116,20 +116,20 @@ def _list_stresses(energies: Sequence[Law], mode: str) -> list[float]:
 
 
 def _find_stress(energies: Sequence[Law], stretch: float, loaded: int, confined: int) -> float:
-    held = [stretch] * loaded + [1.0] * confined
+    stretches = [stretch] * loaded + [1.0] * confined
 
     def measure(free: Floats) -> tuple[float, Floats]:
         """Energy density and nominal stresses (3,) [kPa]."""
-        F = np.diag([*held, *free])[None]
+        F = np.diag([*stretches, *free])[None]
         density = sum(float(law.psi(F)[0]) for law in energies)
         return density, np.diagonal(sum(law.stress(F)[0] for law in energies))
 
     def see_free(free: Floats) -> tuple[float, Floats]:
         density, stresses = measure(free)
-        return density, stresses[len(held) :]
+        return density, stresses[len(stretches) :]
 
     # Nominal stress [kPa] that is left on free axes; Young's modulus is 1.
-    settled = minimize(see_free, np.ones(3 - len(held)), jac=True, method="BFGS", options={"gtol": 1e-7})
+    settled = minimize(see_free, np.ones(3 - len(stretches)), jac=True, method="BFGS", options={"gtol": 1e-7})
     if not settled.success:
         raise SoftdecaError(f"stretch {stretch:g}: {settled.message}")
     return float(measure(settled.x)[1][0])

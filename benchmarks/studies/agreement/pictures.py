@@ -57,13 +57,13 @@ def draw_effect(solved: SolvedCase) -> dict[str, bytes]:
     head, pd = solved.person.head, solved.answer(PD)
     assert solved.without is not None and pd.settled is not None
     before = solved.without.answer(PD).skin
-    moved = distances(pd.skin, before)
+    motion = distances(pd.skin, before)
     panels = [
         Panel("neutral", head.skin),
         Panel("neutral under the effect", head.skin.with_vertices(pd.settled.skin)),
         Panel("expression", head.skin.with_vertices(before)),
         Panel("expression under the effect", head.skin.with_vertices(pd.skin)),
-        Panel("difference of both", head.skin.with_vertices(pd.skin), moved, find_top(moved)),
+        Panel("difference of both", head.skin.with_vertices(pd.skin), motion, find_top(motion)),
     ]
     face = head.skin_wrap.vertices[head.regions["face"]]
     return {

@@ -54,7 +54,7 @@ def swing(times: Floats, motion: Floats) -> Swing:
     fastest = np.pi / (times[1] - times[0])
     bounds = ([0.0, -np.inf], [fastest, np.inf])
     fits = [least_squares(miss, [guess, 0.1 * guess], bounds=bounds) for guess in guesses if guess < fastest]
-    best = min(fits, key=lambda found: found.cost)
+    best = min(fits, key=lambda fit: fit.cost)
     omega, decay = best.x
     natural = float(np.hypot(omega, decay))
     return Swing(natural / (2.0 * np.pi), decay / natural, float(np.sqrt(np.mean(best.fun**2)) / abs(motion[0])))

@@ -63,7 +63,7 @@ TRUTHS: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """How a solver answers a case: `solution` of `scene`, and the skin [mm], shape (n, 3).
+    """A solver's answer to a case: `solution` of `scene`, and the skin [mm], shape (n, 3).
 
     settled: where this solver settles the neutral face; None where no target follows one. start: where it began.
     another: how far [mm] from PD's answer it ended first, where that is another minimum. trace: the way, if kept.
@@ -251,7 +251,7 @@ class SolvedCase:
         """Say what a solver did."""
         answer = self.answer(solver)
         norms = answer.solution.history.gradient_norm
-        told = {
+        record = {
             "start": answer.start,
             "iterations": answer.solution.iterations,
             "linear_iterations": answer.solution.detail.get("linear_iterations"),
@@ -260,19 +260,19 @@ class SolvedCase:
             "done": answer.converged,
         }
         if answer.trace is not None:
-            told["to_001_mm"] = answer.trace.iterations_to(ACCURACY)
+            record["to_001_mm"] = answer.trace.iterations_to(ACCURACY)
         if solver == PD_PLAIN:
-            told["done"] = told["to_001_mm"] is not None
+            record["done"] = record["to_001_mm"] is not None
         if solver == FENICSX:
-            told["another_minimum_mm"] = answer.another
-        return told
+            record["another_minimum_mm"] = answer.another
+        return record
 
     def tell_face(self) -> dict:
         """Say what PD's answer is: volumes, whether it is the only one, how near lips come, what an effect changes."""
         pd, head = self.answer(PD), self.person.head
         solution, soft = pd.solution, slice(0, len(head.soft.tets))
         volumes = pd.scene.volumes[soft]
-        told: dict[str, Any] = {
+        record: dict[str, Any] = {
             "least_ratio": float(solution.volume_ratio.min()),
             "soft_volume_percent": float(100.0 * (solution.volume_ratio[soft] @ volumes / volumes.sum() - 1.0)),
         }
@@ -282,22 +282,22 @@ class SolvedCase:
             free = self.without.answer(PD).solution
             for when, each in (("before", free), ("after", solution)):
                 pairs, depth = measure_overlap(each.positions, contact.triangles)
-                told |= {f"crossings_{when}": pairs, f"overlap_{when}_mm": depth}
+                record |= {f"crossings_{when}": pairs, f"overlap_{when}_mm": depth}
         if pd.settled is not None:
             if not self.case.contact:  # the way without contact, until something is met, is in the history, too
                 energy = solution.history.energy
                 size = np.maximum(np.abs(energy[:-1]), np.finfo(float).tiny)
-                told["energy_rise"] = float(np.max(np.diff(energy) / size, initial=0.0))
-            told["to_other_start_mm"] = float(distances(solution.positions, self.other_start.positions).max())
-            told["neutral_change_mm"] = float(distances(pd.settled.skin, head.skin.vertices).max())
-            left = distances(solution.positions[: len(head.bone)], head.wrap_targets(pd.settled.targets(self.shape)))[
+                record["energy_rise"] = float(np.max(np.diff(energy) / size, initial=0.0))
+            record["to_other_start_mm"] = float(distances(solution.positions, self.other_start.positions).max())
+            record["neutral_change_mm"] = float(distances(pd.settled.skin, head.skin.vertices).max())
+            gaps = distances(solution.positions[: len(head.bone)], head.wrap_targets(pd.settled.targets(self.shape)))[
                 head.regions["lips"]
             ]
-            told["lips_mm"] = [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())]
+            record["lips_mm"] = [float(np.median(gaps)), float(np.percentile(gaps, 95)), float(gaps.max())]
         if self.without is not None:
             change = distances(pd.skin, self.without.answer(PD).skin)
-            told |= {"change_mean_mm": float(change.mean()), "change_max_mm": float(change.max())}
-        return told
+            record |= {"change_mean_mm": float(change.mean()), "change_max_mm": float(change.max())}
+        return record
 
     def compare_inside(self) -> dict:
         """Compare PD's answer with the law's inside; see `compare_insides`."""

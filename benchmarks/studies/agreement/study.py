@@ -131,10 +131,10 @@ class Agreement(OfPerson):
             return {"compared": [line for truth in (PD, *laws) for line in solved.compare(method, truth)]}
         compared = solved.compare(method, TRUTHS[method])
         about = {"shown": solved.case.shown, "without_targets": solved.case.scene is not None}
-        told = about | solved.tell_solve(method) | {"compared": compared}
+        record = about | solved.tell_solve(method) | {"compared": compared}
         if method == PD:
-            return told | solved.tell_face()
-        return told | {"inside": solved.compare_inside()} if method == FENICSX_NEO_HOOKEAN else told
+            return record | solved.tell_face()
+        return record | {"inside": solved.compare_inside()} if method == FENICSX_NEO_HOOKEAN else record
 
     def _draw_page(self) -> bytes:
         """The head in 3D: rigs by network, and the answers to the expressions at default p."""
@@ -144,7 +144,7 @@ class Agreement(OfPerson):
         for case in self._chosen:
             if case.scene is None and case.without is None and case.expression:
                 solved = solve_case(self, case.name)
-                skins = {by: solved.answer(by).skin for by in (PD, FENICSX_NEO_HOOKEAN)}
+                skins = {solver: solved.answer(solver).skin for solver in (PD, FENICSX_NEO_HOOKEAN)}
                 poses.append(Pose(case.name, case.weights, skins))
         title = f"the head ({self.person().space.name})"
         return render_face_page(title, VIEW_WORDS, at_rest, rigs, poses).encode()
@@ -153,9 +153,9 @@ class Agreement(OfPerson):
     def lines(values: Values) -> Sequence[Values]:
         """Give a line for each comparison, the first with what the solver did; none of pictures."""
         compared: Sequence[Mapping] = values.get("compared", [])
-        own = {key: value for key, value in values.items() if key != "compared"}
-        lines = [{**(own if k == 0 else {}), **one} for k, one in enumerate(compared)]
-        return lines or ([own] if "reason" in own else [])
+        run = {key: value for key, value in values.items() if key != "compared"}
+        lines = [{**(run if k == 0 else {}), **one} for k, one in enumerate(compared)]
+        return lines or ([run] if "reason" in run else [])
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all give one answer, no tet is turned, all was reached that was asked, and acceleration pays.
@@ -188,7 +188,9 @@ class Agreement(OfPerson):
         gates.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
         counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PD_PLAIN)}
         pairs = [
-            (counts[case, PD], slow) for (case, by), slow in counts.items() if by == PD_PLAIN and (case, PD) in counts
+            (counts[case, PD], slow)
+            for (case, solver), slow in counts.items()
+            if solver == PD_PLAIN and (case, PD) in counts
         ]
         if pairs:
             # None where one does not come to 0.01 mm.

@@ -24,8 +24,8 @@ class Claim:
     words: str
     source: str
     figures: Callable[[Sequence[Row]], Sides]
-    of: str
-    """The name of the figure."""
+    quantity: str
+    """The name of the figures."""
 
     def judge(self, rows: Sequence[Row]) -> tuple[str, str]:
         """Give "holds", "holds where", "does not" or "not measured", and the figures as text."""
@@ -35,7 +35,7 @@ class Claim:
         holds = [case for case, figure in sides.items() if figure is not None and figure <= 1.0]
         verdict = "holds" if len(holds) == len(sides) else "holds where" if holds else "does not"
         texts = [f"{case}: {'not reached' if figure is None else f'{figure:.2g}'}" for case, figure in sides.items()]
-        return verdict, f"{self.of}: " + "; ".join(texts)
+        return verdict, f"{self.quantity}: " + "; ".join(texts)
 
 
 def judge_all(rows: Sequence[Row]) -> list[Judged]:

@@ -26,7 +26,7 @@ STILL_MM, FOLLOWS_MM = 1e-3, 0.05
 
 @dataclass(frozen=True)
 class Finding:
-    """How far a solver ends from where it has to be, and how far it may [mm]; None where it had no end."""
+    """Distance of a solver's end from the answer, and its bound [mm]; None where it had no end."""
 
     what: str
     away_mm: float | None
@@ -82,9 +82,9 @@ def _pull(problem: Problem) -> Problem:
     return replace(problem, loads=[terms.Target(top, goal, stiffness)])
 
 
-def _block(by: np.ndarray) -> Problem:
+def _block(shift: np.ndarray) -> Problem:
     """A soft cube of 20 mm whose bottom is held where it is, moved by so much [mm]."""
     X, tets = block(3, 20.0)
     mu, lmbda = lame(problems.FLESH_YOUNG, problems.FLESH_POISSON)
     held, full = vertices_at(X, 2, 0.0), np.ones(len(tets))
-    return Problem(X, tets, held, X[held] + by, [], mu * full, lmbda * full, np.arange(len(X)))
+    return Problem(X, tets, held, X[held] + shift, [], mu * full, lmbda * full, np.arange(len(X)))

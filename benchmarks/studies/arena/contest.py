@@ -55,7 +55,7 @@ THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "IGL", "VECLIB_MAXIMUM")
 
 @dataclass(frozen=True)
 class Lines:
-    """What a run wrote, a mapping per line, and how its process ended: "" where it ended by itself."""
+    """Output of a run, a mapping per line, and how its process ended: "" where it ended by itself."""
 
     lines: Sequence[Mapping[str, Any]]
     ended: str = ""
@@ -67,8 +67,8 @@ class Lines:
 
 def find_python(solver: str) -> str:
     """Give the interpreter of a solver: of its own environment where there is one, else the one that runs this."""
-    own = environments() / Path(solver).stem / "bin" / "python"
-    return str(own) if own.exists() else sys.executable
+    interpreter = environments() / Path(solver).stem / "bin" / "python"
+    return str(interpreter) if interpreter.exists() else sys.executable
 
 
 def environments() -> Path:

@@ -45,7 +45,9 @@ class Panel:
     @classmethod
     def by_case(cls, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Panel]:
         """Make a panel of each case, of cases and values."""
-        return [cls(case, [values for of, values in rows if of == case]) for case in dict.fromkeys(c for c, _ in rows)]
+        return [
+            cls(case, [values for name, values in rows if name == case]) for case in dict.fromkeys(c for c, _ in rows)
+        ]
 
 
 def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR, wide: int = WIDE):

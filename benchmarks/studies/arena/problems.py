@@ -144,18 +144,18 @@ def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float 
 
     Muscle is `contrast` times as stiff as what lies over it. With the jaw, only bones hold the inner side.
     """
-    of = person(seed=seed, level=level).head
-    scene = facial_scene(of, Parameters(), of.skin.vertices)
-    X, count = scene.vertices, len(of.bone)
+    layered = person(seed=seed, level=level).head
+    scene = facial_scene(layered, Parameters(), layered.skin.vertices)
+    X, count = scene.vertices, len(layered.bone)
     inner = np.arange(len(X) - count, len(X))
     places, loads = np.array(X[inner]), []
     if what == "gravity":
         loads = [terms.Gravity(np.array([0.0, -2.0 * STANDARD_GRAVITY, 0.0]), TISSUE_DENSITY)]
     elif what == "cheek":
-        loads = push_cheek_scene(of, Parameters(), pressure=0.1).of(terms.Traction)
+        loads = push_cheek_scene(layered, Parameters(), pressure=0.1).of(terms.Traction)
     elif what == "jaw":
-        places[of.bone == MANDIBLE, 1] -= 5.0
-        inner, places = inner[of.bone != FREE], places[of.bone != FREE]
+        places[layered.bone == MANDIBLE, 1] -= 5.0
+        inner, places = inner[layered.bone != FREE], places[layered.bone != FREE]
     else:
         raise InputError(f"head: gravity, cheek or jaw, got {what!r}")
     problem = _make_problem(X, scene.tets, inner, places, loads, FLESH_YOUNG, poisson, np.arange(count))
@@ -169,14 +169,16 @@ def face(level: int, membrane: bool = True) -> Problem:
 
     Muscle is as stiff as soft tissue, so that solvers of one material can take the flesh; `membrane` is Eq. 11.
     """
-    of, parameters = person(seed=None, level=level), Parameters(muscle_strain_ratio=1.0)
+    mean_person, parameters = person(seed=None, level=level), Parameters(muscle_strain_ratio=1.0)
     without = () if membrane else ("skin",)
-    scene = facial_scene(of.head, parameters, of.shape(EXPRESSION), bones="prescribed", without=without)
+    scene = facial_scene(
+        mean_person.head, parameters, mean_person.shape(EXPRESSION), bones="prescribed", without=without
+    )
     (bones,), (strain, *_), (volume, *_) = (scene.of(kind) for kind in (terms.Fixed, terms.Strain, terms.Volume))
     assert bones.values is not None
     full, pulls = np.ones(len(scene.tets)), [*scene.of(terms.Target), *scene.of(terms.SurfaceStrain)]
     mu, lmbda = strain.stiffness / 2.0 * full, volume.stiffness / 3.0 * full
-    skin = np.arange(len(of.head.bone))
+    skin = np.arange(len(mean_person.head.bone))
     return Problem(scene.vertices, scene.tets, bones.vertices, bones.values, pulls, mu, lmbda, skin)
 
 

@@ -80,7 +80,7 @@ class Arena(Study):
 
     whole: bool = option(False, "all problems with large heads, Poisson's ratios and stiffness contrasts: an hour")
     seeds: int = option(
-        0, f"with --whole: random heads on each of three meshes, up to {SEEDS}, for the spread of times", chooses=True
+        0, f"random heads (--whole) on each of three meshes, up to {SEEDS}, for the spread of times", chooses=True
     )
     budget: float = 0.0
     files: tuple[str, ...] = option(

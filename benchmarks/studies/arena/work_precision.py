@@ -158,15 +158,15 @@ class WorkPrecision(OfPerson):
 
     def _bind(self, posed: Posed, label: str) -> dict[str, Any]:
         """Bind a rig and move it; NotModelledError for a face that it refuses, as a network those of strangers."""
-        of = self.person()
+        person = self.person()
         weights = expressions.parse_weights(posed.text)
-        answer = of.head.skin_after(of.shape(posed.text), posed.answer[: len(of.head.bone)])
+        answer = person.head.skin_after(person.shape(posed.text), posed.answer[: len(person.head.bone)])
         method = METHODS[label]
         try:
-            method.bind(of.face(Parameters()))  # not counted, like the first solve
+            method.bind(person.face(Parameters()))  # not counted, like the first solve
         except InputError as refusal:
             raise NotModelledError(f"{label}: {refusal}") from None
-        face, watch = of.face(Parameters()), Stopwatch()
+        face, watch = person.face(Parameters()), Stopwatch()
         step = method.bind(face).frame
         bind = watch.lap()[1]
         skin, times = step(weights).astype(np.float64), []
@@ -189,12 +189,12 @@ class WorkPrecision(OfPerson):
         """Check that L-BFGS is ahead of others on the same energy, and ends where Newton does."""
         gates = []
         for energy, rival in RIVALS:
-            of = _select(rows, energy)
-            if not any(row.values["solver"] == rival for row in of):
+            runs = _select(rows, energy)
+            if not any(row.values["solver"] == rival for row in runs):
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
                 name = f"time of {PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
-                gates.append(at_most(name, measure_lead(of, rival, prepared=prepared), 1.0, answer=False))
+                gates.append(at_most(name, measure_lead(runs, rival, prepared=prepared), 1.0, answer=False))
         newton = [
             row.values["max_mm"] for row in rows if row.values["solver"] == FENICSX and row.values["law"] in BY_ENERGY
         ]
@@ -205,21 +205,23 @@ class WorkPrecision(OfPerson):
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how long each takes to 0.01 mm, and what rigs reach: medians over expressions."""
         solved: dict[str, list[float | None]] = {}
-        moved: dict[str, list[Values]] = {}
+        rigs: dict[str, list[Values]] = {}
         for row in _select(rows, FACE):
             if row.values["solver"] in READY:
-                moved.setdefault(row.values["solver"], []).append(row.values)
+                rigs.setdefault(row.values["solver"], []).append(row.values)
             else:
                 times = solved.setdefault(row.values["solver"], [])
                 times.append(find_time(row, HUNDREDTH, prepared=True))
         sentences = []
         reached = {label: [time for time in times if time is not None] for label, times in solved.items()}
-        told = [f"{label} {np.median(reached[label]):.2f} s" for label in solved if None not in solved[label]]
-        if told:
-            sentences.append(f"To 0.01 mm from prepared scenes: {', '.join(told)}.")
+        phrases = [f"{label} {np.median(reached[label]):.2f} s" for label in solved if None not in solved[label]]
+        if phrases:
+            sentences.append(f"To 0.01 mm from prepared scenes: {', '.join(phrases)}.")
         frames = []
-        for label, of in moved.items():
-            time, bind, mean = (np.median([values[key] for values in of]) for key in ("solve_s", "set_up_s", "mean_mm"))
+        for label, records in rigs.items():
+            time, bind, mean = (
+                np.median([values[key] for values in records]) for key in ("solve_s", "set_up_s", "mean_mm")
+            )
             frames.append(f"{label} {1e3 * time:.3f} ms after {bind:.2f} s, and {mean:.3f} mm")
         if frames:
             sentences.append(f"A frame, the bind before the first, and its mean error: {', '.join(frames)}.")
@@ -234,10 +236,10 @@ class WorkPrecision(OfPerson):
         """Draw the largest error against seconds with preparation and iterations, a line per solver and expression."""
         panels = []
         for energy in dict.fromkeys(row.values["law"] for row in rows):
-            of = [row.values for row in _select(rows, energy)]
-            panels.append(Panel(energy, of))
+            records = [row.values for row in _select(rows, energy)]
+            panels.append(Panel(energy, records))
             if energy == FACE:
-                panels.append(Panel(energy, [values for values in of if values["solver"] not in READY], "work"))
+                panels.append(Panel(energy, [values for values in records if values["solver"] not in READY], "work"))
         if not panels:
             return {}
         figure = plot_curves(panels, floor=1e-7)  # [mm], below which the tight runs' own error shows
@@ -274,10 +276,10 @@ def _select(rows: Sequence[Row], energy: str) -> list[Row]:
 
 @lru_cache(maxsize=2)
 def _pose(study: WorkPrecision, text: str, energy: str) -> Posed:
-    of = study.person()
-    shape = of.shape(text)
-    handles = pull_handles(of.head, shape) if energy == ARAP else None
-    scene = facial_scene(of.head, Parameters(), shape) if handles is None else handles.scene(RIGID)
+    person = study.person()
+    shape = person.shape(text)
+    handles = pull_handles(person.head, shape) if energy == ARAP else None
+    scene = facial_scene(person.head, Parameters(), shape) if handles is None else handles.scene(RIGID)
     law = next((added.of_moduli for name, added in added_laws().items() if name_law_energy(name) == energy), None)
     if law is not None:
         scene = apply_law(scene, law)

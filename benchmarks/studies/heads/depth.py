@@ -82,7 +82,7 @@ class Depth(Study):
     skulls: tuple[str, ...] = option((), "its skull, in its frame; repeat for several bones", required=True)
     regressor: str = option("", "depths by `head train-regressor`; default: the template's")
     identities: str = option("anny", "whose topology: anny, ict:FILE, flame:FILE or folder:DIR")
-    unit: str = option("mm", f"of all meshes: {', '.join(MILLIMETRES)}")
+    unit: str = option("mm", f"unit of all meshes: {', '.join(MILLIMETRES)}")
 
     def tasks(self) -> Sequence[Task]:
         """List the one head; InputError for a missing file, and a skull that is damaged or in other units."""
@@ -124,7 +124,7 @@ class Depth(Study):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that predicted depths of the face beat one published depth everywhere."""
-        faces = [of for row in rows for of in row.values["rows"] if of["region"] == "face"]
+        faces = [line for row in rows for line in row.values["rows"] if line["region"] == "face"]
         shares = [face["mean"] / face["one_depth"] for face in faces]
         what = "error of the face's depths over that of one published depth everywhere"
         return [at_most(what, max(shares), BETTER)] if shares else []
@@ -230,23 +230,23 @@ class DepthCheck:
 
     def compare_regions(self) -> list[dict]:
         """Compare depths and the skull wrap [mm] where a ray measured, by region; none without such a place."""
-        found = []
+        lines = []
         for name, region in self.regions.items():
-            at = region & self.measured.met
-            if at.any():
-                predicted, measured, off = self.predicted[at], self.measured.depths[at], self.off[at]
-                areas = self.skin_wrap.vertex_areas[at]
-                found.append(
+            inside = region & self.measured.met
+            if inside.any():
+                predicted, measured, off = self.predicted[inside], self.measured.depths[inside], self.off[inside]
+                areas = self.skin_wrap.vertex_areas[inside]
+                lines.append(
                     {
                         "region": name,
-                        "measured_share": float(at.sum() / region.sum()),
+                        "measured_share": float(inside.sum() / region.sum()),
                         "measured_mean": float(measured.mean()),
                         "predicted_mean": float(predicted.mean()),
                         **asdict(DepthErrors.between(predicted, measured)),
                         "mean_by_area": float(np.average(np.abs(predicted - measured), weights=areas)),
                         "one_depth": float(np.abs(PUBLISHED - measured).mean()),
                         "own_median": float(np.abs(np.median(measured) - measured).mean()),
-                        "fitted_mean": float(self.fitted[at].mean()),
+                        "fitted_mean": float(self.fitted[inside].mean()),
                         "skull_wrap": {
                             "mean": float(off.mean()),
                             "median": float(np.median(off)),
@@ -256,7 +256,7 @@ class DepthCheck:
                         },
                     }
                 )
-        return found
+        return lines
 
     def compare_landmarks(self) -> list[dict]:
         """Compare depths [mm] at the face's vertex next to each landmark of the published depths, on either side.

@@ -131,21 +131,21 @@ class Heads(OfPerson):
         if task.method == FITTED:
             assert seed is not None
             return try_fit(template, sample(space, seed, self.sigma))
-        own = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
-        return draw_moving_head(own)
+        head = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
+        return draw_moving_head(head)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that nearly every identity has a valid head."""
-        of = _select_fits(rows)
-        failed = sum(bool(row.values["error"] or row.values["problems"]) for row in of)
-        what = f"heads of {len(of)} that could not be fitted or miss a gate"
-        return [at_most(what, failed, 1e-3 * len(of))]
+        fits = _select_fits(rows)
+        failed = sum(bool(row.values["error"] or row.values["problems"]) for row in fits)
+        what = f"heads of {len(fits)} that could not be fitted or miss a gate"
+        return [at_most(what, failed, 1e-3 * len(fits))]
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how many there are, and how long a fit takes."""
-        of = _select_fits(rows)
-        done = [row.values for row in of if not row.values["error"]]
-        sentence = f"{len(done)} of {len(of)} random identities have a layered head"
+        fits = _select_fits(rows)
+        done = [row.values for row in fits if not row.values["error"]]
+        sentence = f"{len(done)} of {len(fits)} random identities have a layered head"
         if done:
             sentence += (
                 f"; a fit takes {np.median([values['fit_cpu_s'] for values in done]):.2f} s of a processor (median)"
@@ -154,12 +154,12 @@ class Heads(OfPerson):
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate failures and their reasons, distributions, and the gallery's figures."""
-        of = _select_fits(rows)
-        unfit = [(row.case, row.values["error"]) for row in of if row.values["error"]]
-        unfit += [(row.case, "; ".join(row.values["problems"])) for row in of if row.values["problems"]]
+        fits = _select_fits(rows)
+        unfit = [(row.case, row.values["error"]) for row in fits if row.values["error"]]
+        unfit += [(row.case, "; ".join(row.values["problems"])) for row in fits if row.values["problems"]]
         reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
         head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
-        figures = [_describe_figure(figure, values) for figure, values in collect_figures(of)]
+        figures = [_describe_figure(figure, values) for figure, values in collect_figures(fits)]
         drawn = [row for row in rows if row.method == DRAWN]
         shown = [(row.case, *pair) for row in drawn for pair in row.values["shown"].items()]
         shown += [(row.case, "found in its file", note) for row in drawn for note in row.values["notes"]]
@@ -219,18 +219,18 @@ Occurrences = list[tuple[float, str]]
 def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
     """Collect each figure with its gate, and seconds, with the values of all heads that have it, and whose."""
     done = [row for row in rows if not row.values["error"]]
-    found = []
+    figures = []
     for item in fields(HeadReport):
         values = [(row.values["figures"].get(item.name), row.case.split()[1]) for row in done]
         known: Occurrences = [(float(value), seed) for value, seed in values if value is not None]
         if known:
-            found.append((Figure(item.name, None, **item.metadata), known))
+            figures.append((Figure(item.name, None, **item.metadata), known))
     if done:
-        found += [
+        figures += [
             (Figure(name, None, "s", None, None), [(row.values[name], row.case.split()[1]) for row in done])
             for name in SECONDS
         ]
-    return found
+    return figures
 
 
 def _name_figure(figure: Figure) -> str:

@@ -78,11 +78,11 @@ class Shapes(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw how far lids and lips stay from their targets."""
-        found = summarise_shapes(_collect_lines(rows))
+        summary = summarise_shapes(_collect_lines(rows))
         figure, axis = subplots(figsize=(11, 3.6))
         for region in REGIONS:
-            axis.plot([row[f"{region}_mean"] for row in found], "o", ms=4, label=region)
-        axis.set_xticks(range(len(found)), [row["shape"] for row in found], rotation=90, fontsize=7)
+            axis.plot([row[f"{region}_mean"] for row in summary], "o", ms=4, label=region)
+        axis.set_xticks(range(len(summary)), [row["shape"] for row in summary], rotation=90, fontsize=7)
         axis.set_ylabel("distance from targets, mean [mm]")
         axis.legend()
         return {"How far face, lids and lips stay from their targets, mean over identities.": to_svg(figure)}
@@ -124,18 +124,20 @@ def summarise_shapes(rows: Sequence[Values]) -> list[dict]:
     """Join the rows of each shape: identities with an inverted tet in soft tissue, the worst and mean figures."""
     table = []
     for shape in ARKIT:
-        own = [row for row in rows if row["shape"] == shape]
-        if own:
+        lines = [row for row in rows if row["shape"] == shape]
+        if lines:
             table.append(
                 {
                     "shape": shape,
-                    "identities": len(own),
-                    "inverted": sum(row["soft"] > 0 for row in own),
-                    "soft": max(row["soft"] for row in own),
-                    "muscle": max(row["muscle"] for row in own),
-                    "least_j": min(row["least_j"] for row in own),
-                    "unfinished": sum(not row["converged"] for row in own),
-                    **{f"{region}_mean": float(np.mean([row[f"{region}_mean"] for row in own])) for region in REGIONS},
+                    "identities": len(lines),
+                    "inverted": sum(row["soft"] > 0 for row in lines),
+                    "soft": max(row["soft"] for row in lines),
+                    "muscle": max(row["muscle"] for row in lines),
+                    "least_j": min(row["least_j"] for row in lines),
+                    "unfinished": sum(not row["converged"] for row in lines),
+                    **{
+                        f"{region}_mean": float(np.mean([row[f"{region}_mean"] for row in lines])) for region in REGIONS
+                    },
                 }
             )
     return table

@@ -205,13 +205,13 @@ def extrapolate(coarse: Floats, medium: Floats) -> Floats:
 
 def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
     """A list of quantities: converged value and its size, band, what codes differ by, and each method's."""
-    by = {name: {key: np.array(value) for key, value in each.items()} for name, each in values.items()}
+    answers = {name: {key: np.array(value) for key, value in each.items()} for name, each in values.items()}
     lines = []
-    for quantity, medium in by[QUADRATIC[1].name].items():
-        coarse = by[QUADRATIC[0].name][quantity]
+    for quantity, medium in answers[QUADRATIC[1].name].items():
+        coarse = answers[QUADRATIC[0].name][quantity]
         value = extrapolate(coarse, medium)
         pairs = ((LINEAR[0], CHECKS[0]), (QUADRATIC[0], CHECKS[1]))
-        codes = max(float(np.linalg.norm(by[a.name][quantity] - by[b.name][quantity])) for a, b in pairs)
+        codes = max(float(np.linalg.norm(answers[a.name][quantity] - answers[b.name][quantity])) for a, b in pairs)
         size = float(np.linalg.norm(value))
         band = max(SAFETY * float(np.linalg.norm(value - medium)) + codes, LEAST_BAND * size)
         lines.append(
@@ -223,8 +223,8 @@ def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
                 "band": band,
                 "share": band / max(size, 1e-12),
                 "codes": codes / max(size, 1e-12),
-                "by": {name: float(np.linalg.norm(each[quantity])) for name, each in by.items()},
-                "off": {name: float(np.linalg.norm(each[quantity] - value)) for name, each in by.items()},
+                "by": {name: float(np.linalg.norm(each[quantity])) for name, each in answers.items()},
+                "off": {name: float(np.linalg.norm(each[quantity] - value)) for name, each in answers.items()},
             }
         )
     return {"answers": lines}

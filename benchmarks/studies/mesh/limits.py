@@ -64,10 +64,10 @@ def compare_finer_meshes(head: LayeredHead, shape: Floats) -> dict[str, Any]:
     surface, shows the one along. Bones are prescribed, so that every mesh solves the same problem. The first of `rows`
     is the head's own mesh against both limits together; `energy` is of each mesh.
     """
-    own = [_solve_pd(head, shape, count) for count in SUB_LAYERS]
+    answers = [_solve_pd(head, shape, count) for count in SUB_LAYERS]
     split = _solve_pd(refine_head(head), shape, 1)
-    across = limit_of_three(*(answer.skin for answer in own))
-    unsplit = own[SUB_LAYERS.index(ALONG)]
+    across = limit_of_three(*(answer.skin for answer in answers))
+    unsplit = answers[SUB_LAYERS.index(ALONG)]
     along = limit_of_two(unsplit.skin, split.skin, ORDER_ALONG)
     rest = head.skin.vertices
 
@@ -76,15 +76,15 @@ def compare_finer_meshes(head: LayeredHead, shape: Floats) -> dict[str, Any]:
 
     rows = [
         answer.describe(name_layers(count)) | {"energy": answer.energy, "across": to_limit(answer, across.positions)}
-        for count, answer in zip(SUB_LAYERS, own, strict=True)
+        for count, answer in zip(SUB_LAYERS, answers, strict=True)
     ]
     rows.append(split.describe(SPLIT) | {"energy": split.energy})
     for line, answer in ((rows[SUB_LAYERS.index(ALONG)], unsplit), (rows[-1], split)):
         line["along"] = to_limit(answer, along.positions)
-    rows[0] |= to_limit(own[0], across.positions + (along.positions - unsplit.skin))
+    rows[0] |= to_limit(answers[0], across.positions + (along.positions - unsplit.skin))
     return {
         "rows": rows,
-        "moved_mm": float(distances(own[0].skin, rest).max()),
+        "moved_mm": float(distances(answers[0].skin, rest).max()),
         "order_across": across.observed,
         "gci_across_mm": across.index,
         "gci_along_mm": along.index,
@@ -143,13 +143,13 @@ def compare_mirrored_loads(person: Person, size: float) -> list[dict]:
     SoftdecaError for a skin that is not its own mirror image.
     """
     rest = person.head.skin.vertices
-    moved = person.shape(ONE_SIDED) - rest
+    displacement = person.shape(ONE_SIDED) - rest
     distance, partner = cKDTree(rest).query(rest * MIRROR)
     if distance.max() > 1e-3:  # [mm]
         raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
     rows = []
     for what, head in ((SPLIT_PRISMS, person.head), (FREE_TETS, remesh(person.head, size))):
-        shapes = [rest + moved, rest + moved[partner] * MIRROR]
+        shapes = [rest + displacement, rest + displacement[partner] * MIRROR]
         left, right = (solve_linear(head, shape, SOFT) for shape in shapes)
         motion = distances(right.skin, shapes[1])
         rows.append(compare(what, left, right.skin[partner] * MIRROR, motion[partner]))

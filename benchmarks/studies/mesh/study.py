@@ -105,8 +105,8 @@ class MeshError(OfPerson):
     def measure(self, task: Task) -> Values:
         """Solve one case on its meshes; each is one of `rows`."""
         if task.method == FINER:
-            of = self.person()
-            return compare_finer_meshes(of.head, of.shape(task.case))
+            subject = self.person()
+            return compare_finer_meshes(subject.head, subject.shape(task.case))
         if task.method == MIRRORED:
             level = int(task.case.removeprefix("level ").removesuffix(MEAN))
             return {"rows": compare_mirrored_loads(self.mean_person(level), self.size)}
@@ -214,8 +214,8 @@ class MeshError(OfPerson):
 
 @lru_cache(maxsize=2)
 def _solve_law(study: MeshError, level: int, poisson: float) -> LawOnHead:
-    of = study.person(level)
-    return LawOnHead(of.head, of.shape(PRESSED), poisson)
+    subject = study.person(level)
+    return LawOnHead(subject.head, subject.shape(PRESSED), poisson)
 
 
 Quadratic = Mapping[tuple[int, str], Sequence[Values]]
@@ -252,8 +252,8 @@ def _draw_ratios(quadratic: Quadratic) -> str:
             for level in levels:
                 points = sorted(
                     (float(text), lines[number][key])
-                    for (of, text), lines in quadratic.items()
-                    if of == level and number < len(lines)
+                    for (its_level, text), lines in quadratic.items()
+                    if its_level == level and number < len(lines)
                 )
                 from_half, sizes = [0.5 - nu for nu, _ in points], [size for _, size in points]
                 label = f"{name_layers(count)}, level {level}" if points else None

@@ -158,7 +158,7 @@ def _find_cost(rows: Sequence[Row], case: str, method: str) -> float:
 
 
 def _measure_costs(model: Face, whole: Face, expression: Floats) -> dict:
-    held = measure_megabytes(lambda: replace(model).expression_scene(expression))
+    scene_mb = measure_megabytes(lambda: replace(model).expression_scene(expression))
     watch = Stopwatch()
     face = replace(model)  # one that has not settled yet
     settled = face.settled()
@@ -170,5 +170,5 @@ def _measure_costs(model: Face, whole: Face, expression: Floats) -> dict:
         raise SoftdecaError(str(solution.reason))
     costs |= {"settle_s": settle_cpu, "cpu_s": costs["cpu_s"] + settle_cpu}
     apart = distances(face.expression_skin(expression, solution.positions), solve_skin(whole, expression))
-    return {"tets": len(face.expression_scene(expression).tets), **costs, "scene_mb": held,
+    return {"tets": len(face.expression_scene(expression).tets), **costs, "scene_mb": scene_mb,
             "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}  # fmt: skip

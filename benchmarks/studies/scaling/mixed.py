@@ -82,18 +82,18 @@ class Mixed(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """Measure one solve by quadratic tets with a pressure, and two by linear ones."""
-        of = self.person()
-        return solve_mixed(of.head, of.shape(task.case), task.method, self.tolerance)
+        person = self.person()
+        return solve_mixed(person.head, person.shape(task.case), task.method, self.tolerance)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check convergence, that volumes are kept as the default law does not keep them, and memory."""
         stopped = sum(row.values["reason"] != "CONVERGED" for row in rows)
         most = max(row.memory_mb or 0.0 for row in rows)
-        kept = max(row.values["around"] / row.values["around_default"] for row in rows)
+        worst = max(row.values["around"] / row.values["around_default"] for row in rows)
         return [
             at_most("solves that did not converge", stopped, 0),
             # 0.067 on level 1 for nu 0.499.
-            at_most("mean |J - 1| around a vertex over that of the default law, worst solve", kept, 0.083),
+            at_most("mean |J - 1| around a vertex over that of the default law, worst solve", worst, 0.083),
             at_most("memory [MB]", most, 8000.0, answer=False),
         ]
 
@@ -162,11 +162,11 @@ def measure_volumes(J: Floats, weights: Floats) -> dict[str, float]:
     """Summarise volume ratios J (q,) at points that stand for volumes (q,) [mm³]: mean |J - 1|, least, percentiles."""
     order = np.argsort(J)
     share = (np.cumsum(weights[order]) - 0.5 * weights[order]) / weights.sum()
-    at = np.interp(np.array(SHARES) / 100.0, share, J[order])
+    percentiles = np.interp(np.array(SHARES) / 100.0, share, J[order])
     return {
         "volume_error": float(np.average(np.abs(J - 1.0), weights=weights)),
         "least_J": float(J.min()),
-        **{f"J_{percent}": float(value) for percent, value in zip(SHARES, at, strict=True)},
+        **{f"J_{percent}": float(value) for percent, value in zip(SHARES, percentiles, strict=True)},
     }
 
 

@@ -25,18 +25,18 @@ def compare_phases(scene: Scene, counts: Sequence[int], rounds: int, repeats: in
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
-    found: dict[int, dict] = {}
+    lines: dict[int, dict] = {}
     for _ in range(rounds):
         for count in counts:
             now = run_by_mpirun(count, measure, scene, repeats)
-            best = found.get(count, now)
-            found[count] = now | {phase: min(best[phase], now[phase]) for phase in PHASES}
-    alone = found[1]["positions"]
+            best = lines.get(count, now)
+            lines[count] = now | {phase: min(best[phase], now[phase]) for phase in PHASES}
+    alone = lines[1]["positions"]
     largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
     rows = []
-    for count, result in found.items():
+    for count, result in lines.items():
         off = float(np.abs(result.pop("positions") - alone).max()) / largest
-        gain = found[1]["whole"] / result["whole"]
+        gain = lines[1]["whole"] / result["whole"]
         rows.append({"tets": len(scene.tets), "processes": count, **result, "gain": gain, "off": off})
     return rows
 

@@ -48,7 +48,7 @@ class Ranks(OfPerson):
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Of processes; InputError for other than 1 and others."""
+        """Counts of processes; InputError for other than 1 and others."""
         return parse_counts(self.processes)
 
     def tasks(self) -> Sequence[Task]:
@@ -60,8 +60,8 @@ class Ranks(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """Measure a row per count of processes."""
-        of = self.person()
-        scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
+        person = self.person()
+        scene = facial_scene(person.head, Parameters(), person.shape(self.expression), bones="prescribed")
         scene = apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene
         return {"rows": compare_phases(scene, self.counts, self.rounds, self.repeats)}
 

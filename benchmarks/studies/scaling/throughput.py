@@ -93,12 +93,12 @@ class Throughput(OfPerson):
 
     def _make_frame(self, seed: int, kind: str) -> partial:
         """The scene of a lively frame of talk of a seed's head, with parameters of a kind."""
-        of = self.person(seed=seed)
+        person = self.person(seed=seed)
         weights = expressions.conversation(np.random.default_rng([seed, 2]), 120)
-        shape = of.blend(weights[np.argmax(weights.sum(axis=1))][None])[0]
+        shape = person.blend(weights[np.argmax(weights.sum(axis=1))][None])[0]
         rng = np.random.default_rng([seed, 1])
         drawn = Parameters(**{name: Parameters.info(name).sample(rng) for name in KINDS[kind]})
-        return partial(facial_scene, of.head, drawn, shape)
+        return partial(facial_scene, person.head, drawn, shape)
 
     def _measure_cold(self, kind: str) -> Values:
         seeds = range(self.seed, self.seed + self.people)
@@ -119,14 +119,14 @@ class Throughput(OfPerson):
 
     def _measure_sequence(self) -> Values:
         """The tolerance is that of `Sequence`, halved until the checked frames are within 0.01 mm."""
-        of = self.person()
-        skins = of.blend(expressions.conversation(np.random.default_rng(3), self.frames, rate=RATE))
-        prepared = prepare(facial_scene(of.head, Parameters(), skins[0]))
+        person = self.person()
+        skins = person.blend(expressions.conversation(np.random.default_rng(3), self.frames, rate=RATE))
+        prepared = prepare(facial_scene(person.head, Parameters(), skins[0]))
         for halvings in range(5):
-            found = self._play(skins, prepared, TOLERANCE / 2**halvings)
-            if found["error_mm"] <= ACCURACY:
+            line = self._play(skins, prepared, TOLERANCE / 2**halvings)
+            if line["error_mm"] <= ACCURACY:
                 break
-        return {"rows": [found]}
+        return {"rows": [line]}
 
     def _play(self, skins: Floats, prepared: Prepared, tolerance: float) -> dict:
         """Errors are to the minimum that a frame is near: closed lids fold, and have more than one."""
@@ -158,7 +158,7 @@ class Throughput(OfPerson):
         }
 
     def _measure_memory(self) -> Values:
-        """Of this process: with its libraries, the fit, and at all."""
+        """Measure the memory of this process: with its libraries, of the fit, and the peak."""
         loaded = held_megabytes()
         frame = self._make_frame(self.seed, "default p")
         fitted = peak_megabytes()
@@ -167,7 +167,7 @@ class Throughput(OfPerson):
         return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
     def _measure_floor(self) -> Values:
-        """What an iteration must read, at what bandwidth, and how long it takes beside that."""
+        """Measure the bytes that an iteration must read, the bandwidth, and the time it takes beside that."""
         prepared = projective.prepare(self._make_frame(self.seed, "default p")())
         solution = prepared.solve(tolerance=1e-5)
         iteration = float(np.median(np.diff(solution.history.time)))

@@ -177,9 +177,9 @@ class Unknowns(OfPerson):
     def scene(self, mesh: Mesh) -> Scene:
         """Make the scene of PD's energy on a mesh."""
         level, layers, _ = mesh
-        of = self.person(level)
-        shape = of.shape(self.expression)
-        return facial_scene(of.head, Parameters(), shape, bones="prescribed", layers=(layers, layers))
+        person = self.person(level)
+        shape = person.shape(self.expression)
+        return facial_scene(person.head, Parameters(), shape, bones="prescribed", layers=(layers, layers))
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all converge, and the default mesh in time."""
@@ -221,10 +221,10 @@ class Unknowns(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw processor time per unknown, and memory, against unknowns: a line per method and element."""
         figure, axes = subplots(1, 2, figsize=(8.6, 3.4))
-        for (method, element), of in _group_solves(rows).items():
-            sizes = [values["unknowns"] for values in of]
-            axes[0].plot(sizes, [v["cpu_us_per_unknown"] for v in of], "o-", label=f"{method}, {element}", ms=4)
-            axes[1].plot(sizes, [v["peak_mb"] for v in of], "o-", ms=4)
+        for (method, element), solves in _group_solves(rows).items():
+            sizes = [values["unknowns"] for values in solves]
+            axes[0].plot(sizes, [v["cpu_us_per_unknown"] for v in solves], "o-", label=f"{method}, {element}", ms=4)
+            axes[1].plot(sizes, [v["peak_mb"] for v in solves], "o-", ms=4)
         for axis, what in zip(axes, ("processor time per unknown [µs]", "most memory [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel=what)
         axes[0].legend()
@@ -310,9 +310,9 @@ def measure_floor(scene: Scene, part: str) -> dict:
             for to in (1e-2, 1e-8)
         )
         ms = (many[0] - few[0]) / (many[1] - few[1])
-    moved = PARTS[part](len(scene.tets), count_entries(scene))
-    floor = 1e3 * moved / measure_bandwidth()
-    return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved / 1e6}
+    moved_bytes = PARTS[part](len(scene.tets), count_entries(scene))
+    floor = 1e3 * moved_bytes / measure_bandwidth()
+    return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved_bytes / 1e6}
 
 
 def _measure_median(calls: Sequence[Callable[[], object]]) -> float:
@@ -327,10 +327,10 @@ def _measure_median(calls: Sequence[Callable[[], object]]) -> float:
 
 def _group_solves(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
     """The solves by method and element, in the order of their unknowns."""
-    found: dict[tuple[str, str], list[Values]] = {}
+    groups: dict[tuple[str, str], list[Values]] = {}
     for row in sorted((row for row in rows if row.case != FLOORS), key=lambda row: row.values["unknowns"]):
-        found.setdefault((row.method, row.values["element"]), []).append(row.values)
-    return found
+        groups.setdefault((row.method, row.values["element"]), []).append(row.values)
+    return groups
 
 
 def fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
@@ -339,9 +339,9 @@ def fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, fl
         (
             method,
             element,
-            len(of),
-            {key: fit_slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING},
+            len(solves),
+            {key: fit_slope([v["unknowns"] for v in solves], [v[key] for v in solves]) for key in GROWING},
         )
-        for (method, element), of in _group_solves(rows).items()
-        if len(of) > 1
+        for (method, element), solves in _group_solves(rows).items()
+        if len(solves) > 1
     ]

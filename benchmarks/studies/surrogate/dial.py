@@ -97,10 +97,10 @@ class Dial(Study):
         if face.method == NETWORK_AND_DERIVATIVES:
             methods += (NETWORK, NETWORK_AND_DERIVATIVES)
         rigs = {method: METHODS[method].bind(face.face) for method in methods}
-        told = [frame.ask(accuracy) for frame in frames for accuracy in ACCURACIES]
+        answers = [frame.ask(accuracy) for frame in frames for accuracy in ACCURACIES]
         lean = [row for frame in frames for row in frame.lean(rigs)]
-        rows = [_line(accuracy, [row for row in told if row["accuracy"] == accuracy]) for accuracy in ACCURACIES]
-        return {"group": group, "kind": kind, "told": told, "lean": lean, "rows": rows}
+        rows = [_line(accuracy, [row for row in answers if row["accuracy"] == accuracy]) for accuracy in ACCURACIES]
+        return {"group": group, "kind": kind, "told": answers, "lean": lean, "rows": rows}
 
     def _bind(self, group: str, person: int):
         """Return a person's face, the kind of p, and what draws expressions."""
@@ -122,25 +122,29 @@ class Dial(Study):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bound errors by what was asked for and told; and what was hoped for besides."""
-        told = [row for one in rows for row in one.values["told"]]
-        counted = [row for row in told if row["true"] >= LEAST]
-        within = float(np.mean([row["true"] <= row["accuracy"] for row in told]))
+        answers = [row for one in rows for row in one.values["told"]]
+        counted = [row for row in answers if row["true"] >= LEAST]
+        within = float(np.mean([row["true"] <= row["accuracy"] for row in answers]))
         trusted = float(np.mean([row["true"] <= POLICY.doubt * row["told"] for row in counted])) if counted else 1.0
-        sure = _share_near([row for row in told if row["certain"]])
-        certain = [row for row in told if row["certain"]]
+        sure = _share_near([row for row in answers if row["certain"]])
+        certain = [row for row in answers if row["certain"]]
         hope = "share of frames whose told error is within 0.8 to 1.25 of the true one"
         shares = [
             at_least(
                 "share of frames whose true error is within the accuracy asked for",
                 within,
                 0.95,
-                answer=len(told) >= ENOUGH,
+                answer=len(answers) >= ENOUGH,
             ),
             at_least(f"share of frames whose true error is at most {POLICY.doubt:g} times the told one", trusted, 0.95),
-            at_least(hope, _share_near(told), 0.95, answer=False),
+            at_least(hope, _share_near(answers), 0.95, answer=False),
             at_least(f"{hope}, of those that say they are certain", sure, 0.95, answer=False),
         ]
-        counts = (len(told), len(counted), *(sum(row["true"] >= LEAST for row in of) for of in (told, certain)))
+        counts = (
+            len(answers),
+            len(counted),
+            *(sum(row["true"] >= LEAST for row in group) for group in (answers, certain)),
+        )
         gates = [gate | {"count": count} for gate, count in zip(shares, counts, strict=True)]
         for accuracy, rate in ((0.01, 10.0), (0.05, 30.0)):
             ms = [row["ms"] for row in counted if row["accuracy"] == accuracy]
@@ -151,11 +155,11 @@ class Dial(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell what is told against what is true, and the price of each accuracy."""
-        told = [row for one in rows for row in one.values["told"]]
-        ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
+        answers = [row for one in rows for row in one.values["told"]]
+        ratios = np.array([row["told"] / row["true"] for row in answers if row["true"] >= LEAST])
         low, middle, high = np.percentile(ratios, [5.0, 50.0, 95.0])
-        certain = [row for row in told if row["certain"]]
-        prices = {a: float(np.median([row["ms"] for row in told if row["accuracy"] == a])) for a in ACCURACIES}
+        certain = [row for row in answers if row["certain"]]
+        prices = {a: float(np.median([row["ms"] for row in answers if row["accuracy"] == a])) for a in ACCURACIES}
         listed = [
             f"{', '.join(f'{each:g}' for each in alike)} mm in {prices[alike[0]]:.0f} ms"
             for alike in _group_alike(ACCURACIES, list(prices.values()))
@@ -163,12 +167,12 @@ class Dial(Study):
         pd = [line for row in rows for line in row.values["lean"] if line["method"] == PD_FIRST_ORDER]
         ms, error = (float(np.median([line[key] for line in pd])) for key in ("ms", "true"))
         dearer = [f"{a:g}" for a in ACCURACIES if prices[a] > ms and error <= a]
-        faces = f"{len(told)} answers, of {len(told) // len(ACCURACIES)} frames of {len(rows)} people"
+        faces = f"{len(answers)} answers, of {len(answers) // len(ACCURACIES)} frames of {len(rows)} people"
         return (
             f"Told over true error is {middle:.2f} in the median, {low:.2f} to {high:.2f} from 5 to 95 % of {faces}"
-            f"{'' if len(told) >= ENOUGH else f': too few to judge a share of 95 %, which takes {ENOUGH}'}. "
-            f"It is within 0.8 to 1.25 on {100 * _share_near(told):.0f} % of all, and on "
-            f"{100 * _share_near(certain):.0f} % of the {100 * len(certain) / len(told):.0f} % that say they are "
+            f"{'' if len(answers) >= ENOUGH else f': too few to judge a share of 95 %, which takes {ENOUGH}'}. "
+            f"It is within 0.8 to 1.25 on {100 * _share_near(answers):.0f} % of all, and on "
+            f"{100 * _share_near(certain):.0f} % of the {100 * len(certain) / len(answers):.0f} % that say they are "
             f"certain. In the median a frame costs: {'; '.join(listed)}."
         ) + (f" {PD_FIRST_ORDER} is cheaper than the dial at {', '.join(dearer)} mm: {ms:.0f} ms." if dearer else "")
 
@@ -178,11 +182,11 @@ class Dial(Study):
         head = ("people", "asked for [mm]", "told [mm]", "true [mm]", "near", "near, certain", "certain", "ms")
         body = []
         for group in (*groups, "all"):
-            told = [r for row in rows if group in (row.values["group"], "all") for r in row.values["told"]]
+            answers = [r for row in rows if group in (row.values["group"], "all") for r in row.values["told"]]
             for accuracy in ACCURACIES:
-                of = [row for row in told if row["accuracy"] == accuracy]
-                line = _line(accuracy, of)
-                near = _share_near([row for row in of if row["certain"]])
+                subset = [row for row in answers if row["accuracy"] == accuracy]
+                line = _line(accuracy, subset)
+                near = _share_near([row for row in subset if row["certain"]])
                 body.append(
                     (group, accuracy, line["told"], line["true"], line["near"], near, line["certain"], line["ms"])
                 )
@@ -253,21 +257,21 @@ class _Frame:
         return rows
 
 
-def _line(accuracy: float, told: Sequence[Mapping]) -> dict:
+def _line(accuracy: float, answers: Sequence[Mapping]) -> dict:
     """Return a line of the report: the frames of one accuracy."""
     return {
         "accuracy": accuracy,
-        "told": float(np.mean([row["told"] for row in told])),
-        "true": float(np.mean([row["true"] for row in told])),
-        "near": _share_near(told),
-        "certain": float(np.mean([row["certain"] for row in told])),
-        "ms": float(np.median([row["ms"] for row in told])),
+        "told": float(np.mean([row["told"] for row in answers])),
+        "true": float(np.mean([row["true"] for row in answers])),
+        "near": _share_near(answers),
+        "certain": float(np.mean([row["certain"] for row in answers])),
+        "ms": float(np.median([row["ms"] for row in answers])),
     }
 
 
-def _share_near(told: Sequence[Mapping]) -> float:
+def _share_near(answers: Sequence[Mapping]) -> float:
     """Return the share of frames whose told error is near the true one; NaN-free: 1 where none is counted."""
-    ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
+    ratios = np.array([row["told"] / row["true"] for row in answers if row["true"] >= LEAST])
     return float(np.mean((ratios >= NEAR[0]) & (ratios <= NEAR[1]))) if len(ratios) else 1.0
 
 
@@ -275,10 +279,10 @@ def _draw_told(rows: Sequence[Row]) -> str:
     figure, axis = subplots(figsize=(5.6, 5.0))
     groups = list(dict.fromkeys(row.values["group"] for row in rows))
     for group, colour in zip(groups, COLOURS, strict=False):
-        told = [r for row in rows if row.values["group"] == group for r in row.values["told"]]
+        answers = [r for row in rows if row.values["group"] == group for r in row.values["told"]]
         for certain, face in ((True, colour), (False, "none")):
-            of = [row for row in told if row["certain"] == certain]
-            true, said = ([max(row[key], 1e-6) for row in of] for key in ("true", "told"))
+            subset = [row for row in answers if row["certain"] == certain]
+            true, said = ([max(row[key], 1e-6) for row in subset] for key in ("true", "told"))
             axis.scatter(true, said, s=16, facecolors=face, edgecolors=colour, label=group if certain else None)
     ends = np.array([1e-5, 0.3])
     axis.plot(ends, ends, color="#444444", lw=1.0)
@@ -292,16 +296,16 @@ def _draw_told(rows: Sequence[Row]) -> str:
 def plot_dial(people: Sequence[Values]):
     """Plot error against time of a frame, of what `measure` gave of each person."""
     figure, axis = subplots(figsize=(6.4, 4.2))
-    lean = [row for of in people for row in of["lean"]]
+    lean = [row for person in people for row in person["lean"]]
     places = []
     for method in dict.fromkeys(row["method"] for row in lean):
         of = [row for row in lean if row["method"] == method]
         places.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
         axis.scatter(*places[-1], marker=METHODS[method].mark, color=METHODS[method].colour, label=method)
-    told = [row for of in people for row in of["told"]]
+    answers = [row for person in people for row in person["told"]]
     points = []
     for accuracy in ACCURACIES:
-        of = [row for row in told if row["accuracy"] == accuracy]
+        of = [row for row in answers if row["accuracy"] == accuracy]
         points.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
     every = sorted([*places, *points])
     best = [place for k, place in enumerate(every) if all(place[1] < other[1] for other in every[:k])]

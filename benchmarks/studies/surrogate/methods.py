@@ -65,7 +65,7 @@ class Contest:
 
     @property
     def looseness(self) -> Looseness | None:
-        """Where people are loose: the weights' own, or the shipped network's where that is of the same mesh."""
+        """Looseness of people: the weights' own, or the shipped network's where that is of the same mesh."""
         own, shipped = self.network.weights, load_network(None).weights
         return own.looseness or (shipped.looseness if own.template == shipped.template else None)
 

@@ -150,12 +150,12 @@ class Split(OfPerson):
         linear_coarse, quadratic_coarse = _solve_both(self, effect, COARSE, text)
         linear, quadratic = _solve_both(self, effect, self.level, text)
         limit = limit_of_two(quadratic_coarse, quadratic, ORDER)
-        moved = linear - quadratic, linear_coarse - quadratic_coarse
+        parts = linear - quadratic, linear_coarse - quadratic_coarse
         return {
             "mesh": _measure_mean(linear, quadratic),
             "mesh_max": float(distances(linear, quadratic).max()),
             "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
-            "alike": float(np.sum(moved[0] * moved[1]) / np.sqrt(np.sum(moved[0] ** 2) * np.sum(moved[1] ** 2))),
+            "alike": float(np.sum(parts[0] * parts[1]) / np.sqrt(np.sum(parts[0] ** 2) * np.sum(parts[1] ** 2))),
             "refined": _measure_mean(linear, limit.positions),
             "refined_index": limit.index,
         }
@@ -185,15 +185,15 @@ class Split(OfPerson):
         if not frames:
             return ""
         means = {key: float(np.mean([row.values[key] for row in frames])) for key in PARTS if key != "mesh"}
-        moved = float(np.mean([row.values["moved"] for row in frames]))
-        sentences = [f"Simulation moves the skin by {moved:.2f} mm on average beyond what bones carry."]
+        motion = float(np.mean([row.values["moved"] for row in frames]))
+        sentences = [f"Simulation moves the skin by {motion:.2f} mm on average beyond what bones carry."]
         ratios, coarse = _find_ratios(rows), float(np.mean([row.values["mesh_coarse"] for row in frames]))
-        parts = [f"{PARTS[key]} {mean:.3f} mm ({100.0 * mean / moved:.1f} %)" for key, mean in means.items()]
+        parts = [f"{PARTS[key]} {mean:.3f} mm ({100.0 * mean / motion:.1f} %)" for key, mean in means.items()]
         if ratios:
             low, middle, high = (coarse * ratio for ratio in (min(ratios), float(np.mean(ratios)), max(ratios)))
             means["mesh"] = middle
             band = f"between {low:.3f} and {high:.3f}; measured in {len(ratios)} of the rows, else estimated"
-            parts.append(f"{PARTS['mesh']} {middle:.3f} mm ({100.0 * middle / moved:.1f} %; {band})")
+            parts.append(f"{PARTS['mesh']} {middle:.3f} mm ({100.0 * middle / motion:.1f} %; {band})")
         largest = max(means, key=lambda key: means[key])
         sentences.append(f"Parts: {', '.join(parts)}. Most is {PARTS[largest]}.")
         if not ratios:
@@ -236,8 +236,8 @@ class Split(OfPerson):
             sizes = np.array([row.values["mesh_coarse" if key == "mesh" else key] * scale for row in frames])
             axis.barh(places, sizes, left=left, height=0.7, label=PARTS[key] + (", estimated" if key == "mesh" else ""))
             left += sizes
-        moved = [row.values["moved"] for row in frames]
-        axis.scatter(moved, places, marker="|", s=160, color="black", label="T - carried(S)")
+        motion = [row.values["moved"] for row in frames]
+        axis.scatter(motion, places, marker="|", s=160, color="black", label="T - carried(S)")
         axis.set_yticks(places, [f"{row.case}, {row.method}" for row in frames], fontsize=8)
         axis.invert_yaxis()
         axis.set_xlabel("mean over the skin's vertices [mm]")
@@ -283,8 +283,8 @@ def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
         return linear
     head, scene = face.head, apply_law(neutral_scene(face.head, face.on_wraps), linear.law)
     positions = _solve_fem(scene, linear.positions, QUADRATIC_NEUTRAL)
-    moved = positions[: len(head.bone)] - head.skin_wrap.vertices
-    return replace(linear, positions=positions, displacement=head.skin_from_wrap @ moved)
+    motion = positions[: len(head.bone)] - head.skin_wrap.vertices
+    return replace(linear, positions=positions, displacement=head.skin_from_wrap @ motion)
 
 
 def _solve_fem(scene: Scene, start: Floats, tolerance: float) -> Floats:

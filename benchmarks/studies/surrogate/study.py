@@ -71,7 +71,7 @@ class SurrogateOnCorpus(Study):
 
     corpus: str = option("", "folder of `softdeca corpus generate`")
     weights: str = option("", "weights of `softdeca train`; default: the shipped", name="--surrogate")
-    people: str = option("test", "of the corpus: test, or all, where training has seen none")
+    people: str = option("test", "people of the corpus: test, or all, where training has seen none")
     partial: bool = option(False, "take the people that an incomplete corpus has")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
@@ -214,7 +214,7 @@ class SurrogateOnCorpus(Study):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked of a contest: how one of the methods is scored, by its name."""
+    """A question to a contest: how one of the methods is scored, by its name."""
 
     contest: Contest
     score: Callable[[Contest, str], list[Score]]

@@ -186,9 +186,9 @@ class Table1(Study):
         from ....surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
         from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
-        kept = Path(self.trained or ".") / f"{network}.safetensors"
-        if self.trained and kept.is_file():
-            return Weights.load(kept)
+        path = Path(self.trained or ".") / f"{network}.safetensors"
+        if self.trained and path.is_file():
+            return Weights.load(path)
         config = NETWORKS[network]
         if network != "hyper":
             # Ours has a rate and a batch of its own.
@@ -205,7 +205,7 @@ class Table1(Study):
             )
         if self.trained:
             Path(self.trained).mkdir(parents=True, exist_ok=True)
-            weights.save(kept)
+            weights.save(path)
         return weights
 
     def _scores(self, method: Method, contest: Contest) -> list[Score]:
@@ -218,8 +218,8 @@ class Table1(Study):
         scores = []
         for kind, chosen in parts.items():
             if len(chosen):
-                found = evaluate([method], tested.static(chosen.tolist()))
-                scores += [replace(score, kind=kind) for score in found if score.kind == ALL]
+                own_scores = evaluate([method], tested.static(chosen.tolist()))
+                scores += [replace(score, kind=kind) for score in own_scores if score.kind == ALL]
         if contest.has_motion and method.name != TRAINED_BY_ENERGY:
             assert contest.looseness is not None
             moving = evaluate_motion([method], tested, contest.looseness)
@@ -266,15 +266,15 @@ def tabulate(rows: Sequence[Row]) -> Table:
     head += ["frame: paper [ms]", "ours [ms]"]
     lines = []
     for row in rows:
-        of = {line["kind"]: line for line in row.values["rows"]}
-        fit = next((line["fit_seconds"] for line in of.values() if line["fit_seconds"]), None)
+        by_kind = {line["kind"]: line for line in row.values["rows"]}
+        fit = next((line["fit_seconds"] for line in by_kind.values() if line["fit_seconds"]), None)
         cells: list[Any] = [row.method, row.values.get("steps", ""), "" if fit is None else round(fit)]
         theirs = PAPER.get(row.method, {})
         for name, kind in shown:
-            line = of.get(kind)
+            line = by_kind.get(kind)
             cells += [theirs[name][0] if name in theirs else ""]
             cells += ["", ""] if line is None else [round(line["everywhere"], 3), round(100 * line["share"], 1)]
-        frame = next((line["frame_ms"] for line in of.values() if line["frame_ms"]), None)
+        frame = next((line["frame_ms"] for line in by_kind.values() if line["frame_ms"]), None)
         first = next(iter(theirs.values()), None)
         cells += ["" if first is None else first[1], "" if frame is None else round(frame, 2)]
         lines.append(cells)

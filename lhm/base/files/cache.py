@@ -48,10 +48,10 @@ def _temporary(wanted: Path) -> Path:
         path.mkdir(mode=0o700, exist_ok=True)
         state = path.lstat()
         # What is compiled is run: the folder has to be this user's own.
-        own = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o022
+        is_ours = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o022
     except OSError:
-        own = False
-    path = path if own else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
+        is_ours = False
+    path = path if is_ours else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
     warnings.warn(f"{wanted} cannot be written; what is kept for the next run goes to {path}", stacklevel=3)
     return path
 

@@ -109,7 +109,7 @@ class _Document:
                 corners = primitive.triangles[:, ::-1] if np.median(grown) < 0.0 else primitive.triangles
                 vertices.append(np.einsum("nij,nj->ni", linear, primitive.vertices) + shift)
                 triangles.append(corners + first)
-                morphs.append({k: np.einsum("nij,nj->ni", linear, moved) for k, moved in primitive.targets.items()})
+                morphs.append({k: np.einsum("nij,nj->ni", linear, deltas) for k, deltas in primitive.targets.items()})
                 first += len(primitive.vertices)
         if not vertices:
             raise InputError("no triangles found; is there a mesh in its scene?")
@@ -186,15 +186,15 @@ class _Document:
     def _transforms(self, primitive: _Primitive, node: dict, matrix: Floats) -> tuple[Floats, Floats]:
         """Return the linear map (1, 3, 3) and shift (1, 3) of a node, or those of a skin for each vertex (n, ...)."""
         if "skin" not in node or primitive.joints is None or primitive.weights is None:
-            found = matrix[None, :3]
+            transforms = matrix[None, :3]
         else:
             joints = self._joints_of_skin(node["skin"])
             which = indices_below("JOINTS_0", primitive.joints, len(joints))
-            found = np.zeros((len(which), 3, 4))
+            transforms = np.zeros((len(which), 3, 4))
             for k in range(4):
-                found += primitive.weights[:, k, None, None] * joints[which[:, k], :3]
-        finite("a node's transform", found)
-        return found[:, :, :3], found[:, :, 3]
+                transforms += primitive.weights[:, k, None, None] * joints[which[:, k], :3]
+        finite("a node's transform", transforms)
+        return transforms[:, :, :3], transforms[:, :, 3]
 
     def _joints_of_skin(self, number: int) -> Floats:
         """Return what a skin's joints do to its vertices, (joints, 4, 4)."""

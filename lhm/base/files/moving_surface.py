@@ -40,19 +40,19 @@ def reduce_to_morphs(motion: NDArray[np.float32], *, tolerance: float, most: int
     represented so far, less what the earlier targets have of it (a reduced basis, with its bound on the worst case
     that principal components lack). Each weight reaches 1 at the frame that its target is taken from.
     """
-    left = np.array(motion, dtype=np.float32).reshape(len(motion), -1)
+    remainder = np.array(motion, dtype=np.float32).reshape(len(motion), -1)
     targets: list[NDArray[np.float32]] = []
     columns: list[Floats] = []
     while True:
-        off = np.sqrt((left.reshape(len(left), -1, 3) ** 2).sum(axis=2).max(axis=1))
+        off = np.sqrt((remainder.reshape(len(remainder), -1, 3) ** 2).sum(axis=2).max(axis=1))
         worst = int(np.argmax(off))
         if off[worst] <= tolerance or len(targets) == min(most, len(motion)):
             weights = np.stack(columns, axis=1) if columns else np.zeros((len(motion), 0))
             stacked = np.array(targets, dtype=np.float32).reshape(len(targets), motion.shape[1], 3)
             return Morphs(weights, stacked, float(off[worst]))
-        target = left[worst].copy()
-        column = (left @ target) / np.float32(target @ target)
-        left -= column[:, None] * target
+        target = remainder[worst].copy()
+        column = (remainder @ target) / np.float32(target @ target)
+        remainder -= column[:, None] * target
         targets.append(target)
         columns.append(column.astype(np.float64))
 

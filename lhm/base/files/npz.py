@@ -32,8 +32,8 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray])
     write_whole(path, buffer.getvalue())
 
 
-def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz file") -> dict[str, np.ndarray]:
-    """Read the arrays of these names, or all; `of` is what the file should be.
+def read_arrays(path: str | os.PathLike[str], *names: str, kind: str = "an .npz file") -> dict[str, np.ndarray]:
+    """Read the arrays of these names, or all; `kind` is what the file should be.
 
     Arrays are of numbers, True and False, or texts, and each is as large as the file says. Raises InputError, one
     line that names the file, if it is missing, damaged, too large, or lacks an array.
@@ -41,7 +41,7 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     path = Path(path)
     try:
         if not zipfile.is_zipfile(check_file(path)):
-            raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
+            raise InputError(f"{path}: not {kind}, or damaged (no .npz file, or its end is missing)")
         with zipfile.ZipFile(path) as archive:
             ARRAYS.check("it holds", len(archive.infolist()))
             members = {part.filename.removesuffix(".npy"): part for part in archive.infolist()}
@@ -59,9 +59,9 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
         if isinstance(error, InputError) and str(error).startswith(one_line(str(path))):
             raise
         reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise InputError(f"{path}: not {of}, or damaged ({reason})") from None
+        raise InputError(f"{path}: not {kind}, or damaged ({reason})") from None
     if missing:
-        raise InputError(f"{path}: not {of}, array {missing[0]!r} is missing")
+        raise InputError(f"{path}: not {kind}, array {missing[0]!r} is missing")
     return arrays
 
 

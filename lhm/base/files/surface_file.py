@@ -90,7 +90,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    arrays = read_arrays(path, "vertices", "triangles", of="a surface")
+    arrays = read_arrays(path, "vertices", "triangles", kind="a surface")
     return finite("vertices", arrays["vertices"], (None, 3)), arrays["triangles"]
 
 

@@ -52,12 +52,12 @@ def find_beside(path: Path, name: str) -> Path:
         raise InputError(f"{quote(name, 80)}: {said}")
     inside = not any(part in ("/", "//", "..") for part in parts)
     folder = path.resolve().parent
-    found = folder / name if inside else folder
-    if inside and not is_plain_file(found):
+    place = folder / name if inside else folder
+    if inside and not is_plain_file(place):
         raise InputError(f"{quote(name, 80)}: no such file beside it")
-    if not inside or not found.resolve().is_relative_to(folder):
+    if not inside or not place.resolve().is_relative_to(folder):
         raise InputError(f"{quote(name, 80)}: a file that is named in another has to lie in its folder")
-    return found.resolve()
+    return place.resolve()
 
 
 @contextmanager
@@ -85,13 +85,13 @@ def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES, *, first
     return content
 
 
-def read_json(path: str | os.PathLike[str], of: str = "a JSON file") -> Any:
-    """Return what a JSON file says; `of` is what the file should be. InputError, one line, names the file."""
+def read_json(path: str | os.PathLike[str], kind: str = "a JSON file") -> Any:
+    """Return what a JSON file says; `kind` is what the file should be. InputError, one line, names the file."""
     try:
         return parse_json(read_bytes(path, JSON_BYTES))
     except InputError as error:
         said = str(error)
-        raise InputError(said if said.startswith(str(path)) else f"{path}: not {of} ({said})") from None
+        raise InputError(said if said.startswith(str(path)) else f"{path}: not {kind} ({said})") from None
 
 
 def parse_json(content: bytes | str, *, allow_nan: bool = False, entries: Bound | None = None) -> Any:
@@ -113,11 +113,11 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False, entries: Bound 
         return value
 
     def of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        made = dict(pairs)
-        if len(made) < len(pairs):
+        entries = dict(pairs)
+        if len(entries) < len(pairs):
             twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
             raise InputError(f"the key {quote(twice)!r} stands there twice")
-        return made
+        return entries
 
     try:
         said = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")

@@ -20,7 +20,7 @@ TRIANGLES = 300
 
 @dataclass(frozen=True)
 class LikenessBounds:
-    """What an expression may do to a neutral surface."""
+    """Bounds of the changes that an expression makes to a neutral surface."""
 
     farthest: float = 100.0  # [mm] of a vertex; expressions move at most 71
     least_size: float = 0.8  # of the neutral surface's; expressions and p: 0.96 to 1.06, metres 0.001
@@ -39,7 +39,7 @@ def check_moved(
     neutral: Surface,
     positions: Floats | Floats32,
     *,
-    of: str = "the neutral skin",
+    reference: str = "the neutral skin",
     error: type[SoftdecaError] = InputError,
 ) -> None:
     """Raise `error`, naming `name`, for positions [mm], shape (n, 3), that no expression makes of a neutral surface.
@@ -51,22 +51,22 @@ def check_moved(
         raise error(f"{name}: {count} values are not finite")
     if not BOUNDS.least_size <= size <= BOUNDS.most_size:
         raise error(
-            f"{name}: {size:.3g} times as large as {of}, expected {BOUNDS.least_size:g} to {BOUNDS.most_size:g}; "
-            "are its units off?"
+            f"{name}: {size:.3g} times as large as {reference}, expected {BOUNDS.least_size:g} to "
+            f"{BOUNDS.most_size:g}; are its units off?"
         )
     if not likeness >= BOUNDS.least_likeness:
         raise error(
-            f"{name}: its likeness to {of} is {likeness:.2f}, expected at least {BOUNDS.least_likeness:g}; "
+            f"{name}: its likeness to {reference} is {likeness:.2f}, expected at least {BOUNDS.least_likeness:g}; "
             "is it mirrored, turned, or in another order of vertices?"
         )
     if not stretch <= BOUNDS.most_stretch:
         raise error(
-            f"{name}: its edges are {stretch:.3g} times as long as those of {of}, expected at most "
+            f"{name}: its edges are {stretch:.3g} times as long as those of {reference}, expected at most "
             f"{BOUNDS.most_stretch:g}; are its vertices in another order?"
         )
     if not away <= BOUNDS.farthest:
         raise error(
-            f"{name}: vertex {vertex} is {away:.4g} mm from {of}, expected at most {BOUNDS.farthest:g} mm; "
+            f"{name}: vertex {vertex} is {away:.4g} mm from {reference}, expected at most {BOUNDS.farthest:g} mm; "
             "are its units off, or its place?"
         )
 

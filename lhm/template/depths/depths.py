@@ -62,9 +62,9 @@ class DepthPairs:
 
     def without(self, index: int) -> DepthPairs:
         """Leave out one of the pairs."""
-        kept = np.arange(len(self.names)) != index
-        names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
-        return replace(self, names=names, wraps=self.wraps[kept], depths=self.depths[kept])
+        others = np.arange(len(self.names)) != index
+        names = tuple(name for name, keep in zip(self.names, others, strict=True) if keep)
+        return replace(self, names=names, wraps=self.wraps[others], depths=self.depths[others])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +138,8 @@ class DepthRegressor:
         if not np.isfinite(wrap).all():
             raise InputError("skin wrap: values that are not finite (NaN or infinite)")
         rotation, translation = rigid_motion(wrap, self.reference)
-        moved = (wrap @ rotation.T + translation - self.reference).ravel()
-        scores = np.clip(self.axes @ moved / self.deviations, -FARTHEST, FARTHEST)
+        displacement = (wrap @ rotation.T + translation - self.reference).ravel()
+        scores = np.clip(self.axes @ displacement / self.deviations, -FARTHEST, FARTHEST)
         return np.exp(self.mean_log + scores @ self.coefficients)
 
     def check(self, template_wrap: Surface) -> None:
@@ -158,7 +158,7 @@ class DepthRegressor:
     @classmethod
     def load(cls, path: str | os.PathLike[str], template_wrap: Surface) -> DepthRegressor:
         """Read what `save` wrote; InputError names a file that is damaged, something else or of another template."""
-        arrays = read_arrays(path, *_ARRAYS, of="a depth regressor")
+        arrays = read_arrays(path, *_ARRAYS, kind="a depth regressor")
         if arrays["format"].tolist() != FORMAT:
             raise InputError(f"{path}: not a depth regressor of this version (expected {FORMAT!r})")
         try:
@@ -233,9 +233,9 @@ def _principal(rows: Floats, most: int) -> tuple[Floats, Floats]:
 
 def _leave_one_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
     """Sum of squared errors of each row of `wanted` (N, q) predicted without it, with a mean of its own."""
-    left = wanted - (unit * shrink) @ (unit.T @ wanted)
+    residuals = wanted - (unit * shrink) @ (unit.T @ wanted)
     hat = 1 / len(unit) + (unit**2) @ shrink
-    return float(((left / (1 - hat)[:, None]) ** 2).sum())
+    return float(((residuals / (1 - hat)[:, None]) ** 2).sum())
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from .depths import DepthPairs
 
 @dataclass(frozen=True)
 class PairsPolicy:
-    """How depths are measured, and which pairs of skin and skull are taken."""
+    """Constants of the measurement of depths, and bounds of pairs of skin and skull."""
 
     least_depth: float = 1.0  # [mm] of soft tissue over bone, as over the nasal bones
     most_depth: float = 40.0  # [mm]; a heavy cheek has 30
@@ -55,7 +55,7 @@ class MeasuredDepths:
 
     @property
     def missed(self) -> int:
-        """At how many vertices no ray measured the depth."""
+        """The number of vertices at which no ray measured the depth."""
         return int(np.count_nonzero(~self.met))
 
 
@@ -87,7 +87,7 @@ def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) 
 
 
 class PairReport(NamedTuple):
-    """How well a pair was measured.
+    """Quality of a measured pair.
 
     `missed`: vertices at which no ray met the skull, so that its closest point was taken; `off`: mean distance [mm] of
     the registered face to the skin, 0 for a skin of the space's own topology.

@@ -19,7 +19,7 @@ FACING = np.cos(np.radians(60.0))
 
 @dataclass(frozen=True)
 class StartPolicy:
-    """Which starts are tried, how they are improved, and how far off they are."""
+    """Constants of the starts that are tried, of their steps and of their score."""
 
     sharp: float = 1.0  # [mm] closer than this a match counts whatever the direction towards it
     pitches: tuple[float, ...] = (-15.0, 0.0, 15.0)  # [degrees]
@@ -94,10 +94,10 @@ def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similar
         c, s = np.cos(pitch), np.sin(pitch)
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         start = Similarity(scale, rotation, goal + [0.0, height, 0.0] - scale * rotation @ tip)
-        moved = icp(start, points[some], normals[some], target, POLICY.coarse_steps)
-        fits.append((score_start(moved, points[some], normals[some], target), len(fits), moved))
-    moved = icp(min(fits)[2], points, normals, target, POLICY.fine_steps)
-    return moved, score_start(moved, points, normals, target)
+        motion = icp(start, points[some], normals[some], target, POLICY.coarse_steps)
+        fits.append((score_start(motion, points[some], normals[some], target), len(fits), motion))
+    motion = icp(min(fits)[2], points, normals, target, POLICY.fine_steps)
+    return motion, score_start(motion, points, normals, target)
 
 
 def icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:

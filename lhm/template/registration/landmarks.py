@@ -119,17 +119,17 @@ def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
     """
     ids, points = pairs
     rest = template[ids]
-    moved, mirrored = fit_similarity(rest, points), fit_similarity(rest * [-1.0, 1.0, 1.0], points)
-    off = np.linalg.norm(moved(rest) - points, axis=1)
+    motion, mirrored = fit_similarity(rest, points), fit_similarity(rest * [-1.0, 1.0, 1.0], points)
+    off = np.linalg.norm(motion(rest) - points, axis=1)
     as_mirrored = np.linalg.norm(mirrored(rest * [-1.0, 1.0, 1.0]) - points, axis=1)
     if as_mirrored.mean() < 0.5 * off.mean() and off.mean() > 2.0:
         raise InputError(
             f"landmarks: they fit a mirrored head ({as_mirrored.mean():.1f} mm) better than a head "
             f"({off.mean():.1f} mm): are left and right exchanged?"
         )
-    if not SCALES[0] <= moved.scale <= SCALES[1]:
+    if not SCALES[0] <= motion.scale <= SCALES[1]:
         raise InputError(
-            f"landmarks: they are those of a head {moved.scale:.3g} times the template's size, "
+            f"landmarks: they are those of a head {motion.scale:.3g} times the template's size, "
             f"expected {SCALES[0]:g}..{SCALES[1]:g}: units off?"
         )
     away = TriangleTree(skin.vertices, skin.triangles).closest(points)[2]

@@ -147,7 +147,7 @@ def lay_onto(
     edges = neighbours(triangles, len(x))
     pockets = (parts == MOUTH) | (parts == EYES)
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < policy.near)
-    own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
+    crossings_before = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
     # Lips that touch see no sky, but have to come to lie between those of the skin.
     lips = distance_to(x, x[places.rim]) < policy.lip_zone
     drawn = (parts == OUTSIDE) & ((visible_sky(start) > policy.seen) | lips)
@@ -166,7 +166,7 @@ def lay_onto(
             x = _step(model, goals, weights, marks, stiffness, policy)
         progress("registering the skin", (stage + 1) / (policy.stages + policy.repairs))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()
-        crossing = triangles[[pair for pair in pairs if tuple(pair) not in own]].reshape(-1, 6)
+        crossing = triangles[[pair for pair in pairs if tuple(pair) not in crossings_before]].reshape(-1, 6)
         if repair >= 0 and (fewest < 0 or len(crossing) < fewest):
             best, fewest = x, len(crossing)
         if repair >= 0 and not len(crossing):

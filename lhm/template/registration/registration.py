@@ -26,7 +26,7 @@ from .nonrigid import POLICY, NonrigidPolicy, lay_onto
 
 @dataclass(frozen=True)
 class RegistrationBounds:
-    """What a registration has to reach, or it is refused, and where the template lies on nothing."""
+    """Bounds beyond which a registration is refused, and beyond which the template lies on nothing."""
 
     least_scale: float = 0.7
     most_scale: float = 1.5
@@ -138,8 +138,8 @@ def register_by_mapping(
     if bad.size:
         raise InputError(f"mapping: {bad.size} rows do not sum to one, the first is {bad[0]} ({total[bad[0]]:.4g})")
     surface = template_skin.with_vertices(weights @ skin.vertices)
-    own = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
-    crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - own
+    crossings_before = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
+    crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - crossings_before
     return _registration(surface, parts, find_face(template_skin, parts)[1], skin, max(crossings, 0))
 
 

@@ -104,14 +104,14 @@ def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
 
     The motion is fitted to the candidates that move most, again and again to those that follow it.
     """
-    moved = opened - rest
-    size = np.linalg.norm(moved, axis=1)
+    motion = opened - rest
+    size = np.linalg.norm(motion, axis=1)
     chosen = candidates & (size > 0.6 * size[candidates].max())
     for _ in range(10):
         rotation, translation = rigid_motion(rest[chosen], opened[chosen])
         rigid = rest @ rotation.T + translation - rest
-        share = np.einsum("nd,nd->n", moved, rigid) / np.maximum(np.einsum("nd,nd->n", rigid, rigid), 1e-9)
-        off = np.linalg.norm(moved - rigid, axis=1)
+        share = np.einsum("nd,nd->n", motion, rigid) / np.maximum(np.einsum("nd,nd->n", rigid, rigid), 1e-9)
+        off = np.linalg.norm(motion - rigid, axis=1)
         chosen = candidates & (off < 0.1 * size + 0.3) & (size > 0.4 * size[candidates].max())
     return share
 
@@ -134,8 +134,8 @@ def label_bones(
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = regions["neck"] & (size < HELD * size.max())
-    still = held | ((size < STAYS * size.max()) & ~regions["mouth"])
+    neck = regions["neck"] & (size < HELD * size.max())
+    still = neck | ((size < STAYS * size.max()) & ~regions["mouth"])
     bone = np.full(len(rest), FREE)
     bone[still & far & ~(regions["lids"] | regions["eyes"])] = CRANIUM
     bone[mandible] = MANDIBLE
@@ -156,7 +156,7 @@ def limit_bones(
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = regions["neck"] & (size < HELD * size.max())
+    neck = regions["neck"] & (size < HELD * size.max())
     gliding = regions["mouth"] | regions["lids"] | regions["eyes"]
-    cranium = ((bone == CRANIUM) & far & ~gliding & (size < HELD * size.max())) | held
+    cranium = ((bone == CRANIUM) & far & ~gliding & (size < HELD * size.max())) | neck
     return np.where(mandible, MANDIBLE, np.where(cranium, CRANIUM, FREE))

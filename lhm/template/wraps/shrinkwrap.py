@@ -63,17 +63,17 @@ def shrink(
 
 
 def _step(x, triangles, ones, distance, spacing, pockets):
-    own = Surface(x, triangles).vertex_normals
+    normals = Surface(x, triangles).vertex_normals
     phi, direction, triangle, weights = distance(x)
     corners = distance.tree.triangles[triangle]
     stiffness = 1.0 / np.einsum("kc,kc->k", weights, spacing[corners])
     total = stiffness * np.asarray(ones.sum(axis=1)).ravel() + ones @ stiffness
     pulled = stiffness[:, None] * (ones @ x) + ones @ (stiffness[:, None] * x)
     umbrella = pulled / total[:, None] - x
-    along = np.einsum("kd,kd->k", umbrella, own)[:, None] * own
+    along = np.einsum("kd,kd->k", umbrella, normals)[:, None] * normals
     # The wrap's own normal leads into pockets, away from the closest wall; elsewhere that would be a fold.
-    led = pockets[corners].any(axis=1) | (np.einsum("kd,kd->k", own, direction) > -0.2)
+    led = pockets[corners].any(axis=1) | (np.einsum("kd,kd->k", normals, direction) > -0.2)
     near = np.where(led, np.exp(-np.abs(phi) / 3.0), 1.0)[:, None]
-    outward = near * direction + (1 - near) * own
+    outward = near * direction + (1 - near) * normals
     smooth = np.clip(along, -10.0, 10.0)
     return x + 0.6 * (umbrella - along) + 0.03 * smooth - 0.7 * np.clip(phi - CLEARANCE, -2.0, 2.0)[:, None] * outward

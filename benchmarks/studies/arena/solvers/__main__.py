@@ -53,7 +53,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
     with open(out_path, "w") as out:
         versions = read_versions(solver.PACKAGES)
         out.write(json.dumps({"versions": versions}) + "\n")
-        missing = [name for name, found in versions.items() if found is None]
+        missing = [name for name, version in versions.items() if version is None]
         if missing:
             out.write(json.dumps({"missing": missing}) + "\n")
             return

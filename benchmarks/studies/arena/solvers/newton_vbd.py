@@ -68,10 +68,10 @@ def run(problem: ArenaProblem, settings: Mapping[str, Any], clock: Clock) -> Non
     while going:
         if moving and frame < RAMP:
             share = ramp(frame, RAMP)
-            at = state.particle_q.numpy()
-            at[problem.held] = (problem.places - (1.0 - share) * problem.moves - centre) * METRE
+            positions = state.particle_q.numpy()
+            positions[problem.held] = (problem.places - (1.0 - share) * problem.moves - centre) * METRE
             for each in (state, ahead):
-                each.particle_q.assign(at)
+                each.particle_q.assign(positions)
         for _ in range(substeps):
             state.particle_f.assign(forces)
             solver.step(state, ahead, control, None, step_s)

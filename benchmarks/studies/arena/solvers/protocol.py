@@ -159,7 +159,7 @@ class Clock:
 
 
 class SolverFile(Protocol):
-    """What a solver's file defines.
+    """The contents of a solver's file.
 
     TITLE for tables; PACKAGES as pip names them, with the versions that were tested, the first the solver's own; LAW
     as `laws.LAWS` has it, or "" for one that FEniCSx is not given; DTYPE; SETTINGS by name, the first the package's
