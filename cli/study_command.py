@@ -52,7 +52,7 @@ RUN_OPTIONS = tuple(field.name for field in list_options(RunOptions))
 
 
 def command_of_study(kind: type[Study], *, out: str = "", named: str = "", judged: bool = True) -> click.Command:
-    """Make the command of a study, whose options are its fields and those of every run.
+    """Make the command of a study, whose options are its fields made by `option`, and those of every run.
 
     out: the default folder, by default out/NAME. named: the field that is an argument, in place of an option. judged:
     whether a missed gate makes exit status 1, as a case that could not be measured does.

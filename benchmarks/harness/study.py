@@ -111,7 +111,7 @@ class Results:
 
 
 class Study(ABC):
-    """A frozen dataclass, whose fields are the options of `softdeca bench NAME`; `metadata["help"]` explains each.
+    """A frozen dataclass, whose fields are what is asked of it; `softdeca bench NAME` has those made by `option`.
 
     It travels to another process by pickle and there measures one task at a time. Where seconds are compared it is
     `timed`: its tasks run one after another, and nothing of ours beside them. Where memory is, each has a process

@@ -67,7 +67,7 @@ print(
 # :language: python
 # ```
 #
-# Add it, and the command has it as any other, its fields as options:
+# Add it, and the command has it as any other:
 
 # %%
 softdeca(

@@ -52,8 +52,8 @@ def write_card(
     return figures
 
 
-def licence_of(people: People) -> str:
-    """Return the licence of a corpus of these people."""
+def licence_of(people: People | None) -> str:
+    """Return the licence of a corpus of these people; None are not known."""
     free = isinstance(people, OfSpace) and isinstance(people.space, (TransferredSpace, Spheres))
     return LICENCE if free else OTHER
 
@@ -133,7 +133,7 @@ Simulated faces after SoftDECA (Wagner, Schwanecke and Botsch, MIG '23): what pr
 blendshapes (S) of random people under random materials and effects. Made by softdeca {version("softdeca")} from a plan
 of seed {plan.seed}; the same plan gives the same bytes on one kind of machine.
 
-{status.identities_done} of {status.identities} people of `{corpus.people.name}`, {tested} of them in test. Test
+{status.identities_done} of {status.identities} people of `{corpus.space}`, {tested} of them in test. Test
 shares no person, no parameter set and no recording with training. Speech and conversations are synthetic.{
         "" if licence != OTHER else f" {OWNERS}"
     }

@@ -31,7 +31,7 @@ def recurrence_layers(code_size: int, position: int, hidden: int) -> dict[str, t
 
     position: length of π at a vertex. hidden: width of f_β and f_γ.
     """
-    layers = {}
+    layers: dict[str, tuple[int, int]] = {}
     for name in COEFFICIENTS:
         layers |= {
             f"{name}_from_position": (hidden, position),

@@ -142,13 +142,13 @@ class Depth(Study):
             f"{wrap['mean']:.2f} mm from the skull (95 %: {wrap['quantile_95']:.2f}). Depths are trained on: "
             f"{values['trained_on']}, {values['pairs']} pairs. "
             + (f"The skin was registered, its face {registered:.2f} mm off on average. " if registered else "")
-            + "Published: "
+            + "Published, between corresponding vertices of the whole head: "
             + "; ".join(f"{model} {mean:.2f} mm" for model, mean, _ in SKULL_PLACES)
             + "."
         )
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate the fitted skull wrap, the landmarks, and what is published."""
+        """Tabulate the fitted skull wrap and the landmarks."""
         (values,) = (row.values for row in rows)
         wraps = [
             (row["region"], row["vertices"], row["fitted_mean"], *row["skull_wrap"].values()) for row in values["rows"]
@@ -166,16 +166,9 @@ class Depth(Study):
             "At the face's vertex next to each landmark as it lies on the mean head. Where no ray measured, the "
             "measured depth is the distance to the closest bone, between 1 and 40 mm."
         )
-        of_published = (
-            "Not the same quantity, nor the same people: the published figures are distances between corresponding "
-            "vertices of fitted and measured skull wraps over the whole head, means over a data set that is not at "
-            "hand here. The distance to the closest point above cannot exceed that between corresponding points of one "
-            "skull, and depths are compared along a ray."
-        )
         return [
             Table("The fitted skull wrap", head, wraps, of_wrap),
             Table("At the landmarks", marks, [tuple(mark.values()) for mark in values["landmarks"]], of_marks),
-            Table("Beside what is published", ["model", "mean error [mm]", "data"], SKULL_PLACES, of_published),
         ]
 
 
