@@ -197,16 +197,13 @@ def milliseconds(text):
     [
         (lambda t: t.replace("JawOpen,", "JawOpn,"), "unknown quantity 'JawOpn'; did you mean jawOpen"),
         (lambda t: t.replace("JawOpen,", "JawLeft,"), "jawLeft stands in line"),
-        (lambda t: t.replace("JawOpen,0", "JawOpen,x0"), "jawOpen, frame 0: 'x0"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,inf,"), "jawOpen, frame 0: inf is not finite"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,"), "8 frames, other quantities have 9"),
         (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
         (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
-        (lambda t: t.replace("head w,1.0", "head w,1e200"), "head, by frame: quaternion 0 has length inf; expected 1"),
         (lambda t: t.replace(",0,1,2,", ",2,1,0,"), "line 1: expected frames whose numbers rise"),
         (lambda t: t.replace("head w", "neck w"), "head x, head y, head z without head w"),
         (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
-        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,1_0,"), "jawOpen, frame 0: '1_0' is no number"),
         (lambda t: t.replace("JawOpen,0.0,", "JawOpen,\u0661,"), "is no number"),
         (milliseconds, "rate: 0.059988 Hz, expected 1 to 1,000; are its times milliseconds?"),
         (lambda t: "\n".join(line.split(",")[0] for line in t.splitlines()), "no frames, only the names"),
@@ -230,18 +227,14 @@ def broken_csv():
         return "\n".join([good[0], good[1], ",".join(row), good[3]])
 
     yield "", "the file is empty"
-    yield ",,,\n", "names none of ARKit's 52"
     yield "a,b\n1,2\n", "names none of ARKit's 52"
     yield good[0], "no frames"
     yield third(lambda row: row.pop()), "line 3: 54 columns, line 1 has 55"
     yield third(lambda row: row.__setitem__(column, "nan")), "line 3, column JawOpen: nan is not finite"
-    yield third(lambda row: row.__setitem__(column, "")), "line 3, column JawOpen: '' is no number"
-    yield third(lambda row: row.__setitem__(0, "later")), "line 3, column Timecode: 'later'"
     yield third(lambda row: row.__setitem__(0, "10:00:00:02.25")), "line 4, column Timecode: time does not rise"
     yield third(lambda row: row.__setitem__(0, "10:00:00:900")), "line 3, column Timecode: frame 900"
-    for code in ("24:00:00:00", "99:99:99:00", "10:75:61:00", "10:00:60:00", "-1:00:00:00", "10:00:00:\u0661"):
+    for code in ("24:00:00:00", "10:75:61:00", "10:00:00:\u0661"):
         yield third(lambda row, code=code: row.__setitem__(0, code)), "line 3, column Timecode: '"
-    yield third(lambda row: row.__setitem__(column, "1_0")), "line 3, column JawOpen: '1_0' is no number"
     beyond = csv_text(ramp(240), timecodes(240)).replace("10:00:01:59.250", "10:00:01:90.250")
     yield beyond, "line 121, column Timecode: frame 90, but most seconds end before it"
     yield "\n".join(good).replace("LeftEyeYaw", "HeadYaw"), "HeadYaw without HeadPitch, HeadRoll"
@@ -249,16 +242,12 @@ def broken_csv():
     yield degrees, "line 3, column HeadPitch: -30 is more than a full turn [rad]; is it in degrees?"
     yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
     yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
-    yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
     yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
-    yield "\n".join(good).replace("MouthSmileLeft", "MouthSmile_L"), "'MouthSmile_L'; did you mean mouthSmileLeft"
     yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
     yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
-    yield "\n".join(good).replace(",61,", ",x,"), "line 2, column BlendShapeCount: 'x' is no number"
     rare = csv_text(ramp(3), ["10:00:00:00.0", "10:00:10:00.0", "10:00:20:00.0"])
     yield rare, "rate: 0.1 Hz, expected 1 to 1,000"
     yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
-    yield b"Timecode,JawOpen\n1\x00,2\n", "."
 
 
 BROKEN = list(broken_csv())
@@ -306,44 +295,19 @@ def timed(*times):
     [
         ("{", "not JSON"),
         ("[" * 100_000, "JSON: 100,000 levels of brackets; expected at most 64"),
-        ("[1, 2]", "not a take"),
         ('{"rate": 30, "frames": []}', "not a take"),
         ('{"frames": [{"jawOpen": 1}]}', '"rate": None'),
-        ('{"rate": 0, "frames": [{"jawOpen": 1}]}', "rate: 0 Hz"),
         ('{"rate": 30, "frames": [{"jawOpn": 1}]}', "frame 0: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
-        ('{"rate": 30, "frames": [{}, {"jawOpen": "x"}]}', "frame 1, jawOpen: x is no finite"),
         ('{"rate": 30, "frames": [{"jawOpen": NaN}]}', "frame 0, jawOpen: nan is no finite"),
-        (
-            '{"rate": 30, "frames": [{"jawOpen": 1' + "0" * 400 + "}]}",
-            "JSON: 401 digits in an integer; expected at most 18",
-        ),
-        ('{"rate": 30, "frames": [{"jawOpen": true}]}', "frame 0, jawOpen: True"),
-        ('{"rate": 30, "frames": [{"jawOpen": 1}, 3]}', "frame 1"),
-        ('{"rate": 30, "frames": [[1]]}', '"names"'),
         ('{"rate": 30, "names": ["jawOpen"], "frames": [[1], [1, 2]]}', "frame 1: expected a list of 1"),
         ('{"rate": 30, "names": ["jawOpen", "JawOpen"], "frames": [[1, 1]]}', "jawOpen stands there 2 times"),
-        ('{"rate": 30, "names": ["smile"], "frames": [[1]]}', "names: unknown ARKit expression 'smile'"),
-        (
-            '{"names": ["jawOpen"], "frames": [{"weights": [1], "time": 1}, {"weights": [1], "time": 1}]}',
-            "frame 1, time",
-        ),
         ('{"rate": 30, "frames": [{"jawOpen": 0.1, "JawOpen": 0.9}]}', "frame 0: jawOpen stands there twice"),
         ('{"rate": 30, "frames": [{"jawOpen": 0.1, "jawOpen": 0.9}]}', "the key 'jawOpen' stands there twice"),
-        ('{"rate": 30, "frames": [{}], "frames": [{"jawOpen": 1}]}', "the key 'frames' stands there twice"),
         ('{"rate": 30, "fps": 25, "frames": [{"jawOpen": 1}]}', '"rate" and "fps" are the same'),
-        (
-            '{"rate": 0.06, "frames": [{"jawOpen": 1}]}',
-            "rate: 0.06 Hz, expected 1 to 1,000; are its times milli",
-        ),
-        ('{"rate": 60000, "frames": [{"jawOpen": 1}]}', "are its times milliseconds?"),
         (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
-        (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
         (timed(0, 0.1).replace("1],", '1], "JawOpen": 0.9,'), "frame 0: JawOpen stands there beside weights"),
         (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
-        (timed(0.0, None, 0.2), "frame 1, time: None is no finite number"),
-        (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),
         ('{"rate": 30, "names": ["jawOpen"], "frames": [' + "[1]," * 1_000_000 + "[1]]}", "1,000,001 frames; expected"),
-        ('{"rate": 30, "frames": [' + '{"\\"": 1},' * 1_000_000 + "{}]}", "1,000,001 frames; expected"),
     ],
     ids=itertools.count(),
 )
