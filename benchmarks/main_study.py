@@ -59,7 +59,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
     ]
     if learned and not agreement.weights:
         frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
-        effects = ("defaults", "40 % more soft tissue")
+        effects = ("40 % more soft tissue",) if small else ("defaults", "40 % more soft tissue")
         split = Split(identities=whose, level=level, expressions=frames, effects=effects, refined=())
         chosen.append((split, ""))
     if learned:

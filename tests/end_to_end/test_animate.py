@@ -2,10 +2,7 @@
 
 import json
 import os
-import signal
 import struct
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 
@@ -19,7 +16,6 @@ from softdeca.animation.play import Output
 from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
-from softdeca.lhm.head.file import save_head
 from softdeca.reference import Face, Parameters, SceneError, Sequence, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters
@@ -27,8 +23,6 @@ from softdeca.surrogate import CertifiedFace, Surrogate, certify
 from softdeca.surrogate.methods import bind_cheaply
 
 from ..refusals import refused
-
-COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 
 
 @pytest.fixture(scope="module")
@@ -214,17 +208,12 @@ def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_p
     assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
 
 
-def test_accuracies_are_lengths_or_words(command, tmp_path):
+def test_an_accuracy_may_be_a_word(command, tmp_path):
     tight = command(
         *("animate", "conversation:0.1", "--level", 1, "--accuracy", "tight", "--preview", "none", "--frames", "3:5"),
         *("--out", tmp_path / "tight", "--json"),
     )
     assert tight.status == 0 and json.loads(tight.out)["error"] <= 0.001
-    for word in ("loose", "0", "-1", "nan"):
-        ended = command("animate", "conversation:1", "--accuracy", word, "--out", tmp_path / "none")
-        assert "expected a length from 1e-6 to 100 mm, 'tight' or 'none'" in ended.refusal()
-    ended = command("animate", "conversation:1", "--accuracy", "none", "--crossing", "--out", tmp_path / "none")
-    assert "knows no contact" in ended.refusal() and not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(
@@ -261,21 +250,6 @@ def test_frames_are_cut_as_python_does():
     for text, expected in (("5:9", range(5, 9)), (":3", range(3)), ("-2:", range(28, 30))):
         assert np.array_equal(cut_take(whole, text).weights, whole.weights[list(expected)])
         assert cut_take(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
-
-
-def test_ctrl_c_leaves_no_part_of_a_file(tmp_path):
-    arguments = [*COMMAND, "animate", "conversation:20", "--level", "1", "--preview", "none", "--out", tmp_path / "t"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        for line in process.stderr:
-            if line.startswith("frame"):
-                break
-        os.killpg(process.pid, signal.SIGINT)
-        rest = process.stderr.read()
-        process.wait(60)
-    said = [line for line in rest.splitlines() if line and not line.endswith(" s)")]
-    assert process.returncode == 130
-    assert len(said) == 1 and said[0].startswith("softdeca: interrupted")
-    assert not (tmp_path / "t").exists() or not list((tmp_path / "t").iterdir()), "files are whole or not there"
 
 
 def played(path, frames=8):
@@ -351,17 +325,3 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     greatest = rig["meshes"][0]["extras"]["greatest_error_mm"]
     assert 0.0 < greatest < 5.0 and f"rig.glb: 12 morph targets, greatest error {greatest:.2g} mm" in ended.out
     assert rig["accessors"][rig["animations"][0]["samplers"][0]["output"]]["count"] == 6 * 12
-
-
-def test_a_heads_file_is_served(command, tmp_path):
-    save_head(tmp_path / "head.npz", fit_head(load_template(level=1), identities.Anny().mean))
-    ended = command(
-        *("animate", "conversation:0.1", "--head", tmp_path / "head.npz", "--preview", "none", "--accuracy", "none"),
-        *("--out", tmp_path / "take"),
-    )
-    assert ended.status == 0 and "6 frames (6 network)" in ended.out
-
-
-def test_a_frequency_that_a_rate_of_frames_cannot_show_is_refused(command, tmp_path):
-    ended = command("animate", "conversation:1", "--fps", 3, "--dynamic", "--out", tmp_path)
-    assert "frequency = 4 is outside" in ended.refusal()

@@ -16,7 +16,7 @@ PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png", "skin.png"]
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("head") / "head.npz"
-    save_head(path, load_template().head)
+    save_head(path, load_template(level=1).head)
     return path
 
 

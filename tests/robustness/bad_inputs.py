@@ -68,8 +68,10 @@ WRONG: dict[str, object] = {
     "a function": print,
 }
 CALLED = {
-    "scene": "a Scene", "young": "Young's modulus", "poisson": "Poisson's ratio", "named": "weights",
-    "shapes": "expressions", "seconds": "take", "time_step": "frames per second", "contact": "region",
+    "scene": ("a Scene",), "young": ("Young's modulus",), "poisson": ("Poisson's ratio",), "contact": ("region",),
+    "named": ("weights", "ARKit expression"), "shapes": ("expressions",), "seconds": ("take",),
+    "time_step": ("frames per second",), "soft": ("sub-layers",), "muscle": ("sub-layers",),
+    "vertices": ("Target.positions", "Fixed.values"), "law": ("a material",), "centre": ("region",),
 }  # fmt: skip
 """What a refusal calls an argument where it says another word than its name."""
 EMPTY_OF = {
@@ -304,7 +306,7 @@ def calls() -> Iterator[Case]:
                 why = why_accepted(function.name, argument, what)
                 arguments = function.good | {argument: value}
                 name = f"{function.name}({argument} = {what})"
-                named = (argument, CALLED.get(argument, argument), *([value] if what == "a text" else []))
+                named = (argument, *CALLED.get(argument, ()), *([value] if what == "a text" else []))
                 yield Case(name, lambda f=function, a=arguments: f.call(**a), why, named)
 
 

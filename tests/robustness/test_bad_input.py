@@ -70,7 +70,6 @@ WRONG = [
     ("bench depth --skin head.npz", "Missing option '--skull'"),
     ("bench depth --skin none.ply --skull head.npz", "none.ply: no such file"),
     ("animate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
-    ("animate conversation:3600 --fps 9999", "take: 35,996,234 frames; expected 1 to 1,000,000"),
     ("animate conversation:1 --targets 4 --dynamic", "--targets are of static frames"),
     ("animate conversation:1 --surrogate none.safetensors", "none.safetensors: no such file"),
     ("animate conversation:1 --parameters p.toml --accuracy none", "is beyond"),

@@ -24,6 +24,8 @@ from softdeca.cli import animate, bench, corpus, head, head_files, study, train_
 from softdeca.cli.study_command import RunOptions, command_of_study
 from softdeca.lhm import InputError
 
+from ..conftest import measure_here
+
 # Another process has to import what it measures.
 TOYS = """
 import os
@@ -112,6 +114,7 @@ def test_rows_come_in_the_order_of_tasks_and_are_kept(toys, tmp_path, monkeypatc
     assert [(row.case, row.values["twice"]) for row in results.rows] == [("1", 2.0), ("2", 4.0)]
     assert results.passed and results.words == "2 numbers were doubled."
     assert json.loads((tmp_path / "out" / "results.json").read_text())["rows"][0]["values"]["twice"] == 2.0
+    measure_here(monkeypatch)
     again = run(study, tmp_path / "out")
     assert again.rows == results.rows and sorted(calls(tmp_path)) == ["1", "2"]
     # A row torn by a kill is done again, the other is not.

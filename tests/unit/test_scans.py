@@ -96,7 +96,6 @@ BACK = np.diag([-1.0, 1, -1])
         (UPRIGHT, 1.0, "taken for mm", "y is up, z the front"),
         (STATUE, 0.1, "taken for cm", "z is up, -y the front"),
         (BACK, 1e-3, "taken for m,", "y is up, -z the front"),
-        (turned([0.4, 0.9, -0.5]), 1 / 25.4, "taken for in", "turned upright"),
         (turned([2.0, -0.8, 1.1]), 3.3, "none known", "turned upright"),
     ],
 )

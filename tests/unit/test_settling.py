@@ -67,12 +67,6 @@ def test_a_law_may_be_a_function_of_its_moduli(sphere_head, by_law):
     np.testing.assert_allclose(same.positions, by_law.positions, atol=1e-9)
 
 
-@pytest.mark.parametrize("parameters", [Parameters(), GROWN])
-def test_unknown_laws_are_named(sphere_head, parameters):
-    with pytest.raises(SceneError, match="law 'Ogden': there are PD, neo-Hookean"):
-        settle(sphere_head, parameters, law="Ogden")
-
-
 def test_a_law_refuses_what_has_no_counterpart(sphere_head):
     with pytest.raises(SceneError, match="strain limit"):
         settle(sphere_head, Parameters(strain_limit=1.2), law="neo-Hookean")
