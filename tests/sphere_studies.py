@@ -18,6 +18,7 @@ from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
+from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.lhm import expressions
 from softdeca.reference import Face
@@ -65,6 +66,11 @@ class SphereMinimal(OfSphere, Minimal):
     def tasks(self):
         # A sphere has no face with lips.
         return [task for task in super().tasks() if "face" not in task.method and "lips" not in task.method]
+
+
+@dataclass(frozen=True)
+class SphereThroughput(OfSphere, Throughput):
+    pass
 
 
 @dataclass(frozen=True)

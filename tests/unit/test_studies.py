@@ -39,6 +39,7 @@ CHEAP = {
         "size": 20.0,
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
+    "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
     "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
