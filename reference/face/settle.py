@@ -95,9 +95,9 @@ def settle(
     `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
     Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
     another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
-    `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
-    answer that has not converged says so by `reason`. `on_iteration` may interrupt it; see `solve`. Raises what
-    `facial_scene`, `apply_law` and the solver raise.
+    `choices` go to `facial_scene`; other solvers than PD take contact as the pairs near in PD's answer. A head without
+    the regions that tell where it has flesh is held everywhere. An answer that has not converged says so by `reason`.
+    `on_iteration` may interrupt it; see `solve`. Raises what `facial_scene`, `apply_law` and the solver raise.
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
@@ -112,6 +112,9 @@ def settle(
     scene = neutral_scene(head, parameters, **choices)
     start = np.array(scene.vertices)
     start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
+    if solver != "projective" and scene.of(terms.Contact):  # others take the pairs that projective dynamics finds
+        prepared = prepare(scene, solver="projective")
+        scene = prepared.freeze_contact(prepared.solve(start=start, tolerance=ROUGH).positions)
     if law != PD_ENERGY:
         start, scene = _start_of_law(scene, start), apply_law(scene, law)
     solution = prepare(scene, solver=solver).solve(

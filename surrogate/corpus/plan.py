@@ -80,8 +80,8 @@ class CorpusPlan:
 
     `kinds` and `sources` are shares, of parameter sets (see `mixture`) and of expressions; sources without a recording
     leave theirs to the others. `takes`: folder of recorded takes. Sequences begin with velocities of one long run of
-    `run` frames. `tolerance`: the norm of the gradient over that of
-    springs each 1 mm long. Raises InputError for counts and shares out of range.
+    `run` frames. `tolerance`: the norm of the gradient over that of springs each 1 mm long. `contact`: lids, lips and
+    what lines them are kept from crossing. Raises InputError for counts and shares out of range.
     """
 
     seed: int = 0
@@ -108,12 +108,15 @@ class CorpusPlan:
     tolerance: float = 5e-4
     max_iterations: int = 200
     inverted_share: float = 1e-3
+    contact: bool = False
 
     def __post_init__(self):
         for name, bound in COUNTS.items():
             bound.check(f"corpus plan {name}", getattr(self, name))
         PARAMETER_SETS.check("corpus plan identities * groups", self.identities * self.groups)
         PERSON_FRAMES.check("corpus plan groups * frames", self.groups * self.frames)
+        if not isinstance(self.contact, bool):
+            raise InputError(f"corpus plan contact: expected true or false, got {quote(self.contact)}")
         if not isinstance(self.takes, str):
             raise InputError(f"corpus plan takes: expected the name of a folder, got {quote(self.takes)}")
         if self.sequences > self.groups:
@@ -261,6 +264,8 @@ class CorpusPlan:
         content = asdict(replace(self, takes="")) | {
             "recordings": {name: [r.kind, r.frames, r.rate, _text(r)] for name, r in self.recordings.items()}
         }
+        if not self.contact:
+            del content["contact"]  # as plans had none
         return json.dumps(content, sort_keys=True)
 
     @cached_property

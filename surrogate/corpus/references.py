@@ -35,6 +35,7 @@ def references(plan: CorpusPlan, face: Face, weights: Floats, answer: Answer) ->
     """Solve a frame by FEniCSx with those of FEM_LAWS that the face has, each on the neutral face settled by that law.
 
     FEniCSx starts at the answer of projective dynamics, or at the settled face where that answer has inverted tets.
+    Where surfaces are near in that answer, they are kept apart by the pairs that it has.
     """
     positions = solve_frame(plan, face, weights).positions
     return {law: _reference(face, weights, positions, answer, law) for law in FEM_LAWS if _has_law(face, law)}
@@ -55,7 +56,7 @@ def _reference(face: Face, weights: Floats, positions: Floats, answer: Answer, l
         neutral = face.settled(law)
         if not neutral.converged:
             raise SceneError(f"settling: {neutral.reason}")
-        scene = face.scene(weights, law)
+        scene = face.derivatives.prepared.freeze_contact(positions, face.scene(weights, law))
         prepared = prepare(scene, solver="fenicsx")
         start = neutral.positions if law != PD_ENERGY and answer.inverted else positions
         # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.

@@ -103,7 +103,7 @@ class _PersonRows:
             return self._no_head, still, None
         try:
             with self._time_phase("settling"):
-                face = make_face(self.people, self.person, self._head, parameters)
+                face = make_face(self.people, self.person, self._head, parameters, contact=self.plan.contact)
                 if self.plan.settles_only(group, number):
                     return ACCEPTED, settle_neutral(face).displacement, None
                 prepare_face(self.people, face)

@@ -43,10 +43,13 @@ class Answer:
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
-def make_face(people: People, person: Person, head: LayeredHead, parameters: ParameterSet) -> Face:
+def make_face(
+    people: People, person: Person, head: LayeredHead, parameters: ParameterSet, *, contact: bool = False
+) -> Face:
     """Make a person's face under a parameter set, with the symbolic work of the last face of these people."""
     on_wraps = parameters.parameters(head, people.mean)
-    return Face(head, person.shapes, on_wraps, per="wraps", code=person.code, like=_last.get(people.name))
+    face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, like=_last.get(people.name))
+    return face.in_contact() if contact else face
 
 
 def settle_neutral(face: Face) -> SettledFace:
@@ -89,12 +92,14 @@ def _along(parameters: Parameters, name: str) -> float | Floats:
 
 
 def solve_frame(plan: CorpusPlan, face: Face, weights: Floats | Floats32) -> Solution:
-    """Solve an expression, begun at the first-order answer.
+    """Solve an expression, begun at the first-order answer, or at the neutral one where surfaces touch there.
 
     By the PD matrix, whose factor stays in a core's cache; where that fails, in the tangent's metric.
     """
     scene, linear = face.scene(weights), face.derivatives
     start = linear.answer.positions + np.tensordot(weights, face.first_order, axes=1)
+    if linear.prepared.touches(start):
+        start = linear.answer.positions
     stop = plan.tolerance * spring_norm(scene)
     spent = 0
     for metric in (None, linear.tangent):

@@ -4,16 +4,19 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from softdeca.lhm import FitError, InputError
-from softdeca.lhm.expressions import conversation_take
+from softdeca.lhm import FitError, InputError, fit_head, load_template
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.expressions import conversation_take, weights_of
+from softdeca.lhm.identities import Anny
 from softdeca.lhm.identities.space import LinearSpace
-from softdeca.reference import Parameters, Sequence
+from softdeca.reference import Face, Parameters, Sequence, terms
 from softdeca.reference.face.correction import predict
 from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
@@ -24,11 +27,11 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import REFERENCE, Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
-from softdeca.surrogate.corpus.references import FEM_LAWS
+from softdeca.surrogate.corpus.references import FEM_LAWS, references
 from softdeca.surrogate.corpus.schedule import Schedule
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import TABLES, read_seconds, read_shard, seconds_path, write_shard
-from softdeca.surrogate.corpus.simulator import make_face, simulate_static
+from softdeca.surrogate.corpus.simulator import make_face, simulate_static, solve_frame
 from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE = Spheres(1)
@@ -98,6 +101,33 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
         ]
         off.append(np.abs(np.array(again) - kept.corrected).max())
     assert off[0] < 0.01 and off[1] > 0.1
+
+
+def test_frames_with_contact_do_not_cross_and_finite_elements_answer_alike():
+    """A lower lip raised under 2 g, on a coarse head: it crosses the upper one without contact."""
+    space = Anny()
+    people = OfSpace(space, space.mean, partial(fit_head, load_template(level=1)))
+    person = people.person(np.random.default_rng(1))
+    free = Face(people.head(person), person.shapes, Parameters(gravity=2.0))
+    weights = weights_of({"mouthShrugLower": 1.0})
+    plain = replace(PLAN, contact=False)
+    assert plain.to_json() == PLAN.to_json() and replace(PLAN, contact=True).digest != PLAN.digest
+    pairs = {}
+    for contact in (False, True):
+        plan = replace(PLAN, contact=contact)
+        face = free.in_contact() if contact else free
+        solution = solve_frame(plan, face, weights)
+        triangles = free.in_contact().neutral_scene().of(terms.Contact)[0].triangles
+        pairs[contact] = len(TriangleTree(solution.positions, triangles).self_crossings())
+    assert pairs[False] > 0 == pairs[True] and solution.detail["contact_pairs"] > 0
+    answer = simulate_static(plan, face, weights)
+    assert answer.status == "accepted"
+    apart = []
+    for reference in references(plan, face, weights, answer).values():
+        assert reference.status == "accepted", reference.status
+        apart.append(np.abs(reference.corrected.astype(float) - answer.corrected).max())
+    by_pd, by_law = apart
+    assert by_pd < 0.01 < by_law < 0.1, apart
 
 
 def test_derivatives_are_those_of_the_simulated_frames(made):
