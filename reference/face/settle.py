@@ -22,7 +22,7 @@ from ...lhm.base.mesh import Floats
 from ...lhm.head.columns import fill_harmonically
 from ...lhm.head.flesh import LEAN_REGIONS, flesh_share
 from ...lhm.head.head import FREE, LayeredHead
-from .. import terms
+from .. import projective, terms
 from ..added import all_solvers
 from ..scene import Scene
 from ..solution import OnIteration, Reason, Solution
@@ -113,7 +113,7 @@ def settle(
     start = np.array(scene.vertices)
     start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
     if solver != "projective" and scene.of(terms.Contact):  # others take the pairs that projective dynamics finds
-        prepared = prepare(scene, solver="projective")
+        prepared = projective.prepare(scene)
         scene = prepared.freeze_contact(prepared.solve(start=start, tolerance=ROUGH).positions)
     if law != PD_ENERGY:
         start, scene = _start_of_law(scene, start), apply_law(scene, law)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ....lhm.base.mesh import Floats
-from ....reference import Face, Scene, SettledFace, Solution, prepare, settle, solve, terms
+from ....reference import Face, Scene, SettledFace, Solution, prepare, projective, settle, solve, terms
 from ....reference.face.facial import FaceLaw, apply_law
 from ....surrogate import Surrogate
 from ....surrogate.methods import (
@@ -161,7 +161,7 @@ class SolvedCase:
         settled, scene = self._set_scene(PD_ENERGY, "fenicsx")
         by_pd, begun, another = self.answer(PD).solution.positions, "settled", None
         if self.case.contact:
-            frozen = prepare(scene).freeze_contact(by_pd)
+            frozen = projective.prepare(scene).freeze_contact(by_pd)
             solution = solve(frozen, solver="fenicsx", start=by_pd, tolerance=WARM)
             return Answer(solution, frozen, settled, self._skin(settled, solution), "PD's answer, with its pairs")
         prepared = prepare(scene, solver="fenicsx")
