@@ -75,13 +75,14 @@ def test_a_face_by_three_solvers():
 
 
 def test_a_heavier_face():
-    names = ran("heavier = settle", level=1)
-    assert names["heavier"].solution.converged and names["answer"].converged
+    names = ran("heavier = Face", level=1)
+    assert names["heavier"].settled().converged and names["answer"].converged
     # As in the picture: 40 % more soft tissue shows, as it does not by targets alone.
     head = names["head"]
     assert 2.0 < np.linalg.norm(names["neutral"] - head.skin.vertices, axis=1).max() < 10.0
-    leaner = solve(facial_scene(head, Parameters(), names["targets"])).positions[: len(head.skin_wrap.vertices)]
-    assert np.linalg.norm(names["grown"] - head.skin_after(names["targets"], leaner), axis=1).max() > 2.0
+    targets = names["heavier"].blend(names["smile"])
+    leaner = solve(facial_scene(head, Parameters(), targets)).positions[: len(head.skin_wrap.vertices)]
+    assert np.linalg.norm(names["grown"] - head.skin_after(targets, leaner), axis=1).max() > 2.0
 
 
 def test_the_surrogate():

@@ -91,7 +91,7 @@ def test_eyes_and_teeth_move_as_python_says(opened, bound):
         weights = expressions.weights_of(named)
         skin = opened.positions(weights, "blendshapes")
         found = np.array(opened.page.evaluate("viewer.within()")).reshape(-1, 3)
-        assert np.abs(found - find_eyes_and_teeth(SPACE.skin(CODE)).at(skin, weights)).max() < 0.01
+        assert np.abs(found - find_eyes_and_teeth(SPACE.skin(CODE)).place(skin, weights)).max() < 0.01
 
 
 def test_a_solvers_answer_is_shown_in_its_pose_alone(opened):

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,11 +115,10 @@ def test_only_the_newest_change_is_refined_and_a_moving_slider_settles_nothing(f
     assert {frame.change for frame in frames} == {4} and len([m for m in sent if isinstance(m, DerivativesFound)]) == 1
 
 
-def test_a_face_that_does_not_settle_is_told(face, monkeypatch):
+def test_a_face_that_does_not_settle_is_told(face):
     newest, sent = Newest(), []
-    monkeypatch.setattr("softdeca.reference.face.face.TARGET_OPTIONS", {"tolerance": 1e-4, "max_iterations": 1})
     newest.put(change(5, volume=1.5))
-    refine_newest(Refinement(face), newest, sent.append)
+    refine_newest(Refinement(replace(face, settling={"max_iterations": 1})), newest, sent.append)
     assert sent[-1].kind == "failed" and sent[-1].change == 5
     assert sent[-1].text.startswith("the face does not settle under these parameters (iteration limit")
 

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.studies.agreement.release import Release
-from softdeca.reference import SOLVERS, Reason, Scene, SceneError, prepare, solve, terms
+from softdeca.reference import SOLVERS, Face, Reason, Scene, SceneError, prepare, solve, terms
 from softdeca.reference.march import Scheme, march
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems.meshes import box, vertices_at
@@ -381,7 +381,7 @@ def test_coefficients_by_the_spectral_radius():
 
 def test_a_shaken_shell_whose_thin_tets_invert_takes_few_iterations(spheres):
     """Newton's exact tangent is tried from a step's beginning on, which is near its end: projected, 19 are needed."""
-    release = Release(spheres(1, (100.0, 97.0, 94.0)), 0)
+    release = Release(Face(spheres(1, (100.0, 97.0, 94.0)), choices={"bones": "prescribed"}), 0)
     pace = 2 * np.pi * 2
 
     def shaken(t):
