@@ -22,7 +22,7 @@ from .added import all_solvers
 from .scene import Scene
 from .solution import Reason, Solution
 from .solve import prepare, solve
-from .terms import Fixed, RigidBody, Target
+from .terms import Fixed, Inertia, RigidBody, Target
 
 DEFAULTS = {"fenicsx": {"linear_solver": "chord"}}
 """Options of solvers that suit steps which differ little."""
@@ -203,8 +203,8 @@ def march(
     moves on in a step, the largest so far. `options` are the solver's. Under mpirun, `on_step` answers every process
     alike.
 
-    Raises SceneError for what is out of range, a scene with RigidBody, no mass at all, and what the solver cannot
-    model; MissingDependencyError if its packages are not installed.
+    Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or RigidBody, or no mass at
+    all, and what the solver cannot model; MissingDependencyError if its packages are not installed.
     """
     if solver not in all_solvers():
         raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(all_solvers())}")
@@ -374,10 +374,9 @@ def _lump_masses(motion: Motion) -> Floats:
     scene, skin = motion.scene, motion.skin
     a, b, c = (scene.vertices[skin[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-    masses = np.zeros(len(scene.vertices))
-    np.add.at(masses, skin, (motion.skin_density * areas / 3.0)[:, None])
-    np.add.at(masses, scene.tets, (motion.density * scene.volumes / 4.0)[:, None])
-    return masses
+    shares = np.repeat(motion.skin_density * areas / 3.0, 3)
+    tissue = Inertia(motion.density, motion.time_step).lump(scene, motion.density)
+    return tissue + np.bincount(skin.ravel(), shares, minlength=len(scene.vertices))
 
 
 def _check(
@@ -388,6 +387,8 @@ def _check(
         raise SceneError(f"march: expected a Scene, got {type(scene).__name__}")
     if not len(scene.tets):
         raise SceneError("march: the scene has no tets")
+    if scene.of(Inertia):
+        raise SceneError("march: the scene has an Inertia term; mass is given by density and skin_density")
     if scene.of(RigidBody):
         raise SceneError("march: cannot model RigidBody; hold its vertices by Fixed")
     step = np.asarray(time_step, dtype=np.float64)

@@ -55,8 +55,14 @@ class Springs:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Springs]:
-        """Make those of each Target."""
-        return [cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)]
+        """Make those of each Target, and of all inertia together."""
+        springs = [
+            cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)
+        ]
+        if scene.of(terms.Inertia):
+            stiffness, places = scene.inertia()
+            springs.append(cls(np.arange(len(places)), places, stiffness, discretisation))
+        return springs
 
     def _stretch(self, x: Floats) -> Floats:
         stretch = np.zeros(len(x))
@@ -118,6 +124,7 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.SurfaceStrain: Membranes,
     terms.Bending: Bends,
     terms.Target: Springs,
+    terms.Inertia: Springs,
     terms.Contact: Barrier,
     terms.Gaps: Gaps,
 }

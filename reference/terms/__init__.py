@@ -8,7 +8,7 @@ from .loads import Gravity, Pressure, Traction
 from .solids import Hyperelastic, Solid, Strain, Volume
 from .surfaces import Bending, Contact, Gaps, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
-from .vertices import Fixed, RigidBody, Target
+from .vertices import Fixed, Inertia, RigidBody, Target
 
 __all__ = [
     "Amount",
@@ -18,6 +18,7 @@ __all__ = [
     "Gaps",
     "Gravity",
     "Hyperelastic",
+    "Inertia",
     "Mesh",
     "OnTets",
     "OnTriangles",

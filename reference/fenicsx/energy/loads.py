@@ -1,4 +1,4 @@
-"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, and Target.
+"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, Target and Inertia.
 
 Follower pressure on linear or quadratic triangles: with x(ξ, η) on a triangle the outer normal times area is
 x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to the gradient. Its derivative is symmetric where the border
@@ -98,7 +98,7 @@ class FollowerPressure(NodalEnergy):
 
 @dataclass(frozen=True, eq=False)
 class Springs(NodalEnergy):
-    """Springs of a Target at nodes that this process owns.
+    """Springs of a Target, or of inertia, at nodes that this process owns.
 
     nodes (k, 1), positions [mm] (k, 3), stiffness [mN/mm] (k,).
     """
@@ -109,12 +109,14 @@ class Springs(NodalEnergy):
 
     @classmethod
     def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Springs]:
-        """See NodalEnergy."""
+        """Make the springs of each target, and of all inertia together."""
+        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
+        stiffness, places = scene.inertia()
+        moving = np.flatnonzero(stiffness)
         owned = []
-        for term in scene.of(Target):
-            mine, dofs = numbering.own_dofs(term.name, term.vertices)
-            stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[mine]
-            owned.append(cls(dofs[:, None], term.positions[mine], stiffness))
+        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
+            mine, dofs = numbering.own_dofs(name, vertices)
+            owned.append(cls(dofs[:, None], positions[mine], np.broadcast_to(values, len(vertices))[mine]))
         return owned
 
     def energy(self, x: Floats) -> float:

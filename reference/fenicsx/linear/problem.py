@@ -15,6 +15,7 @@ from ...terms import (
     Bending,
     Gaps,
     Hyperelastic,
+    Inertia,
     Pressure,
     RigidBody,
     Strain,
@@ -47,6 +48,7 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
     Gaps: Distances,
     Pressure: FollowerPressure,
     Target: Springs,
+    Inertia: Springs,
 }
 """The class that models each term that has an energy, or a force that follows."""
 

@@ -18,6 +18,7 @@ from ...terms import (
     Bending,
     Gaps,
     Gravity,
+    Inertia,
     Strain,
     SurfaceStrain,
     Target,
@@ -40,6 +41,7 @@ PARTS: dict[type[Term], type[Part]] = {
     SurfaceStrain: Triangles,
     Bending: Rings,
     Target: Springs,
+    Inertia: Springs,
     Gaps: Pairs,
 }
 """The class that models each term that has an energy, in the order in which their energies are added up."""
