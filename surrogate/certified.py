@@ -149,7 +149,7 @@ class CertifiedFace:
         begin, linear, skin = time.perf_counter(), self.face.derivatives, self.face.head.skin_from_wrap
         scene = self.face.scene(frame.weights)
         start = linear.answer.positions if after is None else after.positions
-        share, solves = POLICY.begun, frame.solves
+        share, solves = POLICY.converged if accuracy <= FINEST else POLICY.begun, frame.solves
         wrap = slice(len(self.face.head.bone))
         while True:
             solution = linear.prepared.solve(
