@@ -59,9 +59,12 @@ class _Work:
 
         return at
 
-    def precondition(self, vector: Floats, point: Point) -> Floats:
+    def solve(self, vector: Floats, rotations: Floats) -> Floats:
         self.global_solves += 1
-        return self.system.solve(vector, point.place.rotations)
+        return self.system.solve(vector, rotations)
+
+    def precondition(self, vector: Floats, point: Point) -> Floats:
+        return self.solve(vector, point.place.rotations)
 
     def by(self, metric: Tangent) -> Callable[[Floats, Point], Floats]:
         def precondition(vector: Floats, point: Point) -> Floats:
@@ -140,7 +143,8 @@ class ProjectivePrepared:
         watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
         descend = METHODS[self.method]
         if self.contact is not None:
-            descend = partial(after_untangling, self.contact.descend, untangle=self.contact.descend)
+            apart = partial(self.contact.descend, solve=work.solve)
+            descend = partial(after_untangling, apart, untangle=apart)
         point, reason = descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best

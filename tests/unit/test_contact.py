@@ -1,6 +1,7 @@
 """Contact inside the descent: closed forms of pressed parts, no friction, nothing crosses, and its energy and model."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -145,7 +146,8 @@ def test_the_model_of_elasticity_is_l_bfgs_on_the_contact_vertices(bodies):
     prepared = prepare(scene)
     contact, coordinates, rng = prepared.contact, prepared.system.coordinates, np.random.default_rng(0)
     place = coordinates.start(0.3 * rng.normal(size=scene.vertices.shape))
-    model = Model(prepared.system, contact.compliance, contact.vertices, place.rotations)
+    solve_start = partial(prepared.system.solve, rotations=place.rotations)
+    model = Model(solve_start, coordinates, contact.compliance, contact.vertices, place.rotations)
     A = np.linalg.inv([prepared.system.solve(unit, place.rotations) for unit in np.eye(coordinates.size)])
     memory = Memory(coordinates.size)
     for _ in range(11):

@@ -8,9 +8,9 @@ L-BFGS learns from elasticity's gradient g alone, for contact is never modelled 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -26,6 +26,8 @@ from ..unknowns.coordinates import Place
 from ..unknowns.system import System
 from .model import Compliance, Model
 from .surfaces import ContactSurface, Nearby, Rows
+
+SolveMatrix = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,10 @@ class ContactDescent:
         vertices, surfaces = ContactSurface.from_scene(scene, policy)
         return cls(scene.vertices, vertices, surfaces, Compliance(system, vertices), system, policy)
 
-    def descend(self, problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+    def descend(self, problem: Problem, point: Point, watch: Observer, *, solve: SolveMatrix) -> tuple[Point, Reason]:
         """Minimise a problem's energy and contact's from a point; see `descent.Descent`. The watch sees both together.
+
+        `solve` is A⁻¹ on a vector over the unknowns at the bodies' rotations.
 
         As long as nothing touches this is L-BFGS without contact, which costs no more. A start at which more crosses
         than at rest is left for rest. A point at which no step lowers the energy is STAGNATED.
@@ -70,12 +74,14 @@ class ContactDescent:
         if not looks.has_touched:
             return end, reason
         watch.forget()
-        return self._descend_touching(problem, point if looks.free is None else looks.free, watch, nearby)
+        begin = point if looks.free is None else looks.free
+        solve_begun = partial(solve, rotations=begin.place.rotations)
+        model = Model(solve_begun, self.system.coordinates, self.compliance, self.vertices, begin.place.rotations)
+        return self._descend_touching(problem, begin, watch, nearby, model)
 
     def _descend_touching(
-        self, problem: Problem, point: Point, watch: Observer, nearby: Nearby
+        self, problem: Problem, point: Point, watch: Observer, nearby: Nearby, model: Model
     ) -> tuple[Point, Reason]:
-        model = Model(self.system, self.compliance, self.vertices, point.place.rotations)
         x = self.find_places(point.place)
         here = self._touch(point, x, nearby.find_rows(x))
         solved = model.solve_start(point.gradient)

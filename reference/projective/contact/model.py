@@ -6,7 +6,7 @@ matrix A at the bodies' first rotations as its start. P takes the contact vertic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -83,14 +83,19 @@ def _find_places(free: Ints, vertices: Ints) -> Ints:
 
 
 class Model:
-    """B⁻¹ and P, at one start's rotations of the bodies."""
+    """B⁻¹ and P, at one start's rotations of the bodies; `solve_start` is A⁻¹ on a vector (size,) there."""
 
-    def __init__(self, system: System, compliance: Compliance, vertices: Ints, rotations: Floats):
-        self._system, self._compliance, self._rotations = system, compliance, rotations
-        coordinates = system.coordinates
+    def __init__(
+        self,
+        solve_start: Callable[[Floats], Floats],
+        coordinates: Coordinates,
+        compliance: Compliance,
+        vertices: Ints,
+        rotations: Floats,
+    ):
+        self.solve_start, self._compliance = solve_start, compliance
         size, free = coordinates.size, len(coordinates.index)
         self._restriction = restrict(coordinates, vertices, rotations)
-        self.solves = 0
         self._of_bodies: list[tuple[Floats, Floats]] = []
         if size > free:
             solved = np.stack([self.solve_start(unit) for unit in np.eye(size - free, size, free)])
@@ -101,11 +106,6 @@ class Model:
         self._near = np.zeros((2 * CAPACITY, 3 * len(vertices)))
         self._products, self._own = np.zeros((CAPACITY, CAPACITY)), np.zeros((CAPACITY, CAPACITY))
         self.clear()
-
-    def solve_start(self, vector: Floats) -> Floats:
-        """Return A⁻¹ times a vector (size,)."""
-        self.solves += 1
-        return self._system.solve(vector, self._rotations)
 
     def solve(self, vector: Floats, solved: Floats) -> Floats:
         """Return B⁻¹ times a vector (size,), given A⁻¹ times it."""
