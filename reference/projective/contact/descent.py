@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -75,8 +75,8 @@ class ContactDescent:
             return end, reason
         watch.forget()
         begin = point if looks.free is None else looks.free
-        solve_begun = partial(solve, rotations=begin.place.rotations)
-        model = Model(solve_begun, self.system.coordinates, self.compliance, self.vertices, begin.place.rotations)
+        rotations, coordinates = begin.place.rotations, self.system.coordinates
+        model = Model(lambda vector: solve(vector, rotations), coordinates, self.compliance, self.vertices, rotations)
         return self._descend_touching(problem, begin, watch, nearby, model)
 
     def _descend_touching(
