@@ -173,11 +173,7 @@ class ProjectivePrepared:
         There it has the same energy, and as long as no other pair comes near: for solvers that look for none. A scene
         without Contact is left as it is; scene as of `solve`.
         """
-        scene = self.scene if scene is None else scene
-        if self.contact is None:
-            return scene
-        others = (term for term in scene.terms if not isinstance(term, Contact))
-        return replace(scene, terms=(*others, self.contact.freeze(positions)))
+        return self._freeze(positions, self.scene if scene is None else scene)
 
     def tangent(
         self,
@@ -204,13 +200,19 @@ class ProjectivePrepared:
         """Tell whether surfaces in Contact are too near at positions [mm], shape (n, 3), or cross."""
         return self.contact is not None and self.contact.touches(positions)
 
+    def _freeze(self, positions: Floats, scene: Scene, *, pressed: bool = False) -> Scene:
+        """Put the pairs near at positions [mm], or only those that push, in the place of a scene's Contact."""
+        if self.contact is None:
+            return scene
+        gaps = self.contact.freeze(positions, pressed=pressed)
+        others = (term for term in scene.terms if not isinstance(term, Contact))
+        return replace(scene, terms=(*others, *([gaps] if len(gaps.pairs) else [])))
+
     def _tangent_at(self, positions: Floats, scene: Scene, **how: Any) -> Tangent:
         """Factor the exact Hessian at positions [mm], with that of the pairs that are pressed there."""
         energy, coordinates = self.energy.for_scene(scene), self.system.coordinates
         if self.contact is not None:
-            gaps = self.contact.freeze(positions, pressed=True)
-            others = tuple(term for term in scene.terms if not isinstance(term, Contact))
-            scene = replace(scene, terms=(*others, gaps) if len(gaps.pairs) else others)
+            scene = self._freeze(positions, scene, pressed=True)
             pairs = Pairs.from_scene(scene)
             energy = energy if pairs is None else Energy((*energy.parts, pairs))
         return Tangent.from_scene(scene, energy, coordinates, coordinates.start(positions - scene.vertices), **how)

@@ -99,7 +99,7 @@ class Contact(OfPerson):
     note = (
         "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
         "keeps surfaces apart on its way from rest; scikit-fem minimises the energy with ipctk's barrier from rest on. "
-        f" Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
+        f"Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
         "what each vertex is pushed with, the remainder of the energy's gradient without contact. Hard frames are of "
         "the whole face, from rest; their time is that of the processor, prepared, the second of two solves."
     )

@@ -115,7 +115,7 @@ class ContactDescent:
         The force is half of what all vertices are pushed with [mN]; "contact_crossings" are pairs of triangles.
         """
         x = positions[self.vertices]
-        rows = Nearby(self.surfaces, self.policy).find_rows(x)
+        rows = self._find_rows(x)
         pushes = rows.spread(rows.forces, len(x))
         return {
             "contact_pairs": float(np.count_nonzero(rows.depth > 0.0)),
@@ -126,7 +126,7 @@ class ContactDescent:
     def touches(self, positions: Floats) -> bool:
         """Tell whether pairs are too near at positions (n, 3) [mm], or more triangles cross than at rest."""
         x = positions[self.vertices]
-        rows = Nearby(self.surfaces, self.policy).find_rows(x)
+        rows = self._find_rows(x)
         return bool((rows.depth > 0.0).any()) or self.count_crossings(x) > self.crossings_at_rest
 
     @cached_property
@@ -144,9 +144,13 @@ class ContactDescent:
 
     def freeze(self, positions: Floats, *, pressed: bool = False) -> Gaps:
         """Return the pairs that are near at positions (n, 3) [mm], or only those that push, with their energy."""
-        rows = Nearby(self.surfaces, self.policy).find_rows(positions[self.vertices])
+        rows = self._find_rows(positions[self.vertices])
         rows = rows.select(np.flatnonzero(rows.depth > 0.0)) if pressed else rows
         return Gaps(self.vertices[rows.ids], rows.between_edges, rows.stiffness, rows.offset)
+
+    def _find_rows(self, x: Floats) -> Rows:
+        """Find the pairs that are near, with contact vertices at x (k, 3) [mm], asked once."""
+        return Nearby(self.surfaces, self.policy).find_rows(x)
 
     def _touch(self, point: Point, x: Floats, rows: Rows) -> Touching:
         """Add contact to a point of the energy without it, with contact vertices at x (k, 3) and these rows near."""
