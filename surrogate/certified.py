@@ -124,9 +124,12 @@ class CertifiedFace:
         accuracy = number("accuracy", accuracy, least=FINEST, most=COARSEST, unit="mm")
         seconds = None if seconds is None else number("seconds", seconds, least=0.0, unit="s")
         for frame in self._correct(weights, after, accuracy):
-            if frame.bound <= accuracy or (seconds is not None and frame.seconds >= seconds):
+            is_late = seconds is not None and frame.seconds >= seconds
+            if frame.bound <= accuracy or is_late:
                 break
-        return self._part(frame, accuracy, after) if self._touches(frame) else frame
+        if not self._touches(frame):
+            return frame
+        return replace(frame, certain=False) if is_late else self._part(frame, accuracy, after)
 
     @check_arguments
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
