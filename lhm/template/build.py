@@ -39,7 +39,7 @@ from .wraps.landmarks import (
 )
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 18
+FORMAT = 19
 
 
 @dataclass(frozen=True)

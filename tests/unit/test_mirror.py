@@ -85,6 +85,14 @@ def test_heads_of_symmetric_skins_are_symmetric_and_others_are_not(template, ann
     assert gap(fit_head(template, leaning).skin_wrap.vertices, twins) > 0.5
 
 
+def test_rounding_decides_nothing_about_a_head(template, anny):
+    for seed in range(3):
+        skin = anny.sample(np.random.default_rng(seed))[1]
+        noise = 1e-9 * np.random.default_rng(0).standard_normal(skin.vertices.shape)
+        heads = [fit_head(template, skin.with_vertices(skin.vertices + share * noise)) for share in (0.0, 1.0)]
+        assert np.abs(heads[0].vertices - heads[1].vertices).max() < 1e-5
+
+
 def simulate(head, parameters, shape):
     scene = facial_scene(head, parameters, shape)
     solution = solve(scene, solver="projective", tolerance=1e-7, max_iterations=3000)

@@ -32,6 +32,8 @@ class ClimbPolicy:
 
 POLICY = ClimbPolicy()
 """The constants as they were measured."""
+ROUNDING = 1e-9
+"""A sine that grows by less has not grown: twins mirror each other but for rounding."""
 
 
 def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolicy = POLICY) -> Floats:
@@ -193,7 +195,7 @@ def _climb(
                     size = np.sqrt(((x[2 * n + v] - x[v]) ** 2).sum())
                     if size < shortest[v] or size > longest[v]:
                         continue
-                    better, sine = _all_above(x, tets, incident, first, last, where, worst)
+                    better, sine = _all_above(x, tets, incident, first, last, where, worst + ROUNDING)
                     if better:
                         worst = sine
                         for level in range(3):
