@@ -10,9 +10,8 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ...reference import Parameters
 from ...reference.face.face import Face
-from .mixture import BONES, ParameterSet
+from .mixture import ParameterSet
 
 if TYPE_CHECKING:
     from .heads import Heads
@@ -46,14 +45,15 @@ class Derivatives:
 class KeptFace:
     """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
-    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there. derivatives: None where a
-    corpus has only the neutral face. What the corpus does not have is asked of `live`.
+    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; carried (n, 3) [mm]: how
+    far scaled bones carry it. derivatives: None where they are asked for anew, of `live`.
     """
 
     identity: int
     person: Person
     parameters: ParameterSet
     displacement: np.ndarray
+    carried: np.ndarray
     derivatives: Derivatives | None = None
     heads: Heads | None = None
 
@@ -94,13 +94,6 @@ class KeptFace:
         """Return the same face without what the corpus keeps of its simulation."""
         heads = None if self.heads is None else replace(self.heads)
         return replace(self, derivatives=None, heads=heads)
-
-    @cached_property
-    def carried(self) -> Floats32:
-        """Displacement of the neutral skin with scaled bones [mm], (n, 3); a head is fitted only where p scales one."""
-        if all(self.parameters.level(name) == Parameters.info(name).default for name in BONES):
-            return np.zeros(self.skin.vertices.shape, dtype=np.float32)
-        return self.live.carried.astype(np.float32)
 
     @property
     def offset(self) -> np.ndarray:

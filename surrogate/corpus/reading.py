@@ -48,6 +48,7 @@ class _Person:
     skin: Place
     shapes: Place
     settled: Place
+    carried: Place
 
 
 class Table:
@@ -99,7 +100,7 @@ class Table:
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         arrays = read_arrays_of(path, self.corpus.owner, *OF_GROUPS, *names.values())
-        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
+        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", "groups/carried", *large.values())
         return _Person(
             path=path,
             code=arrays["persons/code"][0],
@@ -111,6 +112,7 @@ class Table:
             skin=places["persons/skin"],
             shapes=places["persons/shapes"],
             settled=places["groups/settled"],
+            carried=places["groups/carried"],
         )
 
     def __len__(self) -> int:
@@ -150,10 +152,15 @@ class Table:
         code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
         return Person(code, self.skin(identity), self.shapes(identity))
 
-    def settled(self, identity: int, group: int) -> NDArray:
-        """Read how far p moves a person's neutral skin [mm], shape (n, 3)."""
-        person = self._people[int(identity)]
-        return person.settled.row(person.path, int(group))
+    def face(self, index: int, heads: Heads | None = None) -> KeptFace:
+        """Read the face of a row; with derivatives where the table is of responses."""
+        identity, group = self.groups[index].tolist()
+        person, derivatives = self._people[identity], None
+        settled, carried = (place.row(person.path, group) for place in (person.settled, person.carried))
+        if self.table == "responses":
+            row = self[index]
+            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
+        return KeptFace(identity, self.person(identity), self.parameters(index), settled, carried, derivatives, heads)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
@@ -221,10 +228,7 @@ class Faces:
 
     def face(self, index: int) -> KeptFace:
         """Read one face."""
-        row, (identity, group) = self._table[index], self.groups[index].tolist()
-        derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
-        person, parameters = self._table.person(identity), self._table.parameters(index)
-        return KeptFace(identity, person, parameters, self._table.settled(identity, group), derivatives, self.heads)
+        return self._table.face(index, self.heads)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""

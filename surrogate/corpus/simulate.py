@@ -82,6 +82,7 @@ class _PersonRows:
                 "varied": parameters.varied,
                 "coefficients": parameters.coefficients,
                 "settled": settled,
+                "carried": np.zeros_like(settled) if face is None else face.carried,
                 "status": status,
             }
         )

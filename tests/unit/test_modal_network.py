@@ -593,7 +593,9 @@ def test_a_mirrored_face_is_what_the_simulator_makes_of_the_mirrored_parameters(
     kept = {}
     for side, one in enumerate((parameters, swapped)):
         face = make_face(people, person, head, one)
-        kept[side] = KeptFace(0, person, one, face.settled().displacement, Derivatives(face.offset, face.responses))
+        kept[side] = KeptFace(
+            0, person, one, face.settled().displacement, face.carried, Derivatives(face.offset, face.responses)
+        )
     mirrored, simulated = LessonFace(kept[0], features, True), LessonFace(kept[1], features)
     np.testing.assert_allclose(mirrored.parameters, simulated.parameters, atol=1e-6)
     assert np.abs(mirrored.skin - simulated.skin).max() < 0.01
