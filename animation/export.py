@@ -1,0 +1,119 @@
+"""A face as a rig for other programs: skin, eyes and teeth, moved by morph targets of ARKit's 52 names.
+
+The targets are blendshapes, or the simulator's derivatives: physics at the price of blendshapes, whose sums leave the
+simulator by what is not linear. That error is measured, and stands in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..lhm.base.files.glb import write_glb
+from ..lhm.base.files.morphs import MorphedSurface, MorphRig
+from ..lhm.base.files.usd import write_usd
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress
+from ..lhm.expressions import Take, sample_weights
+from ..lhm.identities.arkit import ARKIT
+from ..reference import Face
+from ..surrogate import BoundSurrogate, CertifiedFace
+from ..surrogate.certified import find_counted
+from ..surrogate.methods import BLENDSHAPES, DERIVATIVES, differentiate
+from .eyes_and_teeth import TURN, find_eyes_and_teeth
+from .pictures import to_linear_light
+
+RigFormat = Literal["glb", "usd"]
+WRITERS: Mapping[RigFormat, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
+EXPRESSIONS, ACCURACY = 8, 1e-3
+"""Mixed expressions that the error is measured on, and the accuracy [mm] of the simulator's answers there."""
+ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth")
+
+
+def blended_rig(face: Face) -> MorphRig:
+    """Make the rig of a face's blendshapes, without p."""
+    return named_rig(face.skin, face.shapes, {"method": BLENDSHAPES})
+
+
+def simulated_rig(face: Face, progress: OnProgress) -> MorphRig:
+    """Make the rig of the face that settles under p and of the simulator's derivatives; some seconds.
+
+    The notes tell its error to the simulator on EXPRESSIONS random ones: the mean over those of the mean distance [mm]
+    of the vertices that physics moves, and the largest distance of any. Raises what the simulator raises.
+    """
+    progress("derivatives", 0.0)
+    rig = differentiate(face)
+    certified = CertifiedFace(face, rig, DERIVATIVES)
+    progress("derivatives", 1.0)
+    means, largest = [], 0.0
+    rng = np.random.default_rng(0)
+    for number in range(EXPRESSIONS):
+        progress("error", number / EXPRESSIONS)
+        weights = sample_weights(rng)
+        skin = certified.frame(weights, ACCURACY).skin
+        distance = np.linalg.norm(rig.frame(weights) - skin, axis=1)
+        means.append(distance[find_counted(skin, face.blend(weights) + face.carried)].mean())
+        largest = max(largest, float(distance.max()))
+    progress("error", 1.0)
+    notes = {
+        "method": DERIVATIVES,
+        "expressions": EXPRESSIONS,
+        "mean_error_mm": float(np.mean(means)),
+        "largest_error_mm": largest,
+    }
+    targets = rig.linear_targets
+    assert targets is not None  # of derivatives alone
+    return named_rig(_rest(rig), targets, notes)
+
+
+def tell_turns() -> dict[str, dict[str, float]]:
+    """Tell by how many degrees a weight of 1 turns its eye's node about x or y, about x first."""
+    turns = {}
+    for side, out in (("Left", 1.0), ("Right", -1.0)):
+        turns |= {f"eyeLook{way}{side}": {"x": TURN[way]} for way in ("Up", "Down")}
+        turns |= {f"eyeLookOut{side}": {"y": out * TURN["Out"]}, f"eyeLookIn{side}": {"y": -out * TURN["In"]}}
+    return turns
+
+
+def named_take(method: str, rig: BoundSurrogate, take: Take) -> MorphRig | None:
+    """Make the rig of a skin that plays a take by its own 52 targets; None where its frames are no sums of these."""
+    targets = rig.linear_targets
+    if targets is None:
+        return None
+    skin = MorphedSurface.from_targets("skin", _rest(rig), targets)
+    return MorphRig([skin], ARKIT, {"method": method}, take.times, np.clip(take.weights, 0.0, 1.0))
+
+
+def _rest(rig: BoundSurrogate) -> Surface:
+    return rig.skin.with_vertices(rig.neutral.astype(np.float64))
+
+
+def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:
+    """Make a rig of a skin at rest and 52 targets (52, n, 3) [mm], with eyes and teeth where the skin's are known.
+
+    Teeth have targets, too: their place is linear in the skin's, so their sums are exact. Eyes are nodes that turn, as
+    the notes say; they stand still otherwise.
+    """
+    surfaces = [MorphedSurface.from_targets("skin", rest, targets)]
+    organs = find_eyes_and_teeth(rest)
+    if organs is None:
+        return MorphRig(surfaces, ARKIT, notes)
+    colours, first = to_linear_light(organs.colours), 0
+    for name, body in zip(ORGANS, organs.bodies, strict=True):
+        end = first + len(body.points)
+        mine = (organs.triangles >= first).all(axis=1) & (organs.triangles < end).all(axis=1)
+        points, triangles = body.place(rest.vertices, None), organs.triangles[mine] - first
+        if body.side:
+            centre = 0.5 * (points[0] + points[-1])  # of a ball, whose first and last points are its poles
+            still = np.zeros((0, *points.shape))
+            look = {"colour": colours[first:end], "place": centre}
+            surfaces.append(MorphedSurface.from_targets(name, Surface(points - centre, triangles), still, **look))
+        else:
+            moved = np.stack([body.place(rest.vertices + target, None) - points for target in targets])
+            colour = colours[first:end]
+            surfaces.append(MorphedSurface.from_targets(name, Surface(points, triangles), moved, colour=colour))
+        first = end
+    return MorphRig(surfaces, ARKIT, {**notes, "eye_turns_degrees": tell_turns()})
