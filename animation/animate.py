@@ -22,7 +22,7 @@ from ..reference.face.bones import Bones
 from ..reference.face.dynamics import find_pivot
 from ..surrogate import BoundRig, BoundSurrogate, Surrogate, certify
 from ..surrogate.certified import ACCURACY
-from .export import named_take
+from .export import WRITERS, named_take
 from .frames import SimulatedFrames, TakeFrame, certified_frames, rig_frames
 from .play import Output, Played, Stage, play
 from .preview import check_preview
@@ -101,9 +101,8 @@ def animate_rig(
     """Write wanted.out's files by a rig alone, whose frames tell no error: take, preview, log.jsonl.
 
     bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes
-    the face where there is one. Frames that are sums of 52 targets are written as these, by ARKit's names, where
-    nothing is added to them. Returns the rig, too. InputError for a take without head rotation that is to be
-    `turned`.
+    the face where there is one. Frames that are sums of the rig's own 52 targets are written as these. Returns the rig,
+    too. InputError for a take without head rotation that is to be `turned`.
     """
     _check(wanted, take)
     begin = time.perf_counter()
@@ -117,9 +116,8 @@ def animate_rig(
     pivot = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     framed = neutral.vertices[np.unique(neutral.triangles)]
     stage = Stage(neutral, face.shapes, pivot, framed, take)
-    named = None
-    if isinstance(rig, BoundSurrogate) and not (wanted.dynamic or wanted.turned):
-        named = named_take(method, rig, take)
+    sums = wanted.format in WRITERS and not (wanted.dynamic or wanted.turned)
+    named = named_take(method, rig, take) if sums and isinstance(rig, BoundSurrogate) else None
     played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress, rig=named)
     return _result(played, bind_seconds), rig
 

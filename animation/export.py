@@ -27,7 +27,7 @@ from .eyes_and_teeth import TURN, find_eyes_and_teeth
 from .pictures import to_linear_light
 
 RigFormat = Literal["glb", "usd"]
-WRITERS: Mapping[RigFormat, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
+WRITERS: Mapping[str, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
 EXPRESSIONS, ACCURACY = 8, 1e-3
 """Mixed expressions that the error is measured on, and the accuracy [mm] of the simulator's answers there."""
 ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth")
@@ -41,54 +41,31 @@ def blended_rig(face: Face) -> MorphRig:
 def simulated_rig(face: Face, progress: OnProgress) -> MorphRig:
     """Make the rig of the face that settles under p and of the simulator's derivatives; some seconds.
 
-    The notes tell its error to the simulator on EXPRESSIONS random ones: the mean over those of the mean distance [mm]
-    of the vertices that physics moves, and the largest distance of any. Raises what the simulator raises.
+    The notes tell its error; see `measure_error`. Raises what the simulator raises.
     """
     progress("derivatives", 0.0)
-    rig = differentiate(face)
-    certified = CertifiedFace(face, rig, DERIVATIVES)
+    rest = face.skin.with_vertices(face.skin.vertices + face.offset)
+    targets = face.shapes + face.responses
     progress("derivatives", 1.0)
-    means, largest = [], 0.0
-    rng = np.random.default_rng(0)
+    return named_rig(rest, targets, {"method": DERIVATIVES, **measure_error(face, progress)})
+
+
+def measure_error(face: Face, progress: OnProgress) -> dict[str, float]:
+    """Measure how far the simulator's derivatives are from it, on EXPRESSIONS random expressions.
+
+    The mean is over those of the mean distance [mm] of the vertices that physics moves, the largest of any vertex.
+    """
+    certified = CertifiedFace(face, differentiate(face), DERIVATIVES)
+    rng, means, largest = np.random.default_rng(0), [], 0.0
     for number in range(EXPRESSIONS):
         progress("error", number / EXPRESSIONS)
         weights = sample_weights(rng)
-        skin = certified.frame(weights, ACCURACY).skin
-        distance = np.linalg.norm(rig.frame(weights) - skin, axis=1)
+        skin = certified.frame(weights, ACCURACY).skin.astype(np.float64)
+        distance = np.linalg.norm(certified.rig.frame(weights) - skin, axis=1)
         means.append(distance[find_counted(skin, face.blend(weights) + face.carried)].mean())
         largest = max(largest, float(distance.max()))
     progress("error", 1.0)
-    notes = {
-        "method": DERIVATIVES,
-        "expressions": EXPRESSIONS,
-        "mean_error_mm": float(np.mean(means)),
-        "largest_error_mm": largest,
-    }
-    targets = rig.linear_targets
-    assert targets is not None  # of derivatives alone
-    return named_rig(_rest(rig), targets, notes)
-
-
-def tell_turns() -> dict[str, dict[str, float]]:
-    """Tell by how many degrees a weight of 1 turns its eye's node about x or y, about x first."""
-    turns = {}
-    for side, out in (("Left", 1.0), ("Right", -1.0)):
-        turns |= {f"eyeLook{way}{side}": {"x": TURN[way]} for way in ("Up", "Down")}
-        turns |= {f"eyeLookOut{side}": {"y": out * TURN["Out"]}, f"eyeLookIn{side}": {"y": -out * TURN["In"]}}
-    return turns
-
-
-def named_take(method: str, rig: BoundSurrogate, take: Take) -> MorphRig | None:
-    """Make the rig of a skin that plays a take by its own 52 targets; None where its frames are no sums of these."""
-    targets = rig.linear_targets
-    if targets is None:
-        return None
-    skin = MorphedSurface.from_targets("skin", _rest(rig), targets)
-    return MorphRig([skin], ARKIT, {"method": method}, take.times, np.clip(take.weights, 0.0, 1.0))
-
-
-def _rest(rig: BoundSurrogate) -> Surface:
-    return rig.skin.with_vertices(rig.neutral.astype(np.float64))
+    return {"expressions": EXPRESSIONS, "mean_error_mm": float(np.mean(means)), "largest_error_mm": largest}
 
 
 def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:
@@ -117,3 +94,22 @@ def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any
             surfaces.append(MorphedSurface.from_targets(name, Surface(points, triangles), moved, colour=colour))
         first = end
     return MorphRig(surfaces, ARKIT, {**notes, "eye_turns_degrees": tell_turns()})
+
+
+def tell_turns() -> dict[str, dict[str, float]]:
+    """Tell by how many degrees a weight of 1 turns its eye's node about x or y, about x first."""
+    turns: dict[str, dict[str, float]] = {}
+    for side, out in (("Left", 1.0), ("Right", -1.0)):
+        turns |= {f"eyeLook{way}{side}": {"x": TURN[way]} for way in ("Up", "Down")}
+        turns |= {f"eyeLookOut{side}": {"y": out * TURN["Out"]}, f"eyeLookIn{side}": {"y": -out * TURN["In"]}}
+    return turns
+
+
+def named_take(method: str, rig: BoundSurrogate, take: Take) -> MorphRig | None:
+    """Make the rig of a skin that plays a take by its own 52 targets; None where its frames are no sums of these."""
+    targets = rig.linear_targets
+    if targets is None:
+        return None
+    rest = rig.skin.with_vertices(rig.neutral.astype(np.float64))
+    skin = MorphedSurface.from_targets("skin", rest, targets)
+    return MorphRig([skin], ARKIT, {"method": method}, take.times, np.clip(take.weights, 0.0, 1.0))

@@ -31,7 +31,7 @@ def write_usd(path: str | os.PathLike[str], rig: MorphRig) -> None:
     cannot be written.
     """
     check_usd()
-    from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+    from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -50,17 +50,20 @@ def write_usd(path: str | os.PathLike[str], rig: MorphRig) -> None:
     if rig.weights.size:
         times = rig.times - rig.times[0]
         rate = (len(times) - 1) / times[-1] if len(times) > 1 else 1.0
+        codes = np.round(rate * times, 6)
         stage.SetTimeCodesPerSecond(rate)
-        stage.SetStartTimeCode(0.0)
-        stage.SetEndTimeCode(rate * times[-1])
-        for time, row in zip(times, np.asarray(rig.weights, dtype=np.float32), strict=True):
-            weights.Set(Vt.FloatArray.FromNumpy(row), rate * time)
+        stage.SetStartTimeCode(codes[0])
+        stage.SetEndTimeCode(codes[-1])
+        for code, row in zip(codes, np.asarray(rig.weights, dtype=np.float32), strict=True):
+            weights.Set(Vt.FloatArray.FromNumpy(row), code)
     look = _define_look(stage)
     for surface in rig.surfaces:
         _add_mesh(stage, surface, names, skeleton.GetPath(), look)
     with replaced(path) as temporary:
-        if not stage.GetRootLayer().Export(str(temporary)):
-            raise InputError(f"{path}: cannot be written by USD")
+        try:
+            stage.GetRootLayer().Export(str(temporary))
+        except Tf.ErrorException:  # some ten lines of its own sources
+            raise InputError(f"{path}: cannot be written by USD; is the disk full?") from None
 
 
 def _add_mesh(stage: Any, surface: MorphedSurface, names: Sequence[str], skeleton: Any, look: Any) -> None:
