@@ -6,7 +6,7 @@ simulator by what is not linear. That error is measured, and stands in the file.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from ..reference import Face
 from ..surrogate import BoundSurrogate, CertifiedFace
 from ..surrogate.certified import find_counted
 from ..surrogate.methods import BLENDSHAPES, DERIVATIVES, differentiate
-from .eyes_and_teeth import TURN, find_eyes_and_teeth
+from .eyes_and_teeth import TURN, EyesAndTeeth, find_eyes_and_teeth
 from .pictures import to_linear_light
 
 RigFormat = Literal["glb", "usd"]
@@ -69,31 +69,29 @@ def measure_error(face: Face, progress: OnProgress) -> dict[str, float]:
 
 
 def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:
-    """Make a rig of a skin at rest and 52 targets (52, n, 3) [mm], with eyes and teeth where the skin's are known.
-
-    Teeth have targets, too: their place is linear in the skin's, so their sums are exact. Eyes are nodes that turn, as
-    the notes say; they stand still otherwise.
-    """
+    """Make a rig of a skin at rest and 52 targets (52, n, 3) [mm], with eyes and teeth where the skin's are known."""
     surfaces = [MorphedSurface.from_targets("skin", rest, targets)]
     organs = find_eyes_and_teeth(rest)
     if organs is None:
         return MorphRig(surfaces, ARKIT, notes)
-    colours, first = to_linear_light(organs.colours), 0
-    for name, body in zip(ORGANS, organs.bodies, strict=True):
-        end = first + len(body.points)
-        mine = (organs.triangles >= first).all(axis=1) & (organs.triangles < end).all(axis=1)
-        points, triangles = body.place(rest.vertices, None), organs.triangles[mine] - first
-        if body.side:
-            centre = 0.5 * (points[0] + points[-1])  # of a ball, whose first and last points are its poles
-            still = np.zeros((0, *points.shape))
-            look = {"colour": colours[first:end], "place": centre}
-            surfaces.append(MorphedSurface.from_targets(name, Surface(points - centre, triangles), still, **look))
-        else:
-            moved = np.stack([body.place(rest.vertices + target, None) - points for target in targets])
-            colour = colours[first:end]
-            surfaces.append(MorphedSurface.from_targets(name, Surface(points, triangles), moved, colour=colour))
-        first = end
+    surfaces += _morph_organs(organs, rest, targets)
     return MorphRig(surfaces, ARKIT, {**notes, "eye_turns_degrees": tell_turns()})
+
+
+def _morph_organs(organs: EyesAndTeeth, rest: Surface, targets: Floats | Floats32) -> Iterator[MorphedSurface]:
+    """Give eyes, which stand still at their centres, and rows of teeth, whose place is linear in the skin's."""
+    at_rest, colours = organs.place(rest.vertices), to_linear_light(organs.colours)
+    moved = np.stack([organs.place(rest.vertices + target) for target in targets]) - at_rest
+    ends = np.cumsum([len(body.points) for body in organs.bodies]).tolist()
+    for name, begin, end in zip(ORGANS, [0, *ends], ends, strict=False):
+        points, colour, offsets = at_rest[begin:end], colours[begin:end], moved[:, begin:end]
+        triangles = organs.triangles[((organs.triangles >= begin) & (organs.triangles < end)).all(axis=1)] - begin
+        if name.endswith("eye"):
+            centre = 0.5 * (points[0] + points[-1])  # of a ball, whose first and last points are its poles
+            look = {"colour": colour, "place": centre}
+            yield MorphedSurface.from_targets(name, Surface(points - centre, triangles), offsets[:0], **look)
+        else:
+            yield MorphedSurface.from_targets(name, Surface(points, triangles), offsets, colour=colour)
 
 
 def tell_turns() -> dict[str, dict[str, float]]:

@@ -56,8 +56,11 @@ class Export:
         from ..animation.export import WRITERS, blended_rig, simulated_rig
 
         with show_progress() as progress:
-            face = HeadChoice(self.head, self.identities).face(parameters or Parameters(), progress)
-            rig = blended_rig(face) if parameters is None else simulated_rig(face, progress)
+            which = HeadChoice(self.head, self.identities)
+            if parameters is None:
+                rig = blended_rig(which.face(Parameters(), progress))
+            else:
+                rig = simulated_rig(which.face(parameters, progress), progress)
             WRITERS[self.format](out, rig)
         surfaces, notes = [surface.name for surface in rig.surfaces], rig.notes
         if self.json:
