@@ -63,11 +63,14 @@ class Export:
                 rig = simulated_rig(which.face(parameters, progress), progress)
             WRITERS[self.format](out, rig)
         surfaces, notes = [surface.name for surface in rig.surfaces], rig.notes
+        still = [name for name, target in zip(rig.names, rig.surfaces[0].targets, strict=True) if not target.any()]
         if self.json:
-            result = {**notes, "surfaces": surfaces, "targets": len(rig.names), "files": [str(out)]}
+            result = {**notes, "surfaces": surfaces, "targets": len(rig.names), "without": still, "files": [str(out)]}
             click.echo(json.dumps(result, indent=1))
             return 0
         click.echo(f"{', '.join(surfaces)}: {len(rig.names)} morph targets, {notes['method']}")
+        if still:
+            click.echo(f"without {', '.join(still)}")
         if "mean_error_mm" in notes:
             click.echo(
                 f"error to the simulator on {notes['expressions']} mixed expressions: mean "
