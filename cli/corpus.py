@@ -64,7 +64,7 @@ class Generate:
     # None leaves a choice to the folder's own corpus or the plan.
     plan_file: Path | None = argument("[PLAN.toml]", None, type=click.Path(path_type=Path, dir_okay=False))
     preset: str | None = option(
-        None, "tiny (default), study, fresh, small, neutral or paper, in place of a file", type=str
+        None, "tiny (default), study, fresh, small, faces or paper, in place of a file", type=str
     )
     takes: Path | None = option(
         None,

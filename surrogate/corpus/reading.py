@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,8 +175,8 @@ def _find_accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
 class Faces:
     """The faces of a split of a corpus, or of both; read as they are asked for.
 
-    Those with derivatives; of `table` "groups" all that settle. `partial`, `share` and errors: as of `Table`. heads:
-    who fits the people's heads; by default the corpus' folder says so.
+    Those with derivatives. `partial`, `share` and errors: as of `Table`. heads: who fits the people's heads; by default
+    the corpus' folder says so.
     """
 
     def __init__(
@@ -184,13 +184,12 @@ class Faces:
         folder: str | PathLike[str],
         split: Split | None,
         *,
-        table: Literal["responses", "groups"] = "responses",
         partial: bool = False,
         share: float = 1.0,
         heads: Heads | None = None,
     ):
         self.heads = Heads.from_corpus(folder) if heads is None else heads
-        self._table = Table(folder, table, split, partial=partial, share=share)
+        self._table = Table(folder, "responses", split, partial=partial, share=share)
         self._open_statics = lambda: Table(folder, "statics", split, partial=partial, share=share)
         self.groups = self._table.groups
 
@@ -223,9 +222,7 @@ class Faces:
     def face(self, index: int) -> KeptFace:
         """Read one face."""
         row, (identity, group) = self._table[index], self.groups[index].tolist()
-        derivatives = None
-        if "expressions" in row:
-            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
+        derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
         person, parameters = self._table.person(identity), self._table.parameters(index)
         return KeptFace(identity, person, parameters, self._table.settled(identity, group), derivatives, self.heads)
 
