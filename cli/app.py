@@ -10,6 +10,7 @@ from . import (  # noqa: F401  # they give `head` more commands
     animate,
     bench,
     corpus,
+    head_export,
     head_files,
     study,
     train,

@@ -38,11 +38,12 @@ class WrittenFolder(click.Path):
         return path
 
 
-NPZ, ZIP, PNG, HTML, ANY, FOLDER = (
+NPZ, ZIP, PNG, HTML, RIG, ANY, FOLDER = (
     WrittenFile(".npz"),
     WrittenFile(".zip"),
     WrittenFile(".png"),
     WrittenFile(".html"),
+    WrittenFile(".glb", ".usd", ".usdc", ".usda"),
     WrittenFile(),
     WrittenFolder(),
 )
