@@ -30,7 +30,7 @@ from .written_file import FOLDER
     type=click.IntRange(0, 1_000_000),
     help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
-@click.option("--device", default="cpu", help="torch device: cpu; of modal also cuda")
+@click.option("--device", default="cpu", help="torch device: cpu or cuda")
 @click.option("--more", type=click.Path(path_type=Path), help="second corpus, of faces without frames (preset faces)")
 @click.option(
     "--start",

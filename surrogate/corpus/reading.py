@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Ints, Surface
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from .face import Derivatives, Frames, KeptFace, Person
 from .folder import Corpus
 from .heads import Heads
@@ -152,11 +152,17 @@ class Table:
         code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
         return Person(code, self.skin(identity), self.shapes(identity))
 
+    def carried(self, index: int) -> Floats32:
+        """Read how far scaled bones carry the face of a row [mm], shape (n, 3)."""
+        identity, group = self.groups[index].tolist()
+        person = self._people[identity]
+        return person.carried.row(person.path, group).astype(np.float32)
+
     def face(self, index: int, heads: Heads | None = None) -> KeptFace:
         """Read the face of a row; with derivatives where the table is of responses."""
         identity, group = self.groups[index].tolist()
         person, derivatives = self._people[identity], None
-        settled, carried = (place.row(person.path, group) for place in (person.settled, person.carried))
+        settled, carried = person.settled.row(person.path, group), self.carried(index)
         if self.table == "responses":
             row = self[index]
             derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
@@ -229,6 +235,10 @@ class Faces:
     def face(self, index: int) -> KeptFace:
         """Read one face."""
         return self._table.face(index, self.heads)
+
+    def carried(self, index: int) -> Floats32:
+        """Read how far scaled bones carry a face [mm], shape (n, 3)."""
+        return self._table.carried(index)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
