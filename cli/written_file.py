@@ -38,8 +38,9 @@ class WrittenFolder(click.Path):
         return path
 
 
-NPZ, ZIP, PNG, HTML, ANY, FOLDER = (
+NPZ, CSV, ZIP, PNG, HTML, ANY, FOLDER = (
     WrittenFile(".npz"),
+    WrittenFile(".csv"),
     WrittenFile(".zip"),
     WrittenFile(".png"),
     WrittenFile(".html"),
