@@ -187,7 +187,7 @@ class Problem:
         return sparse.hstack([free, body.reshape(-1, 6)], format="csc")
 
     def linearise(self, x, raised=False):
-        """J, and by the unknowns the gradient and the Hessian, less how the jaw's arms turn."""
+        """J, and gradient and Hessian by q, less the share of the jaw's own curved path."""
         J, K = self.motion(x), sparse.diags(np.repeat(self.springs, 3))
         K = K + sum(each.hessian(x, raised) for each in self.elements)
         return J, J.T @ self.energy(x)[1].ravel(), J.T @ K @ J
