@@ -58,7 +58,7 @@ class Fit:
                 if sequence.triangles is None or len(first) == len(face.skin.vertices):
                     tracked = TrackedFace.from_skin(face.skin, face.shapes)
                 else:
-                    tracked = TrackedFace.registered(face.skin, face.shapes, Surface(first, sequence.triangles))
+                    tracked = TrackedFace.from_mesh(face.skin, face.shapes, Surface(first, sequence.triangles))
                 fitted = fit_take(
                     tracked,
                     sequence,

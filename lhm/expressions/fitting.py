@@ -25,7 +25,7 @@ from ..base.geometry.likeness import check_moved
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Surface
 from ..identities.arkit import ARKIT
-from .takes import Take, angles_from_rotations, check_frames
+from .takes import Take, angles_from_rotations, check_rate
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,10 @@ class TrackedFace:
 
     @classmethod
     @check_arguments
-    def registered(
-        cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY
-    ) -> TrackedFace:
-        """Register a mesh of other triangles by its first frame, which is neutral [mm], wherever it is turned a little.
+    def from_mesh(cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
+        """Register a mesh of other triangles by its first frame [mm], which is neutral.
 
-        Raises InputError where it does not lie on the skin, moved as a whole.
+        It may be moved, and turned a little. Raises InputError where it then does not lie on the skin.
         """
         shapes = cls.from_skin(neutral, shapes).shapes
         extents = [float(np.ptp(each.vertices, axis=0).max()) for each in (first, neutral)]
@@ -147,8 +145,10 @@ def fit_take(
 
     A frame begins where the last one ended. Shapes that move no vertex have weight 0 and are `missing` in the take.
     `on_frame` hears of each. Raises InputError, naming the frame, for another count of vertices than the face's, values
-    that are not finite, and what no expression makes of the face; and where no shape moves it, and without frames.
+    that are not finite, and what no expression makes of the face; for a rate out of range, without frames, and where
+    no shape moves the face.
     """
+    check_rate(rate)
     solver = _Solver.from_face(face, policy)
     weights = np.zeros(len(ARKIT))
     fitted, residuals, turns = [], [], []
@@ -161,7 +161,6 @@ def fit_take(
         on_frame(number)
     if not fitted:
         raise InputError("no frames")
-    check_frames(len(fitted), rate)
     missing = tuple(name for k, name in enumerate(ARKIT) if k not in solver.used)
     times, head = np.arange(len(fitted)) / rate, angles_from_rotations(np.stack(turns))
     return FittedTake(Take(np.stack(fitted), rate, times, missing, head), np.array(residuals))
@@ -190,6 +189,8 @@ class _Solver:
         if not used.size:
             raise InputError("no expression moves the face")
         areas = face.rest.vertex_areas
+        if not areas.sum() > 0.0:
+            raise InputError("the face has no area: are there no triangles?")
         root = np.sqrt(areas / areas.sum())[:, None]
         x = face.rest.vertices - face.rest.vertices.mean(axis=0)
         motions = [np.broadcast_to(axis, x.shape) for axis in np.eye(3)] + [np.cross(axis, x) for axis in np.eye(3)]

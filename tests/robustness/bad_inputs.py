@@ -196,8 +196,8 @@ def functions() -> Iterator[Function]:
     yield Function("read_take", expressions.read_take, {"path": "no/such.csv"})
     tracked = {"neutral": HEAD.skin, "shapes": DELTAS + 0.1}
     yield Function("TrackedFace", expressions.TrackedFace.from_skin, tracked)
-    registered = expressions.TrackedFace.registered
-    yield Function("TrackedFace, registered", registered, tracked | {"first": HEAD.skin})
+    meshed = {"first": HEAD.skin}
+    yield Function("TrackedFace.from_mesh", expressions.TrackedFace.from_mesh, tracked | meshed)
     face, frames = expressions.TrackedFace.from_skin(**tracked), [HEAD.skin.vertices]
     yield Function("fit_take", expressions.fit_take, {"face": face, "frames": frames, "rate": 30.0})
     yield Function("resampled", expressions.resample, {"take": TAKE, "rate": 30.0})

@@ -59,7 +59,7 @@ def test_a_take_comes_back_from_other_triangles(mean_head, shapes, take):
     elsewhere = Rotation.from_euler("yx", [0.1, 0.05]).as_matrix()
     first = mean_head.skin.vertices @ elsewhere.T + [15.0, -10.0, 30.0]
     triangles, frames = in_other_triangles(mean_head.skin, np.concatenate([first[None], frames]))
-    face = TrackedFace.registered(mean_head.skin, shapes, Surface(frames[0], triangles))
+    face = TrackedFace.from_mesh(mean_head.skin, shapes, Surface(frames[0], triangles))
     fitted = fit_take(face, frames)
     assert fitted.take.weights[0].max() < 1e-3
     assert np.abs(fitted.take.weights[1:] - take.weights).max() < 1e-3 and fitted.residuals.max() < 1e-3
@@ -71,7 +71,7 @@ def test_hair_is_left_out_of_a_registration(mean_head, shapes, take):
     hair = Surface(0.2 * mean_head.skin.vertices + [0.0, 250.0, 0.0], mean_head.skin.triangles)
     first = np.vstack([rest[0], hair.vertices])
     mesh = Surface(first, np.vstack([triangles, hair.triangles + len(rest[0])]))
-    face = TrackedFace.registered(mean_head.skin, shapes, mesh)
+    face = TrackedFace.from_mesh(mean_head.skin, shapes, mesh)
     assert len(face.kept) == len(rest[0]) and face.count == len(first)
     wild = np.concatenate([frames, np.tile(17.0 * hair.vertices, (len(frames), 1, 1))], axis=1)
     fitted = fit_take(face, wild)
@@ -122,12 +122,15 @@ def test_what_is_no_face_in_motion_is_refused(mean_head, shapes):
     refused("frame 1: 1 values are not finite, the first at .7, 1.", fit_take, face, [rest, holed])
     refused("frame 0: 0.001 times as large", fit_take, face, [0.001 * rest])
     refused("frame 0: its likeness to the face at rest", fit_take, face, [rest[::-1]])
+    refused("rate: 0 Hz", fit_take, face, [rest], rate=0.0)
     refused("no frames", fit_take, face, [])
     refused("shapes: expected shape .52, 4463, 3.", TrackedFace.from_skin, skin, shapes[:, 1:])
     refused("no expression moves the face", fit_take, TrackedFace.from_skin(skin, 0.0 * shapes), [rest])
-    refused("are its units off?", TrackedFace.registered, skin, shapes, Surface(0.1 * rest, skin.triangles))
+    points = TrackedFace.from_mesh(skin, shapes, Surface(rest, np.zeros((0, 3), dtype=int)))
+    refused("the face has no area", fit_take, points, [rest])
+    refused("are its units off?", TrackedFace.from_mesh, skin, shapes, Surface(0.1 * rest, skin.triangles))
     turned = Surface(rest @ Rotation.from_euler("y", 1.5).as_matrix().T, skin.triangles)
-    refused("expected a neutral face of this head", TrackedFace.registered, skin, shapes, turned)
+    refused("expected a neutral face of this head", TrackedFace.from_mesh, skin, shapes, turned)
 
 
 def test_a_take_is_written_as_it_is_read(take, tmp_path):

@@ -54,7 +54,7 @@ def _from_folder(folder: Path, factor: float) -> MeshSequence:
     if not files:
         raise InputError(f"{folder}: no meshes in this folder; expected {', '.join(IN_FOLDERS)}")
     TAKE_FRAMES.check(f"{folder}: it has", len(files))
-    files.sort(key=lambda file: _by_numbers(file.name))
+    files.sort(key=lambda file: _order_by_numbers(file.name))
     first = read_scan(files[0])
 
     def read(number: int) -> Floats:
@@ -70,7 +70,7 @@ def _from_folder(folder: Path, factor: float) -> MeshSequence:
     return MeshSequence(tuple(file.name for file in files), first.triangles, read)
 
 
-def _by_numbers(name: str) -> list[tuple[int, int, str]]:
+def _order_by_numbers(name: str) -> list[tuple[int, int, str]]:
     """Return a key by which names sort, runs of digits by their value."""
     parts = re.split(r"(\d+)", name, flags=re.ASCII)
     return [(int(part), len(part), "") if part.isdigit() else (-1, 0, part) for part in parts]
