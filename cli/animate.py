@@ -48,7 +48,9 @@ class Accuracy(click.ParamType):
 
 @dataclass(frozen=True)
 class Animate:
-    """Animate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
+    """Animate TAKE: a file, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
+
+    Files are CSV of LiveLink Face, results of MediaPipe's face landmarker (JSON), weights.csv, and JSON as BEAT's.
 
     Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral

@@ -68,7 +68,7 @@ class Generate:
     )
     takes: Path | None = option(
         None,
-        "folder of recorded takes (LiveLink CSV, JSON, weights.csv)",
+        "folder of recorded takes (LiveLink CSV, MediaPipe's results, weights.csv, JSON)",
         type=click.Path(path_type=Path, file_okay=False),
     )
     people: int | None = option(None, "how many, in place of the plan's", type=count_range(PEOPLE))

@@ -38,8 +38,9 @@ class WrittenFolder(click.Path):
         return path
 
 
-NPZ, ZIP, PNG, HTML, RIG, ANY, FOLDER = (
+NPZ, CSV, ZIP, PNG, HTML, RIG, ANY, FOLDER = (
     WrittenFile(".npz"),
+    WrittenFile(".csv"),
     WrittenFile(".zip"),
     WrittenFile(".png"),
     WrittenFile(".html"),

@@ -193,6 +193,8 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made["guesses.json", "whole"] = b'{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 0.5}}'
     timed = {"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0.0}, {"weights": [0.6], "time": 0.04}]}
     made["take.json", "timed"] = json.dumps(timed).encode()
+    score = {"index": 25, "score": 0.2, "category_name": "jawOpen"}
+    made["take.json", "scored"] = json.dumps([{"face_blendshapes": [[score]], "timestamp_ms": 33}]).encode()
     made |= {("take.csv", "live link"): live_link(), ("take.csv", "recorder"): recorder()}
     made["options.toml", "whole"] = b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\nsoft_stiffness = 4\n"
     made["local/cheek.npy", "whole"] = npy(np.linspace(5.0, 6.0, 40))
