@@ -120,7 +120,7 @@ def train_gradients(
     """Fit a network to a corpus' training frames; return the weights of least error on held-out people.
 
     Frames are read as batches need them. With `state`, a file, the training is kept there now and then and goes on from
-    there when called again. Raises InputError for fewer than two people, another device than the cpu, a loss that is
+    there when called again. Raises InputError for fewer than two people, a device that is not there, a loss that is
     not finite, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
