@@ -28,6 +28,7 @@ class LayersPolicy:
     crease_rounds: int = 40  # of smoothing
     rounds: int = 24  # of climbing and shortening
     climb: climb.ClimbPolicy = climb.POLICY
+    finish: climb.ClimbPolicy | None = None  # one more climb where all is valid
 
 
 POLICY = LayersPolicy()
@@ -144,20 +145,43 @@ def make_valid(columns: Columns, stack: Floats, policy: LayersPolicy = POLICY) -
     search = Crossings.of(columns, stack)
     for number in range(policy.rounds):
         stack = climb.improve(columns, stack, least=policy.least_length, policy=policy.climb)
-        bad = columns.tets[sines(stack, columns.tets) < policy.least_sine]
-        skin_pairs, pairs = (np.zeros((0, 2), np.int64),) * 2 if len(bad) else search.find(stack)
-        hit = [bad.ravel() % n, columns.triangles[skin_pairs].ravel(), columns.triangles[pairs].ravel()]
-        hit = np.unique(np.concatenate(hit))
+        hit, skin_crosses = _find_defects(columns, stack, search, policy)
         if not len(hit):
-            return stack
+            return _finish(columns, stack, search, policy)
         if number < policy.rounds - 1:
-            thinner = _thinner(columns, stack, hit, policy, smooth=number >= 4 or len(skin_pairs) > 0)
+            thinner = _thinner(columns, stack, hit, policy, smooth=number >= 4 or skin_crosses)
             stack = columns.symmetrise(thinner)
     inverted = int((sines(stack, columns.tets) <= 0).sum())
     crossing = sum(map(len, search.find(stack)))
     if inverted or crossing:
         raise FitError(f"layers: {inverted} tets are flat or inverted, {crossing} pairs of triangles cross")
     return stack
+
+
+def _finish(columns: Columns, stack: Floats, search: Crossings, policy: LayersPolicy) -> Floats:
+    """Climb once more, by `policy.finish`; columns where that makes a defect stay, with their neighbours."""
+    if policy.finish is None:
+        return stack
+    finished = climb.improve(columns, stack, least=policy.least_length, policy=policy.finish)
+    kept = np.zeros(columns.n, dtype=bool)
+    for _ in range(policy.rounds):
+        hit, _ = _find_defects(columns, finished, search, policy)
+        if not len(hit):
+            return finished
+        kept[hit] = True
+        kept |= columns.edges @ kept > 0
+        if columns.twins is not None:
+            kept |= kept[columns.twins]
+        finished = np.where(np.tile(kept, 3)[:, None], stack, finished)
+    return stack
+
+
+def _find_defects(columns: Columns, stack: Floats, search: Crossings, policy: LayersPolicy) -> tuple[Ints, bool]:
+    """Return the columns of flat tets or, where there are none, of crossing triangles; and whether the skin's cross."""
+    bad = columns.tets[sines(stack, columns.tets) < policy.least_sine]
+    skin_pairs, pairs = (np.zeros((0, 2), np.int64),) * 2 if len(bad) else search.find(stack)
+    hit = [bad.ravel() % columns.n, columns.triangles[skin_pairs].ravel(), columns.triangles[pairs].ravel()]
+    return np.unique(np.concatenate(hit)), len(skin_pairs) > 0
 
 
 def _thinner(columns: Columns, stack: Floats, hit: Ints, policy: LayersPolicy, *, smooth: bool) -> Floats:
