@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RECORD = DOCS / "pictures.toml"
 SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
-DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py")
+DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py", "lhm/identities/organs.py")
 HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
 NETWORK = ("surrogate/pretrained/anny.safetensors",)
 PAGE = (
@@ -34,6 +34,7 @@ PAGE = (
     "animation/page.py",
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
+    "lhm/identities/organs.py",
 )
 LIVE_PAGE = (
     "animation/live.js",
@@ -43,6 +44,7 @@ LIVE_PAGE = (
     "animation/page.css",
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
+    "lhm/identities/organs.py",
 )
 CUT = (
     "benchmarks/studies/cases.py",
