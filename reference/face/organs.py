@@ -24,8 +24,12 @@ from .. import terms
 from .bones import scale_bone
 from .parameters import Parameters
 
-CLEARANCE = 0.3
-"""What an organ leaves at rest to the skin wrap [mm]: more than contact keeps, so that the neutral face meets none."""
+BEHIND_LIDS, BEHIND_LIPS = 1.5, 0.3
+"""What eyeballs and teeth leave at rest to the skin wrap [mm]: more than contact keeps, so the neutral face meets none.
+
+Blendshapes draw lids along straight lines, up to 3 mm into a ball that fills its socket: it would press them so thin
+that their lining comes through.
+"""
 LEAST = 0.5
 """Share of its size below which an eyeball is left out."""
 FRONT = 75.0
@@ -66,7 +70,7 @@ def _fit_ball(ball: Surface, in_front: np.ndarray, distance: SignedDistance) -> 
     """Shrink a ball [mm] to the room that it has about its centre, and take its front; None where it has too little."""
     centre = ball.vertices.mean(axis=0)
     radius = np.linalg.norm(ball.vertices - centre, axis=1).max()
-    share = min(1.0, (float(distance(centre[None])[0][0]) - CLEARANCE) / radius)
+    share = min(1.0, (float(distance(centre[None])[0][0]) - BEHIND_LIDS) / radius)
     return _take(ball.with_vertices(centre + share * (ball.vertices - centre)), in_front) if share >= LEAST else None
 
 
@@ -74,7 +78,7 @@ def _keep_clear(row: Surface, distance: SignedDistance) -> Surface | None:
     """Take the front crowns of a row of teeth that are clear of tissue; None where none is."""
     crown = np.repeat(np.arange(TEETH), len(row.vertices) // TEETH)
     is_clear = np.arange(TEETH) % (TEETH // 2) < FELT
-    is_clear[crown[distance(row.vertices)[0] < CLEARANCE]] = False
+    is_clear[crown[distance(row.vertices)[0] < BEHIND_LIPS]] = False
     crossing = distance.tree.crossings(TriangleTree(row.vertices, row.triangles))[:, 0]
     is_clear[crown[row.triangles[crossing]]] = False
     return _take(row, is_clear[crown]) if is_clear.any() else None

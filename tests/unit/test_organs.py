@@ -46,12 +46,12 @@ def count_crossings(face, positions):
     return contact.count_crossings(contact.points.find_places(positions))
 
 
-def test_nothing_crosses_at_rest_in_random_people(fit):
+def test_nothing_crosses_at_rest_in_random_people():
     """By ipctk, of each eyeball and each tooth with the whole skin wrap; and contact pushes nothing."""
     ipctk = pytest.importorskip("ipctk")
-    rng = np.random.default_rng(11)
+    rng, template = np.random.default_rng(11), load_template(level=2)
     for _ in range(5):
-        head = fit(SPACE.skin(SPACE.sample(rng)[0]))
+        head = fit_head(template, SPACE.skin(SPACE.sample(rng)[0]))
         organs = find_organs(head)
         assert len(organs) == 4
         for organ in organs:
@@ -82,7 +82,7 @@ def test_shut_lids_lie_on_the_eyeballs(faces):
     assert count_crossings(touching, after.positions) == 0 == after.detail["contact_crossings"]
     assert after.detail["contact_pairs"] > before.detail["contact_pairs"]
     (gaps,) = prepare(touching.neutral_scene()).freeze_contact(after.positions).of(terms.Gaps)
-    assert gaps.places.any(axis=(1, 2)).sum() > 5  # of eyes alone, for the lower teeth are carried
+    assert gaps.places.any(axis=(1, 2)).sum() > 3  # of eyes alone, for the lower teeth are carried
 
 
 def test_a_lip_that_is_drawn_over_the_teeth_lies_on_them(faces):
