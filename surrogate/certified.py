@@ -150,7 +150,7 @@ class CertifiedFace:
             return replace(frame, certain=False)
         skin = self.rig.frame(frame.weights.astype(np.float32))
         errors = np.linalg.norm(skin - frame.skin, axis=1)
-        counted = find_counted(frame.skin, self.face.blend(frame.weights) + self.face.carried)
+        counted = find_counted(frame.skin.astype(np.float64), self.face.blend(frame.weights) + self.face.carried)
         error = float(errors[counted].mean())
         return replace(frame, skin=skin, error=error, errors=errors, certain=False, method=self.method)
 

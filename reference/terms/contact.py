@@ -152,7 +152,7 @@ class Gaps(Term):
 
     def find_corners(self, positions: Floats) -> Floats:
         """Find the corners [mm], shape (r, 4, 3), with the vertices of the pairs at positions (r, m, 3)."""
-        return positions if self.shares is None else self.places + self.shares @ positions
+        return positions if self.shares is None or self.places is None else self.places + self.shares @ positions
 
     def spread_forces(self, forces: Floats) -> Floats:
         """Spread forces on the corners, shape (r, 4, 3), over the vertices of the pairs, (r, m, 3)."""

@@ -28,10 +28,12 @@ INSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Distances(NodalEnergy):
-    """The pairs of a Gaps term on this rank, with one stiffness and one offset each, and their nodes (m, k)."""
+    """The pairs of a Gaps term on this rank, their nodes (m, k), stiffness [mN/mm] and offset [mm], both (m,)."""
 
     nodes: Ints
     gaps: Gaps
+    stiffness: Floats
+    offset: Floats
 
     @classmethod
     def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Distances]:
@@ -46,16 +48,17 @@ class Distances(NodalEnergy):
             raise SceneError("Gaps: a pair lies on two processes; solve it on one")
         stiffness, offset = (np.broadcast_to(amount, len(nodes))[own] for amount in (term.stiffness, term.offset))
         shares, places = (None if values is None else values[own] for values in (term.shares, term.places))
-        return cls(nodes[own], Gaps(term.pairs[own], term.between_edges[own], stiffness, offset, shares, places))
+        gaps = Gaps(term.pairs[own], term.between_edges[own], stiffness, offset, shares, places)
+        return cls(nodes[own], gaps, stiffness, offset)
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        return 0.5 * float(self.gaps.stiffness @ np.maximum(self.gaps.offset - self._measure(x)[1], 0.0) ** 2)
+        return 0.5 * float(self.stiffness @ np.maximum(self.offset - self._measure(x)[1], 0.0) ** 2)
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
         _, distance, weights, gap, _ = self._measure(x)
-        push = -self.gaps.stiffness * np.maximum(self.gaps.offset - distance, 0.0) / distance
+        push = -self.stiffness * np.maximum(self.offset - distance, 0.0) / distance
         forces = push[:, None, None] * weights[:, :, None] * gap[:, None, :]
         add_forces(self.nodes, self.gaps.spread_forces(forces), into)
 
@@ -72,8 +75,8 @@ class Distances(NodalEnergy):
         slope = (weights[:, :, None] * gap[:, None, :]).reshape(m, 12) / distance[:, None]
         outer = slope[:, :, None] * slope[:, None, :]
         of_distance = (of_half_square - outer) / distance[:, None, None]
-        depth = np.maximum(self.gaps.offset - distance, 0.0)[:, None, None]
-        local = self.gaps.stiffness[:, None, None] * ((depth > 0.0) * outer - depth * of_distance)
+        depth = np.maximum(self.offset - distance, 0.0)[:, None, None]
+        local = self.stiffness[:, None, None] * ((depth > 0.0) * outer - depth * of_distance)
         if kept < 1.0:
             values, vectors = np.linalg.eigh(local)
             local = (vectors * np.maximum(values, kept * values)[:, None, :]) @ vectors.transpose(0, 2, 1)
