@@ -15,6 +15,7 @@ from softdeca.lhm.head.head import MANDIBLE
 from softdeca.reference import Face, Parameters, Scene, prepare, solve, terms
 from softdeca.reference.face.organs import find_organs
 from softdeca.reference.problems import meshes
+from softdeca.reference.projective.contact.model import Model
 from softdeca.reference.projective.policy import ContactPolicy
 
 from .test_contact import bar, stacked
@@ -170,6 +171,23 @@ def test_frozen_pairs_with_an_obstacle_have_the_energy_and_derivatives_of_contac
     change = (coordinates.pull(up, moved[0]) - coordinates.pull(down, moved[1])) / (2 * h)
     tangent = prepared.tangent(solution)
     np.testing.assert_allclose(tangent.solve(change), direction, atol=2e-3 * np.abs(direction).max())
+
+
+def test_the_model_turns_an_obstacle_with_its_body():
+    """Its P, prepared where the body is not turned, is the points' motion where it is."""
+    scene, body = ball_between_blocks()
+    prepared, rng, h = prepare(scene), np.random.default_rng(2), 1e-6
+    contact, coordinates = prepared.contact, prepared.system.coordinates
+    begin = coordinates.start(np.zeros_like(scene.vertices))
+    solve_start = partial(prepared.system.solve, rotations=begin.rotations)
+    model = Model(solve_start, coordinates, contact.compliance, contact.points, begin.rotations)
+    place = coordinates.move(begin, np.r_[np.zeros(coordinates.size - 3), 0.9, -0.7, 1.3])
+    assert np.trace(place.rotations[0]) < 2.9
+    model.turn(place.rotations)
+    moves = [contact.find_places(coordinates.move(place, h * unit)) for unit in np.eye(coordinates.size)]
+    P = (np.stack(moves) - contact.find_places(place)).reshape(coordinates.size, -1) / h
+    forces = rng.normal(size=(len(contact.points), 3))
+    np.testing.assert_allclose(model.spread(forces), P @ forces.ravel(), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])

@@ -1,7 +1,7 @@
-"""The model of elasticity that contact is solved in: A⁻¹ and the memory of L-BFGS, on the contact vertices.
+"""The model of elasticity that contact is solved in: A⁻¹ and the memory of L-BFGS, on the contact points.
 
 B⁻¹ = A⁻¹ + U M Uᵀ is the inverse of L-BFGS in compact form (Byrd, Nocedal and Schnabel 1994, Theorem 2.2), with the PD
-matrix A at the bodies' first rotations as its start. P takes the contact vertices' motion from a step over unknowns.
+matrix A at the bodies' first rotations as its start. P takes the contact points' motion from a step over unknowns.
 """
 
 from __future__ import annotations
