@@ -24,7 +24,7 @@ from .. import terms
 from .bones import scale_bone
 from .parameters import Parameters
 
-BEHIND_LIDS, BEHIND_LIPS = 1.5, 0.3
+BEHIND_LIDS, BEHIND_LIPS = 1.75, 0.3
 """What eyeballs and teeth leave at rest to the skin wrap [mm]: more than contact keeps, so the neutral face meets none.
 
 Blendshapes draw lids along straight lines, up to 3 mm into a ball that fills its socket: it would press them so thin
