@@ -20,8 +20,9 @@ from ..lhm.expressions import Take
 from ..reference import Face, Reason
 from ..reference.face.bones import Bones
 from ..reference.face.dynamics import find_pivot
-from ..surrogate import BoundRig, Surrogate, certify
+from ..surrogate import BoundRig, BoundSurrogate, Surrogate, certify
 from ..surrogate.certified import ACCURACY
+from .export import WRITERS, named_take
 from .frames import SimulatedFrames, TakeFrame, certified_frames, rig_frames
 from .play import Output, Played, Stage, play
 from .preview import check_preview
@@ -68,7 +69,7 @@ class AnimateResult:
 
 
 def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate, progress: OnProgress) -> AnimateResult:
-    """Make a take's frames, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
+    """Make a take's frames, and write config.out's files: take.vtkhdf, .glb or .usd, preview, log.jsonl.
 
     take: evenly spaced frames, `rate` apart. The neutral face settles under p first. With dynamics, the take's head
     rotation shakes it where there is one. The surrogate helps where it knows the head and parameters. A frame that is
@@ -97,11 +98,11 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
 def animate_rig(
     wanted: Output, face: Face, bind: Callable[[Face], tuple[str, BoundRig]], take: Take, progress: OnProgress
 ) -> tuple[AnimateResult, BoundRig]:
-    """Write wanted.out's files by a rig alone, whose frames tell no error: take.vtkhdf or take.glb, preview, log.jsonl.
+    """Write wanted.out's files by a rig alone, whose frames tell no error: take, preview, log.jsonl.
 
     bind: gives the method's label and the rig, as `methods.bind_cheaply`. With dynamics the take's head rotation shakes
-    the face where there is one. Returns the rig, too. InputError for a take without head rotation that is to be
-    `turned`.
+    the face where there is one. Frames that are sums of the rig's own 52 targets are written as these. Returns the rig,
+    too. InputError for a take without head rotation that is to be `turned`.
     """
     _check(wanted, take)
     begin = time.perf_counter()
@@ -115,7 +116,9 @@ def animate_rig(
     pivot = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     framed = neutral.vertices[np.unique(neutral.triangles)]
     stage = Stage(neutral, face.shapes, pivot, framed, take)
-    played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress)
+    sums = wanted.format in WRITERS and not (wanted.dynamic or wanted.turned)
+    named = named_take(method, rig, take) if sums and isinstance(rig, BoundSurrogate) else None
+    played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress, rig=named)
     return _result(played, bind_seconds), rig
 
 

@@ -14,17 +14,21 @@ from numpy.typing import NDArray
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import write_whole
-from ..lhm.base.files.moving_surface import write_gltf, write_vtkhdf
+from ..lhm.base.files.morphs import MorphRig, morph_take, reduce_to_morphs
+from ..lhm.base.files.moving_surface import write_vtkhdf
+from ..lhm.base.files.usd import check_usd
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..reference.face.dynamics import turn_about
 from ..surrogate.methods import BLENDSHAPES
+from .export import WRITERS, RigFormat
 from .frames import TakeFrame, blend_linearly
 from .preview import GIF_SECONDS, Preview, choose_frames, render_frames, write_preview
 
-Format = Literal["vtkhdf", "gltf"]
-FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
+Format = Literal["vtkhdf", RigFormat]
+MORPHED = 0.05
+"""[mm] Error of a take's frames as sums of morph targets that a motion is reduced to."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ class Output:
         for name, known in (("format", get_args(Format)), ("preview", get_args(Preview))):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} {getattr(self, name)!r}: expected one of {', '.join(known)}")
+        if self.format == "usd":
+            check_usd()
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +86,19 @@ class Played:
     log: list[dict[str, Any]]
 
 
-def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str, progress: OnProgress) -> Played:
-    """Make the frames, and write OUT/take.vtkhdf or take.glb, OUT/preview.gif or .mp4, and OUT/log.jsonl.
+def play(
+    frames: Iterable[TakeFrame],
+    stage: Stage,
+    wanted: Output,
+    caption: str,
+    progress: OnProgress,
+    *,
+    rig: MorphRig | None = None,
+) -> Played:
+    """Make the frames, and write OUT/take.vtkhdf, .glb or .usd, OUT/preview.gif or .mp4, and OUT/log.jsonl.
 
-    The preview has blendshapes, and beside them the frames under their caption.
+    The preview has blendshapes, and beside them the frames under their caption. `rig` plays the take where the frames
+    are sums of named targets; others are reduced to targets without names.
     """
     take, count = stage.take, len(stage.take.times)
     shown = choose_frames(count, take.rate, wanted.preview) if wanted.preview != "none" else range(0)
@@ -105,14 +120,20 @@ def play(frames: Iterable[TakeFrame], stage: Stage, wanted: Output, caption: str
             yield one
             begin = time.perf_counter()
 
-    files, notes = [wanted.out / FILES[wanted.format]], []
+    files, notes = [wanted.out / f"take.{wanted.format}"], []
     if wanted.format == "vtkhdf":
         write_vtkhdf(
             files[0], stage.neutral.triangles, take.times, (stage.neutral.vertices + one for one in make_motion())
         )
     else:
-        morphs = write_gltf(files[0], stage.neutral, take.times, np.array(list(make_motion())))
-        notes.append(describe_targets(files[0], len(morphs.targets), morphs.error))
+        motion = np.array(list(make_motion()))
+        if rig is None:
+            morphs = reduce_to_morphs(motion, tolerance=MORPHED)
+            rig = morph_take("skin", stage.neutral, take.times, morphs, morphs.weights)
+            notes.append(describe_targets(files[0], len(morphs.targets), morphs.error))
+        else:
+            notes.append(f"{files[0].name}: ARKit's {len(rig.names)} morph targets")
+        WRITERS[wanted.format](files[0], rig)
     if shown:
         files.append(wanted.out / f"preview.{wanted.preview}")
         _write_preview(files[1], kept, stage, wanted, caption, progress)

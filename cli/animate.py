@@ -48,7 +48,9 @@ class Accuracy(click.ParamType):
 
 @dataclass(frozen=True)
 class Animate:
-    """Animate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
+    """Animate TAKE: a file, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
+
+    Files are CSV of LiveLink Face, results of MediaPipe's face landmarker (JSON), weights.csv, and JSON as BEAT's.
 
     Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral
@@ -58,9 +60,10 @@ class Animate:
     `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
 
-    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error, certain
-    and seconds of each frame. With --targets it also writes OUT/rig.glb: the rig's own
-    morph targets and the take's weights of them. Exit status 1 if a frame is not within the accuracy; those are listed.
+    Writes OUT/take.vtkhdf (or .glb, or .usd), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error,
+    certain and seconds of each frame. Morph targets of glb and usd have ARKit's names where derivatives alone make all
+    frames. With --targets it also writes OUT/rig.glb: the rig's own morph targets and the take's weights of them. Exit
+    status 1 if a frame is not within the accuracy; those are listed.
     """
 
     take: str = argument("TAKE", type=str)
@@ -76,7 +79,7 @@ class Animate:
     parameters: Path | None = option(
         None, "TOML file of parameters p; default: all defaults. Local values are one per face of the skin", type=FILE
     )
-    format: str = option("vtkhdf", "file format of the moving skin", type=click.Choice(["vtkhdf", "gltf"]))
+    format: str = option("vtkhdf", "file format of the moving skin", type=click.Choice(["vtkhdf", "glb", "usd"]))
     preview: str = option("gif", "format of the rendered preview", type=click.Choice(["mp4", "gif", "none"]))
     fps: float | None = option(None, "frames per second; default: the take's own", type=float)
     frames: str | None = option(None, "frames A to B - 1 only, counted at --fps", type=str, metavar="A:B")

@@ -10,8 +10,10 @@ from . import (  # noqa: F401  # they give `head` more commands
     animate,
     bench,
     corpus,
+    head_export,
     head_files,
     study,
+    take,
     train,
     train_regressor,
     view,
@@ -34,6 +36,7 @@ app.add_command(train.train)
 app.add_command(train.evaluate)
 app.add_command(head)
 app.add_command(animate.animate)
+app.add_command(take.take)
 app.add_command(view.view)
 app.add_command(corpus.corpus)
 app.add_command(bench.bench)

@@ -64,11 +64,11 @@ class Generate:
     # None leaves a choice to the folder's own corpus or the plan.
     plan_file: Path | None = argument("[PLAN.toml]", None, type=click.Path(path_type=Path, dir_okay=False))
     preset: str | None = option(
-        None, "tiny (default), study, fresh, small, neutral or paper, in place of a file", type=str
+        None, "tiny (default), study, fresh, small, faces or paper, in place of a file", type=str
     )
     takes: Path | None = option(
         None,
-        "folder of recorded takes (LiveLink CSV, JSON, weights.csv)",
+        "folder of recorded takes (LiveLink CSV, MediaPipe's results, weights.csv, JSON)",
         type=click.Path(path_type=Path, file_okay=False),
     )
     people: int | None = option(None, "how many, in place of the plan's", type=count_range(PEOPLE))

@@ -30,14 +30,12 @@ from .written_file import FOLDER
     type=click.IntRange(0, 1_000_000),
     help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
-@click.option("--device", default="cpu", help="torch device: cpu; of modal also cuda")
-@click.option(
-    "--neutrals", type=click.Path(path_type=Path), help="second corpus of settled neutral faces (preset neutral)"
-)
+@click.option("--device", default="cpu", help="torch device: cpu or cuda")
+@click.option("--more", type=click.Path(path_type=Path), help="second corpus, of faces without frames (preset faces)")
 @click.option(
     "--start",
     type=click.Path(path_type=Path),
-    help="weights to start from; without --neutrals their part for neutral faces is kept",
+    help="weights to start from; without --more their part for neutral faces is kept",
 )
 @click.option(
     "--share",
@@ -54,7 +52,7 @@ def train(
     batch: int | None,
     recurrence_steps: int | None,
     device: str,
-    neutrals: Path | None,
+    more: Path | None,
     start: Path | None,
     share: float,
     partial: bool,
@@ -72,12 +70,12 @@ def train(
     }
     given = {name: value for name, value in options.items() if value is not None}
     read = {"partial": partial, "share": share}
-    of_modal = {"--neutrals": neutrals, "--start": start}
+    of_modal = {"--more": more, "--start": start}
     of_gradients = {"--batch": batch, "--recurrence-steps": recurrence_steps}
     _refuse(network, of_gradients if network == "modal" else of_modal)
     with show_progress() as progress:
         if network == "modal":
-            path, curve = _modal(corpus, neutrals, start, out, given, read, progress)
+            path, curve = _modal(corpus, more, start, out, given, read, progress)
         else:
             path, curve = _gradients(network, corpus, out, given, batch, recurrence_steps or 0, read, progress)
     with replaced(out / "curve.json") as temporary:
@@ -88,7 +86,7 @@ def train(
     return 0
 
 
-def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
+def _modal(corpus: Path, more: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
     from ..surrogate.networks.modal_training import ModalTraining, train_modal
@@ -96,10 +94,10 @@ def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, o
     from ..surrogate.rigs.inertia import Looseness
 
     config, faces = ModalTraining(**options), Faces(corpus, "train", **read)
-    more = None if neutrals is None else Faces(neutrals, "train", table="groups", **read)
+    without_frames = None if more is None else Faces(more, "train", **read)
     out.mkdir(parents=True, exist_ok=True)
     begun = None if start is None else Weights.load(start)
-    weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
+    weights = train_modal(faces, config, more=without_frames, start=begun, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
         weights = replace(weights, looseness=Looseness.from_people(people_from_text("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")

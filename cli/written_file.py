@@ -38,11 +38,13 @@ class WrittenFolder(click.Path):
         return path
 
 
-NPZ, ZIP, PNG, HTML, ANY, FOLDER = (
+NPZ, CSV, ZIP, PNG, HTML, RIG, ANY, FOLDER = (
     WrittenFile(".npz"),
+    WrittenFile(".csv"),
     WrittenFile(".zip"),
     WrittenFile(".png"),
     WrittenFile(".html"),
+    WrittenFile(".glb", ".usd", ".usdc", ".usda"),
     WrittenFile(),
     WrittenFolder(),
 )

@@ -46,9 +46,10 @@ def mean(a, b):
 # %% [markdown]
 # ## Layers and wraps
 #
-# A head is a skin with a skull and muscles under it. Three closed surfaces of the same triangles, the *wraps*, are
-# shrunk onto skin, muscle and skull, so that what lies between two of them is a layer of prisms, three tets each:
-# soft tissue outside, muscle inside. The skull wrap knows which of its vertices are cranium, mandible, or free.
+# A head is a skin with a skull and muscles under it. Three closed surfaces of the same triangles, the *wraps*, lie
+# at skin, muscle and skull. The first is shrunk onto the skin. By default the skull's is grown inward by published
+# depths, and the muscles' lies between. What is between two wraps is a layer of prisms, three tets each: soft tissue
+# outside, muscle inside. The skull wrap knows which of its vertices are cranium, mandible, or free.
 
 # %% tags=["remove-input"]
 Picture(draw_cut_away(head))
@@ -60,8 +61,8 @@ print(
 Picture(draw_sections(head, head.vertices, head.skin))
 
 # %% [markdown]
-# The skin itself keeps its own mesh, finer than the wrap. Displacements go to and fro by fixed weights
-# (`wrap_targets`, `skin_after`), and detail finer than the wrap is kept. Heads come from an identity space by a
+# The skin itself keeps its own mesh, with details finer than the wrap's. Displacements go to and fro by fixed weights
+# (`wrap_targets`, `skin_after`), and these details are kept. Heads come from an identity space by a
 # code h, or from [a scan of your own](tutorials/own_head.py).
 #
 # ## Scenes and terms

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, cached_property
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ..reference.face.dynamics import OSCILLATION, Swing
 from ..reference.face.face import Face
 from ..reference.face.local import at_vertices as spread_over
 from .corpus.face import MOVED, KeptFace
-from .corpus.mixture import NAMES, STATIC, basis
+from .corpus.mixture import BONES, NAMES, STATIC, basis
 from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
@@ -44,8 +44,15 @@ SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensor
 """The weights of the default space."""
 
 
-Described = tuple[Surface, Floats, Floats, Floats32, Swings | None]
-"""What a network needs of a face: skin, code, p at its vertices, shapes, and how it swings."""
+class Described(NamedTuple):
+    """What a network needs of a face: skin, code, p at its vertices, shapes, how it swings, and how bones carry it."""
+
+    skin: Surface
+    code: Floats
+    at_vertices: Floats
+    shapes: Floats32
+    swing: Swings | None
+    carry: Callable[[], Floats]
 
 
 class Surrogate:
@@ -116,7 +123,15 @@ class Surrogate:
         at_vertices = _check_seen(_map_to_vertices(chosen, skin), self.weights.note.seen, beyond)
         swinging = chosen if isinstance(chosen, Parameters) else Parameters()
         oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
-        return self._bind((skin, code, at_vertices, shapes, self._swing(code, at_vertices, oscillation)))
+        swing = self._swing(code, at_vertices, oscillation)
+        return self._bind(Described(skin, code, at_vertices, shapes, swing, lambda: self._carry(skin, chosen, head)))
+
+    def _carry(self, skin: Surface, parameters: Parameters | Floats, head: LayeredHead | None) -> Floats:
+        """Return how far scaled bones carry a skin [mm], shape (n, 3); a head is needed only where one is scaled."""
+        chosen = parameters if isinstance(parameters, Parameters) else _from_array(parameters, skin)
+        if all(getattr(chosen, name) == Parameters.info(name).default for name in BONES):
+            return np.zeros(skin.vertices.shape)
+        return Face(self._head(skin, head), parameters=chosen).carried
 
     @check_arguments
     def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
@@ -139,14 +154,15 @@ class Surrogate:
             swing: Swings | None = face.swing
         else:
             swing = self._swing(code, at_vertices, np.stack([face.at_vertices(name) for name in OSCILLATION]))
-        return face.skin, code, at_vertices, face.shapes.astype(np.float32), swing
+        return Described(face.skin, code, at_vertices, face.shapes.astype(np.float32), swing, lambda: face.carried)
 
     def _describe_kept(self, face: KeptFace) -> Described:
         at_vertices = self.inputs.features.at_vertices(face.coefficients)
         if self.weights.kind in FORMS and not FORMS[self.weights.kind].follows_fields:
             at_vertices = np.broadcast_to(at_vertices.mean(axis=0), at_vertices.shape)
         skin = self.weights.mean.with_vertices(face.skin.vertices)
-        return skin, face.code, at_vertices, np.asarray(face.shapes, dtype=np.float32), self.learned_swing(face)
+        shapes = np.asarray(face.shapes, dtype=np.float32)
+        return Described(skin, face.code, at_vertices, shapes, self.learned_swing(face), lambda: face.carried)
 
     def _code_of(self, face: Face) -> Floats:
         if face.code is not None:
@@ -188,11 +204,14 @@ class Surrogate:
 
     def _bind(self, described: Described, simulated: Face | KeptFace | None = None) -> BoundRig:
         """Bind what describes a face; with a `simulated` one, by its own offset and responses."""
-        skin, code, at_vertices, shapes, swing = described
+        skin, code, at_vertices, shapes, swing, carry = described
         code = self.inputs.code(code)
         if self.weights.kind in FORMS:
             form = FORMS[self.weights.kind]
-            return GradientRig(form, self.weights.network, self._transfer, code, at_vertices, skin, shapes, swing)
+            carried = carry().astype(np.float32)
+            return GradientRig(
+                form, self.weights.network, self._transfer, code, at_vertices, skin, carried, shapes, swing
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
             modes = self._find_modes(skin, code, at_vertices, shapes)
             if simulated is not None:

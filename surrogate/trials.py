@@ -94,12 +94,8 @@ class CorpusTrials:
             who = self.split or "whole"
             raise InputError(f"corpus {self.folder}: no sequence of the {who} split is of a face with derivatives")
         for k in chosen:
-            row, (identity, group) = table[k], keys[k]
-            if only_differentiated:
-                face = self.faces.face(number_of[keys[k]])
-            else:
-                settled = table.settled(identity, group)
-                face = KeptFace(identity, table.person(identity), table.parameters(k), settled, heads=self.faces.heads)
+            row, heads = table[k], self.faces.heads
+            face = self.faces.face(number_of[keys[k]]) if only_differentiated else table.face(k, heads)
             yield Trial(face, row["weights"], row["corrected"].astype(np.float32), DYNAMIC, row)
 
     def read_references(self) -> Iterator[ReferenceFrame]:

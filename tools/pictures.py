@@ -3,7 +3,8 @@
 
 docs/pictures.toml holds, for each picture, a digest of what it is drawn from and one of the PNG. A picture is old when
 the default head, the shipped network, the simulator's meaning, or the code that draws it has changed since.
-The viewer's picture needs Chromium and playwright; the own head needs the scan of Lee Perry-Smith (--scan).
+Pictures of pages need Chromium and playwright, that of the exported head npm, too; the own head needs the scan of Lee
+Perry-Smith (--scan).
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ CUT = (
     "benchmarks/studies/agreement/solved.py",
     "benchmarks/studies/agreement/pictures.py",
 )
+EXPORTED = ("tools/exported.html", "animation/export.py", *DRAWING[1:], "lhm/base/files/glb.py")
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -230,6 +232,50 @@ def live(scan: Path) -> bytes:
     return picture
 
 
+def exported(scan: Path) -> bytes:
+    """Open an exported head in three.js, with a slider for each morph target, and take a screenshot.
+
+    Its positions there have to be the rig's own frame.
+    """
+    import numpy as np
+    from playwright.sync_api import sync_playwright
+
+    from softdeca.animation.export import simulated_rig
+    from softdeca.lhm import expressions
+    from softdeca.lhm.base.files.glb import write_glb
+    from softdeca.lhm.base.progress import silent
+    from softdeca.reference import Face, Parameters
+
+    chromium, npm = shutil.which("chromium") or shutil.which("chromium-browser"), shutil.which("npm")
+    if chromium is None or npm is None:
+        raise SystemExit("exported: Chromium or npm is not installed")
+    head, space, code = face()
+    rig = simulated_rig(Face(head, space.expression_deltas(code), Parameters(soft_volume=1.1)), silent)
+    named = {"jawOpen": 0.7, "mouthSmileLeft": 0.8, "browInnerUp": 0.6, "eyeSquintLeft": 0.4}
+    skin = rig.surfaces[0]
+    wanted = skin.rest.vertices + np.tensordot(expressions.weights_of(named), skin.targets, axes=1)
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
+        subprocess.run([npm, "install", "--silent", "--prefix", folder, "three@0.172.0"], check=True)
+        write_glb(Path(folder) / "node_modules" / "rig.glb", rig)
+        shutil.copy(ROOT / EXPORTED[0], Path(folder) / "node_modules" / "index.html")
+        browser = play.chromium.launch(executable_path=chromium, args=DRAWS)
+        page = browser.new_page(viewport={"width": 1000, "height": 780})
+        # Modules do not load from file://.
+        page.route(
+            "http://exported/**",
+            lambda route: route.fulfill(path=Path(folder, "node_modules", route.request.url.split("/", 3)[3])),
+        )
+        page.goto("http://exported/index.html")
+        page.wait_for_function("window.ready")
+        page.evaluate("named => setWeights(named)", named)
+        apart = np.abs(1e3 * np.array(page.evaluate("positions('skin')")) - wanted).max()
+        if apart > 0.01:
+            raise SystemExit(f"exported: three.js has the skin {apart:.2g} mm off")
+        picture = page.screenshot()
+        browser.close()
+    return picture
+
+
 def dial(scan: Path) -> bytes:
     """Draw error against time of frames, by the kept results of the dial's study."""
     import json
@@ -261,6 +307,7 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
+    "exported.png": (exported, (*HEAD, *EXPORTED)),
     "live.png": (live, (*HEAD, *NETWORK, *LIVE_PAGE)),
 }
 """Each picture with the function that makes it, and the files that it is drawn from."""

@@ -76,7 +76,7 @@ Picture(draw_sections(head, head.vertices, head.skin))
 # %% [markdown]
 # ## Simulate
 #
-# The head has all 52 expressions. Under 1.4 times the soft tissue it is first settled, and the
+# The head has all expressions but tongueOut. Under 1.4 times the soft tissue it is first settled, and the
 # expression's scene starts from there.
 
 # %%
@@ -105,5 +105,5 @@ print(f"to the simulation, mean: rig {error:.3f} mm, blendshapes {nothing:.3f} m
 assert error < nothing
 
 # %% [markdown]
-# `softdeca view head.npz` writes a page with a slider for each expression, and `softdeca animate take.csv --head
+# `softdeca view head.npz` opens a live page with sliders for expressions and p, and `softdeca animate take.csv --head
 # head.npz` plays a recording.

@@ -44,7 +44,7 @@ asked = (
 softdeca("bench", "verification", *asked)
 
 # %% [markdown]
-# A study that was stopped goes on where it was: rows of the same options, code and versions are not done again. The
+# A study that was stopped goes on where it was: rows of the same options and versions are not done again. The
 # results file says by what it was made, and in every row what it took.
 
 # %%

@@ -102,7 +102,7 @@ CONSONANTS: tuple[dict[str, float], ...] = (
     {"jawOpen": 0.15, "mouthClose": 0.15, "mouthPress": 0.25, "cheekPuff": 0.2, "mouthPucker": 0.15},  # p, plosive
     {"jawOpen": 0.1, "mouthRollLower": 0.35, "mouthUpperUp": 0.2, "mouthShrugLower": 0.2},  # f v
     {"jawOpen": 0.18, "mouthUpperUp": 0.15, "mouthLowerDown": 0.25, "mouthStretch": 0.2},  # t d n
-    {"jawOpen": 0.2, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15, "tongueOut": 0.15},  # l th
+    {"jawOpen": 0.2, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15},  # l th
     {"jawOpen": 0.06, "jawForward": 0.12, "mouthStretch": 0.3, "mouthLowerDown": 0.3, "mouthDimple": 0.1},  # s z
     {"jawOpen": 0.1, "jawForward": 0.15, "mouthFunnel": 0.55, "mouthPucker": 0.2, "mouthShrugUpper": 0.2},  # sh
     {"jawOpen": 0.25, "mouthUpperUp": 0.1, "mouthLowerDown": 0.15},  # k g
@@ -473,7 +473,9 @@ def speech(text: str, *, pace: float = PACE) -> Take:
     track = fx.generate_from_alignment(segments, gestures=fx.GestureParams(seed=zlib.crc32(text.encode())))
     csv, _ = fx.livelink_csv_string(retarget(track, PRESETS["arkit"] | GESTURES))
     take = read_livelink(csv)
-    return Take(take.weights, take.rate, take.times, synthetic="speech by openfacefx")
+    weights = take.weights.copy()
+    weights[:, index("tongueOut")] = 0.0  # no head here has a tongue
+    return Take(weights, take.rate, take.times, synthetic="speech by openfacefx")
 
 
 def _segments(text: str, seconds: float) -> list:

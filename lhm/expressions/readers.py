@@ -1,4 +1,4 @@
-"""Takes from files: LiveLink Face's CSV, a recorder's weights.csv, and JSON.
+"""Takes from files: LiveLink Face's CSV, a recorder's weights.csv, MediaPipe's results, and JSON as BEAT's.
 
 `READERS` is the table of formats: a suffix, whether a text is of that format, and the function that reads it.
 """
@@ -33,7 +33,9 @@ BY_LOWER = {name.lower(): name for name in ARKIT}
 
 @check_arguments
 def read_take(path: str | os.PathLike[str]) -> Take:
-    """Read a take from a CSV of LiveLink Face, a CSV with a row per quantity, or JSON; see `READERS`.
+    """Read a take from a CSV of LiveLink Face, a CSV with a row per quantity, MediaPipe's results, or BEAT's JSON.
+
+    `READERS` has them all.
 
     Values outside [0, 1] are clipped and counted, frames without a face left out and counted, expressions that the file
     lacks are zero and named: all stand in the Take. Raises InputError, one line that names the file and, where there
@@ -328,6 +330,124 @@ def _finite_number(value: Any, where: str) -> float:
     return number
 
 
+# Results of MediaPipe's face landmarker, as its tasks for Python and JavaScript give them, an object a frame.
+
+SCORES = ("face_blendshapes", "faceBlendshapes")
+STAMPS = ("timestamp_ms", "timestampMs", "timestamp")
+NAMES = ("category_name", "categoryName")
+NEUTRAL = "_neutral"
+"""A category of MediaPipe's that is none of ARKit's, though its score is near zero."""
+CAMERA_RATE = 30.0
+"""[Hz] Of results without timestamps: a webcam's."""
+
+
+def has_landmarker_results(text: str) -> bool:
+    """Whether a JSON text names the face landmarker's scores."""
+    return any(f'"{name}"' in text for name in SCORES)
+
+
+def read_landmarker(text: str) -> Take:
+    """Read results of MediaPipe's face landmarker; InputError names frame and category.
+
+    {"face_blendshapes": [[{"index": 25, "score": 0.2, "category_name": "jawOpen"}, ...]], "timestamp_ms": 33}
+
+    A frame is such an object, by Python's names or JavaScript's ("faceBlendshapes", "categoryName", a face's categories
+    under "categories"). A text has a list of them, an object with a list "frames", one alone, or one a line. Timestamps
+    are milliseconds. Frames whose list of faces is empty are left out and counted. Landmarks and the head's pose are
+    not read.
+    """
+    results = _list_results(text)
+    TAKE_FRAMES.check("it has", len(results))
+    scores = [_scores_of(result, f"frame {number}") for number, result in enumerate(results)]
+    there = np.array([named is not None for named in scores])
+    if not there.any():
+        raise InputError("no frames with a face")
+    first = int(np.argmax(there))
+    names = list(scores[first] or ())
+    for number, named in enumerate(scores):
+        differing = set(names if named is None else named).symmetric_difference(names)
+        if differing:
+            name = min(differing)
+            has, lacks = (first, number) if name in names else (number, first)
+            raise InputError(f"frame {lacks}: no category {name}, which frame {has} has")
+    rate, times = _times_of_results(results)
+    start = times[there][0]
+    columns = np.array([[named[name] for name in names] for named in scores if named is not None])
+    return take_from_columns(columns, names, rate, times[there] - start, lost_at=times[~there] - start)
+
+
+def _list_results(text: str) -> list[Any]:
+    """List the frames of a text; InputError names a line that is no JSON."""
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    first = lines[0][1].strip()
+    if len(lines) > 1 and first.startswith("{") and first.endswith("}"):
+        results = []
+        for number, line in lines:
+            try:
+                results.append(load_json(line, allow_nan=True))
+            except InputError as error:
+                raise InputError(f"line {number}: {error}") from None
+        return results
+    content = load_json(text, allow_nan=True)
+    if isinstance(content, dict):
+        content = content["frames"] if "frames" in content else [content]
+    if not isinstance(content, list) or not content:
+        raise InputError("not a take: expected a list of face landmarker results that is not empty")
+    return content
+
+
+def _scores_of(result: Any, where: str) -> dict[str, float] | None:
+    """Return a frame's scores by ARKit's names, None where it has no face."""
+    faces = _named_one_of(result, SCORES) if isinstance(result, dict) else None
+    if not isinstance(faces, list):
+        raise InputError(f"{where}: expected an object with a list {SCORES[0]}, or {SCORES[1]}")
+    if not faces:
+        return None
+    if len(faces) > 1:
+        raise InputError(f"{where}: {len(faces)} faces, expected one")
+    categories = faces[0].get("categories") if isinstance(faces[0], dict) else faces[0]
+    if not isinstance(categories, list) or not categories:
+        raise InputError(f"{where}: expected a list of categories, each with its name and score")
+    scores: dict[str, float] = {}
+    for number, category in enumerate(categories):
+        name = _named_one_of(category, NAMES) if isinstance(category, dict) else None
+        if not isinstance(name, str):
+            raise InputError(f"{where}, category {number}: expected an object with {NAMES[0]}, or {NAMES[1]}")
+        if name == NEUTRAL:
+            continue
+        known = _find_name(name, f"{where}, category {number}")
+        if known in scores:
+            raise InputError(f"{where}: category {known} stands there twice")
+        scores[known] = _finite_number(category.get("score"), f"{where}, category {known}")
+    if not scores:
+        raise InputError(f"{where}: no category but {NEUTRAL}")
+    return scores
+
+
+def _times_of_results(results: Sequence[dict[str, Any]]) -> tuple[float, Floats]:
+    """The rate [Hz] and the frames' times [s], by their timestamps [ms]."""
+    stamps = [_named_one_of(result, STAMPS) for result in results]
+    if all(stamp is None for stamp in stamps):
+        return CAMERA_RATE, np.arange(len(results)) / CAMERA_RATE
+    times = 1e-3 * np.array([_finite_number(stamp, f"frame {n}, timestamp") for n, stamp in enumerate(stamps)])
+    steps = np.diff(times)
+    if (steps <= 0).any():
+        raise InputError(f"frame {int(np.argmax(steps <= 0)) + 1}, timestamp: time does not rise")
+    if not len(steps):
+        return CAMERA_RATE, times
+    rate = 1.0 / float(np.median(steps))
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(
+            f"timestamp: {rate:.6g} frames a second; expected milliseconds, at {RATES[0]:g} to {RATES[1]:g} Hz"
+        )
+    return rate, times
+
+
+def _named_one_of(content: dict[str, Any], names: Sequence[str]) -> Any:
+    """Return the first of some keys' values that is there, or None."""
+    return next((content[name] for name in names if content.get(name) is not None), None)
+
+
 # What both kinds of CSV share.
 
 
@@ -370,6 +490,8 @@ class Reader(NamedTuple):
 READERS = (
     Reader(".csv", has_quantity_rows, read_recorder),
     Reader(".csv", lambda text: True, read_livelink),
+    Reader(".json", has_landmarker_results, read_landmarker),
     Reader(".json", lambda text: True, read_json_take),
+    Reader(".jsonl", lambda text: True, read_landmarker),
 )
 """The formats of takes; of a suffix the first that fits reads the text."""

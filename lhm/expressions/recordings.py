@@ -28,7 +28,7 @@ from .takes import Take, check_frames, resample
 Kind = Literal["real", "speech", "conversation", "random", "hard"]
 RATE = 60.0
 SECONDS = 60.0
-SUFFIXES = (".csv", ".json")
+SUFFIXES = (".csv", ".json", ".jsonl")
 
 
 @dataclass(frozen=True)

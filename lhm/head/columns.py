@@ -9,6 +9,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from ..base.geometry.cholesky import factorise
+from ..base.geometry.mirror import symmetrise
 from ..base.geometry.topology import graph_laplacian, neighbours, unique_edges
 from ..base.mesh import Floats, Ints, Surface
 from .layers import prism_tets
@@ -30,13 +31,15 @@ def unit(vectors: Floats) -> Floats:
 class Columns:
     """Three stacked wraps of n vertices over `triangles` (m, 3), made once per template.
 
+    `twins` (n,): the vertex that mirrors each, where the wraps are to stay their own mirror image.
     `edges` (n, n): ones where two vertices share an edge, `mean` its rows' averages; `tets` (6 m, 4) of both layers;
-    `incident[starts[v] : starts[v + 1]]`: the tets that touch column v; `corner`, `owner`, `first`: the triangles
-    `owner[first[v] : first[v + 1]]` around vertex v.
+    `incident[starts[v] : starts[v + 1]]`: the tets that touch column v, or its twin, under the smaller of their
+    numbers; `owner`, `first`: the triangles `owner[first[v] : first[v + 1]]` around vertex v.
     """
 
     triangles: Ints
     n: int
+    twins: Ints | None = field(default=None, repr=False)
     edges: csr_matrix = field(init=False, repr=False)
     mean: csr_matrix = field(init=False, repr=False)
     tets: Ints = field(init=False, repr=False)
@@ -49,7 +52,10 @@ class Columns:
         n, triangles = self.n, self.triangles
         edges = neighbours(triangles, n)
         tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
-        touched = np.unique(np.column_stack([(tets % n).ravel(), np.repeat(np.arange(len(tets)), 4)]), axis=0)
+        column = (tets % n).ravel()
+        if self.twins is not None:
+            column = np.minimum(column, self.twins[column])
+        touched = np.unique(np.column_stack([column, np.repeat(np.arange(len(tets)), 4)]), axis=0)
         around = np.argsort(triangles.ravel(), kind="stable")
         for name, value in (
             ("edges", edges),
@@ -65,6 +71,10 @@ class Columns:
     def surface(self, vertices: Floats) -> Surface:
         """One wrap with these vertices [mm], shape (n, 3)."""
         return Surface(vertices, self.triangles)
+
+    def symmetrise(self, vertices: Floats) -> Floats:
+        """Return one wrap or several, stacked (k n, 3) [mm], as their own mirror image; without twins as they are."""
+        return symmetrise(vertices.reshape(-1, self.n, 3), self.twins).reshape(-1, 3)
 
     def mean_edge(self, vertices: Floats) -> Floats:
         """Mean length [mm] of the edges at each vertex, shape (n,)."""

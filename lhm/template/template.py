@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..base.geometry.mirror import find_twins, is_symmetric
 from ..base.mesh import Floats, Ints, Surface
 from ..head.columns import Columns
 from ..head.head import LayeredHead
@@ -60,6 +61,25 @@ class Template:
     def columns(self) -> Columns:
         """What the triangulation decides."""
         return Columns(self.triangles, len(self.stack) // 3)
+
+    @cached_property
+    def _symmetric_columns(self) -> Columns | None:
+        """`columns` with twins; None where the wraps are not their own mirror image."""
+        n = self.columns.n
+        twins = find_twins(self.stack[:n])
+        if twins is None or not is_symmetric(self.stack.reshape(3, n, 3), twins):
+            return None
+        return Columns(self.triangles, n, twins)
+
+    @cached_property
+    def _skin_twins(self) -> Ints | None:
+        return find_twins(self.skin.vertices)
+
+    def columns_of(self, skin: Surface) -> Columns:
+        """Return the columns of a head with this skin: those with twins where skin and wraps are symmetric."""
+        if self._skin_twins is None or not is_symmetric(skin.vertices, self._skin_twins):
+            return self.columns
+        return self._symmetric_columns or self.columns
 
     @cached_property
     def marks(self) -> Landmarks:

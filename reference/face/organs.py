@@ -24,11 +24,10 @@ from .. import terms
 from .bones import scale_bone
 from .parameters import Parameters
 
-BEHIND_LIDS, BEHIND_LIPS = 1.75, 0.3
+BEHIND_LIDS, BEHIND_LIPS = 0.75, 0.3
 """What eyeballs and teeth leave at rest to the skin wrap [mm]: more than contact keeps, so the neutral face meets none.
 
-Blendshapes draw lids along straight lines, up to 3 mm into a ball that fills its socket: it would press them so thin
-that their lining comes through.
+Blendshapes draw lids along straight lines, which cut into a ball that fills its socket: it would press them thin.
 """
 LEAST = 0.5
 """Share of its size below which an eyeball is left out."""

@@ -141,6 +141,9 @@ shares no person, no parameter set and no recording with training. Speech and co
         "" if licence != OTHER else f" {OWNERS}"
     }
 
+By default `softdeca train` learns from it a network that is, by name, the paper's z(w) L(p_i, h, π(i)) at vertices, its
+ablation, with z = (1, w, N(w)), and no hypernetwork.
+
 | table | frames or rows made | accepted |
 |---|---|---|
 {counts}

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ...reference import Parameters
 from ...reference.face.face import Face
-from .mixture import BONES, ParameterSet
+from .mixture import ParameterSet
 
 if TYPE_CHECKING:
     from .heads import Heads
@@ -46,14 +45,15 @@ class Derivatives:
 class KeptFace:
     """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
-    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there. derivatives: None where a
-    corpus has only the neutral face. What the corpus does not have is asked of `live`.
+    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; carried (n, 3) [mm]: how
+    far scaled bones carry it. derivatives: None where they are asked for anew, of `live`.
     """
 
     identity: int
     person: Person
     parameters: ParameterSet
     displacement: np.ndarray
+    carried: np.ndarray
     derivatives: Derivatives | None = None
     heads: Heads | None = None
 
@@ -95,13 +95,6 @@ class KeptFace:
         heads = None if self.heads is None else replace(self.heads)
         return replace(self, derivatives=None, heads=heads)
 
-    @cached_property
-    def carried(self) -> Floats32:
-        """Displacement of the neutral skin with scaled bones [mm], (n, 3); a head is fitted only where p scales one."""
-        if all(self.parameters.level(name) == Parameters.info(name).default for name in BONES):
-            return np.zeros(self.skin.vertices.shape, dtype=np.float32)
-        return self.live.carried.astype(np.float32)
-
     @property
     def offset(self) -> np.ndarray:
         """T - S at w = 0 [mm], shape (n, 3)."""
@@ -118,6 +111,20 @@ class KeptFace:
         return self.offset.astype(np.float32) - self.displacement
 
 
+class FirstOrder(Protocol):
+    """What is linear in w of a face [mm]: see `KeptFace`."""
+
+    @property
+    def offset(self) -> np.ndarray:
+        """T - S at w = 0 [mm], shape (n, 3)."""
+        ...
+
+    @property
+    def responses(self) -> np.ndarray:
+        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Frames:
     """Static frames of a face: weights (F, 52), and T - S (F, n, 3) [mm]."""
@@ -125,7 +132,7 @@ class Frames:
     weights: Floats32
     corrected: np.ndarray
 
-    def remainder(self, face: KeptFace) -> Floats32:
+    def remainder(self, face: FirstOrder) -> Floats32:
         """T - S beyond the face's first order [mm], shape (F, n, 3)."""
         linear = np.tensordot(self.weights, face.responses.astype(np.float32), axes=1)
         return self.corrected.astype(np.float32) - face.offset.astype(np.float32) - linear

@@ -17,7 +17,7 @@ from ...lhm.base.mesh import Surface
 from .mixture import NAMES
 from .people import People
 from .plan import SPLITS, CorpusPlan
-from .shard import FARTHEST, FORMAT, FORMATS, READ
+from .shard import FARTHEST, FORMAT
 from .simulate import GENERATOR
 from .surface_hash import surface_hash
 
@@ -91,10 +91,9 @@ def _check(said: Any) -> CorpusPlan:
     ):
         raise InputError("recordings: expected kind, frames, rate and origin by name")
     _check_pools(said.get("pools"))
-    if said["format"] not in FORMATS:
-        raise InputError(f"format: {quote(said['format'])}, this version reads {READ}")
-    if said["format"] > min(FORMATS):
-        integers("code_size", said.get("code_size"), 1, 1_000_000, ())
+    if said["format"] != FORMAT:
+        raise InputError(f"format: {quote(said['format'])}, this version reads {FORMAT}")
+    integers("code_size", said.get("code_size"), 1, 1_000_000, ())
     return plan
 
 

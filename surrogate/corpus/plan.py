@@ -70,8 +70,6 @@ class Static:
 class CorpusPlan:
     """Counts, shares and seed of a corpus.
 
-    Of a group with neither frames, sequence nor derivatives the neutral face is settled, and that is all.
-
     People, parameter sets and recordings are split into training and test first and paired then, so that the two splits
     share none of the three. Each person has `groups` parameter sets, no two people share one, and `frames` static
     frames of each; `sequences` of 16 frames at 60 Hz, the k-th under the person's k-th set. The share `responses` of
@@ -204,10 +202,6 @@ class CorpusPlan:
         rng = self.rng(PARAMETERS, number)
         kind = str(rng.choice(KINDS, p=[self.kinds[name] for name in KINDS]))
         return draw(rng, kind, field=bool(rng.random() < self.varying))
-
-    def settles_only(self, group: int, parameter_number: int) -> bool:
-        """Whether a person's group has a neutral face and nothing more."""
-        return self.frames == 0 and group >= self.sequences and not self.has_responses(parameter_number)[0]
 
     def has_responses(self, parameter_number: int) -> tuple[bool, bool]:
         """Tell whether the group with this parameter set has derivatives: by expressions, and by parameters."""
@@ -374,17 +368,15 @@ PRESETS: dict[str, CorpusPlan] = {
     ),
     # Some two hours of two cores; what the shipped surrogate is trained on.
     "small": CorpusPlan(),
-    # Settled neutral faces alone, twenty for the price of one of the others: what networks find hardest is these.
-    "neutral": CorpusPlan(
+    # Neutral faces and their derivatives alone, six for the price of one of the others: faces limit what is learned.
+    "faces": CorpusPlan(
         seed=5,
-        identities=400,
-        groups=12,
+        identities=2500,
+        groups=4,
         frames=0,
         sequences=0,
         references=0,
-        responses=0.0,
         parameter_responses=0.0,
-        kinds={"effects": 0.5, "both": 0.5},
     ),
     # SoftDECA's 500,000 frames, a quarter of them in sequences.
     "paper": CorpusPlan(

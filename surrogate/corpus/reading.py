@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Ints, Surface
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from .face import Derivatives, Frames, KeptFace, Person
 from .folder import Corpus
 from .heads import Heads
@@ -48,6 +48,7 @@ class _Person:
     skin: Place
     shapes: Place
     settled: Place
+    carried: Place
 
 
 class Table:
@@ -99,7 +100,7 @@ class Table:
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         arrays = read_arrays_of(path, self.corpus.owner, *OF_GROUPS, *names.values())
-        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
+        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", "groups/carried", *large.values())
         return _Person(
             path=path,
             code=arrays["persons/code"][0],
@@ -111,6 +112,7 @@ class Table:
             skin=places["persons/skin"],
             shapes=places["persons/shapes"],
             settled=places["groups/settled"],
+            carried=places["groups/carried"],
         )
 
     def __len__(self) -> int:
@@ -150,10 +152,21 @@ class Table:
         code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
         return Person(code, self.skin(identity), self.shapes(identity))
 
-    def settled(self, identity: int, group: int) -> NDArray:
-        """Read how far p moves a person's neutral skin [mm], shape (n, 3)."""
-        person = self._people[int(identity)]
-        return person.settled.row(person.path, int(group))
+    def carried(self, index: int) -> Floats32:
+        """Read how far scaled bones carry the face of a row [mm], shape (n, 3)."""
+        identity, group = self.groups[index].tolist()
+        person = self._people[identity]
+        return person.carried.row(person.path, group).astype(np.float32)
+
+    def face(self, index: int, heads: Heads | None = None) -> KeptFace:
+        """Read the face of a row; with derivatives where the table is of responses."""
+        identity, group = self.groups[index].tolist()
+        person, derivatives = self._people[identity], None
+        settled, carried = person.settled.row(person.path, group), self.carried(index)
+        if self.table == "responses":
+            row = self[index]
+            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
+        return KeptFace(identity, self.person(identity), self.parameters(index), settled, carried, derivatives, heads)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
@@ -175,8 +188,8 @@ def _find_accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
 class Faces:
     """The faces of a split of a corpus, or of both; read as they are asked for.
 
-    Those with derivatives; of `table` "groups" all that settle. `partial`, `share` and errors: as of `Table`. heads:
-    who fits the people's heads; by default the corpus' folder says so.
+    Those with derivatives. `partial`, `share` and errors: as of `Table`. heads: who fits the people's heads; by default
+    the corpus' folder says so.
     """
 
     def __init__(
@@ -184,13 +197,12 @@ class Faces:
         folder: str | PathLike[str],
         split: Split | None,
         *,
-        table: Literal["responses", "groups"] = "responses",
         partial: bool = False,
         share: float = 1.0,
         heads: Heads | None = None,
     ):
         self.heads = Heads.from_corpus(folder) if heads is None else heads
-        self._table = Table(folder, table, split, partial=partial, share=share)
+        self._table = Table(folder, "responses", split, partial=partial, share=share)
         self._open_statics = lambda: Table(folder, "statics", split, partial=partial, share=share)
         self.groups = self._table.groups
 
@@ -222,12 +234,11 @@ class Faces:
 
     def face(self, index: int) -> KeptFace:
         """Read one face."""
-        row, (identity, group) = self._table[index], self.groups[index].tolist()
-        derivatives = None
-        if "expressions" in row:
-            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
-        person, parameters = self._table.person(identity), self._table.parameters(index)
-        return KeptFace(identity, person, parameters, self._table.settled(identity, group), derivatives, self.heads)
+        return self._table.face(index, self.heads)
+
+    def carried(self, index: int) -> Floats32:
+        """Read how far scaled bones carry a face [mm], shape (n, 3)."""
+        return self._table.carried(index)
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""

@@ -36,11 +36,8 @@ from .mixture import KINDS, NAMES, WAVES
 from .plan import LENGTH
 
 ACCEPTED = "accepted"
-FORMAT = 3
-"""Of the file, and of what its arrays mean; raised when either changes."""
-FORMATS = (2, FORMAT)
-"""Formats that are read: in 2 the checksum covers the arrays alone, not owner, format and version."""
-READ = " and ".join(map(str, FORMATS))
+FORMAT = 4
+"""Of the file, and of what its arrays mean; raised when either changes, and others are refused."""
 FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 """Laws by which FEniCSx answers."""
 LONGEST = 200
@@ -133,7 +130,8 @@ class Persons:
 class Groups:
     """The G parameter sets: number of the plan, kind, varied (G, P), coefficients (G, P, 1 + WAVES), see `mixture`.
 
-    settled (G, n, 3) [mm]: how far the neutral skin moved; status: accepted, or why it did not settle.
+    settled (G, n, 3) [mm]: how far the neutral skin moved; carried (G, n, 3) [mm]: how far scaled bones carry it;
+    status: accepted, or why it did not settle.
     """
 
     number: Numbers = column(np.int64, high=PARAMETER_SETS.most - 1)
@@ -141,6 +139,7 @@ class Groups:
     varied: NDArray[np.bool_] = column(bool, len(NAMES))
     coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES, low=-1.0, high=1.0)
     settled: Halves = moved_column(VERTICES)
+    carried: Halves = moved_column(VERTICES)
     status: Texts = text_column()
 
 
@@ -301,9 +300,7 @@ class Label:
     version: str
 
     def checksum(self, shard: Shard) -> str:
-        """SHA-256 over this label and the shard's arrays; of format 2 over the arrays alone."""
-        if self.format == 2:
-            return shard.checksum
+        """SHA-256 over this label and the shard's arrays."""
         return hashlib.sha256(json.dumps([*vars(self).values(), shard.checksum]).encode()).hexdigest()
 
 
@@ -449,12 +446,10 @@ def _label(file: h5py.File) -> Label:
 
 
 def _check_label(path: Path, label: Label, owner: str) -> None:
-    if label.format not in FORMATS:
-        raise InputError(f"shard {path}: of format {label.format}, this version reads {READ}; {_REMEDY}")
+    if label.format != FORMAT:
+        raise InputError(f"shard {path}: of format {label.format}, this version reads {FORMAT}; {_REMEDY}")
     if label.owner != owner:
         raise InputError(
             f"shard {path}: of another corpus ({quote(label.owner, 80)}, expected {quote(owner, 80)}): its plan or "
             "template differs"
         )
-    if not owner.endswith(f"-{label.format}"):
-        raise InputError(f"shard {path}: of format {label.format}, its corpus of another; {_REMEDY}")

@@ -30,11 +30,10 @@ from .simulator import (
     make_face,
     prepare_face,
     reject_moved,
-    settle_neutral,
     simulate_static,
 )
 
-GENERATOR = 9
+GENERATOR = 10
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 
@@ -75,7 +74,7 @@ class _PersonRows:
         """Simulate all of one parameter set."""
         plan, number = self.plan, self.plan.parameter_numbers(self.identity)[group]
         # A function of its own, so that a face's factors, a quarter of a gigabyte, are forgotten before the next.
-        status, settled, face = self._settle(group, number, parameters)
+        status, settled, face = self._settle(parameters)
         self.rows["groups"].append(
             {
                 "number": number,
@@ -83,6 +82,7 @@ class _PersonRows:
                 "varied": parameters.varied,
                 "coefficients": parameters.coefficients,
                 "settled": settled,
+                "carried": np.zeros_like(settled) if face is None else face.carried,
                 "status": status,
             }
         )
@@ -96,7 +96,7 @@ class _PersonRows:
             with self._time_phase("references"):
                 self._add_references(group, face, answers, references_wanted)
 
-    def _settle(self, group: int, number: int, parameters: ParameterSet) -> tuple[str, np.ndarray, Face | None]:
+    def _settle(self, parameters: ParameterSet) -> tuple[str, np.ndarray, Face | None]:
         """Return the group's status, how far the skin moves [mm], (n, 3), and the face where the plan asks for more."""
         still = np.zeros_like(self.person.skin.vertices)
         if self._head is None:
@@ -104,8 +104,6 @@ class _PersonRows:
         try:
             with self._time_phase("settling"):
                 face = make_face(self.people, self.person, self._head, parameters, contact=self.plan.contact)
-                if self.plan.settles_only(group, number):
-                    return ACCEPTED, settle_neutral(face).displacement, None
                 prepare_face(self.people, face)
         except SoftdecaError as error:
             return f"settling: {error}", still, None

@@ -46,9 +46,9 @@ class Answer:
 def make_face(
     people: People, person: Person, head: LayeredHead, parameters: ParameterSet, *, contact: bool = False
 ) -> Face:
-    """Make a person's face under a parameter set, with the symbolic work of the last face of these people."""
+    """Make a person's face under a parameter set, with the symbolic work of the last face of the same kind."""
     on_wraps = parameters.parameters(head, people.mean)
-    face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, like=_last.get(people.name))
+    face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, like=_last.get(_kind(people, on_wraps)))
     return face.in_contact() if contact else face
 
 
@@ -65,8 +65,9 @@ def settle_neutral(face: Face) -> SettledFace:
 def prepare_face(people: People, face: Face) -> None:
     """Settle and differentiate a face before its frames; SceneError where it does not come to rest."""
     settle_neutral(face)
-    _last.clear()
-    _last[people.name] = face.derivatives.analysis
+    if people.name != next((name for name, _ in _last), people.name):
+        _last.clear()
+    _last[_kind(people, face.on_wraps)] = face.derivatives.analysis
     _ = face.first_order
 
 
@@ -158,5 +159,13 @@ def _judge(plan: CorpusPlan, head: LayeredHead, solution: Solution, inverted: np
     return reject_moved(corrected) or ACCEPTED
 
 
-_last: dict[str, Analysis] = {}
-"""The last face of a process: what was analysed of its matrices, the same for all heads of a template, serves again."""
+def _kind(people: People, parameters: Parameters) -> tuple[str, bool]:
+    """Return what the pattern of a face's matrices follows from: its people, and whether the skin bends."""
+    return people.name, bool(np.any(parameters.skin_bending))
+
+
+_last: dict[tuple[str, bool], Analysis] = {}
+"""The last faces of a process: what was analysed of their matrices, the same for all heads of a template, serves again.
+
+Of one space's people alone: an analysis takes some tens of megabytes.
+"""

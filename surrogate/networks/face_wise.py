@@ -31,7 +31,7 @@ class FaceWise(GradientForm):
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""
-        bound = _bound(network, code[:, None, None], parameters[:, None, None])
+        bound = _bound(network, code[:, None, None], parameters[:, None])
         return _answer(network, bound, weights[:, :, None])
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:

@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from ...lhm.base.geometry.mirror import find_twins
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
+from ...lhm.identities.arkit import MIRRORED
 from ...reference import Parameters
 from ...reference.face.dynamics import OSCILLATION
 from ...reference.face.palsy import activation_share, left_share
@@ -29,8 +30,6 @@ POINTS = 24
 """Places at which the summary has what varies over the face."""
 DEPTH = 30.0
 """[mm] Over which soft tissue's stiffness works against that of targets: 30 rather than 10 by a corpus' responses."""
-MIRRORED = 1e-3
-"""[mm] Within which a mirrored mean skin meets itself, if it is symmetric."""
 _INFOS = {name: Parameters.info(name) for name in STATIC}
 _LOCAL = tuple(k for k, name in enumerate(STATIC) if _INFOS[name].local)
 _SOFT = STATIC.index("soft_stiffness")
@@ -82,9 +81,7 @@ class Features:
     @cached_property
     def mirror(self) -> Ints | None:
         """The vertex in whose mirror image, by x, each lies, shape (n,); None where the mean skin is not symmetric."""
-        vertices = self.mean.vertices
-        away, image = cKDTree(vertices).query(vertices * [-1.0, 1.0, 1.0])
-        return image if away.max() < MIRRORED and np.array_equal(image[image], np.arange(len(image))) else None
+        return find_twins(self.mean.vertices)
 
     @cached_property
     def points(self) -> Ints:
@@ -108,8 +105,12 @@ class Features:
         return at_vertices[self.mirror][:, _SWAPPED] * _SIGNS
 
     def mirror_move(self, move: np.ndarray) -> np.ndarray:
-        """A displacement (n, 3), or a skin, of the mirrored face."""
-        return move[self.mirror] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
+        """Displacements (..., n, 3), or a skin, of the mirrored face."""
+        return move[..., self.mirror, :] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
+
+    def mirror_shapes(self, shapes: np.ndarray) -> np.ndarray:
+        """What each weight adds (52, n, 3) to the mirrored face."""
+        return self.mirror_move(shapes[MIRRORED])
 
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""

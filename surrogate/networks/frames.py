@@ -17,9 +17,10 @@ PEOPLE = 32
 
 @dataclass(frozen=True, eq=False)
 class FrameBatch:
-    """Frames as arrays: face and person (N,), code (N, c), weights (N, 52), parameters of STATIC mapped to [-1, 1].
+    """Frames as arrays: face and person (N,), code (N, c), weights (N, 52), coefficients of STATIC (N, P, 1 + WAVES).
 
-    blended and simulated (N, n, 3) [mm]: the linear blendshapes' S and the simulator's T.
+    blended and simulated (N, n, 3) [mm]: the linear blendshapes' S, carried along by scaled bones, and the simulator's
+    T.
     """
 
     reference: Surface
@@ -27,7 +28,7 @@ class FrameBatch:
     person: Ints
     codes: Floats32
     weights: Floats32
-    parameters: Floats32
+    coefficients: Floats32
     blended: Floats32
     simulated: Floats32
 
@@ -36,21 +37,21 @@ class FrameBatch:
 
 
 class FrameSource:
-    """The accepted static frames of faces under uniform parameters, as the paper trains on them.
+    """The accepted static frames of faces: with `fields` of all, else under uniform parameters, as the paper has them.
 
-    face (F,): numbers among `faces`; codes (F, c), levels (F, P) of STATIC and counts (F,) of frames. All else is read
-    when it is asked for. Raises InputError where there is no such frame.
+    face (F,): numbers among `faces`; codes (F, c), coefficients (F, P, 1 + WAVES) of STATIC and counts (F,) of frames.
+    All else is read when it is asked for. Raises InputError where there is no such frame.
     """
 
-    def __init__(self, faces: Faces, chosen: Ints | None = None):
+    def __init__(self, faces: Faces, chosen: Ints | None = None, *, fields: bool = False):
         self.faces = faces
         numbers = range(len(faces)) if chosen is None else map(int, chosen)
         rows = [(k, faces.coefficients(k)) for k in numbers if len(faces.frames_of[k])]
-        rows = [(k, coefficients) for k, coefficients in rows if not coefficients[:, 1:].any()]
+        rows = [(k, coefficients) for k, coefficients in rows if fields or not coefficients[:, 1:].any()]
         if not rows:
             raise InputError(f"corpus {faces.folder}: no static frame of it is under uniform parameters")
         self.face = np.array([k for k, _ in rows])
-        self.levels = np.clip([coefficients[:, 0] for _, coefficients in rows], -1.0, 1.0).astype(np.float32)
+        self.coefficients = np.array([coefficients for _, coefficients in rows], dtype=np.float32)
         self.codes = np.array([faces.code(k) for k in self.face], dtype=np.float32)
         self.counts = np.array([len(faces.frames_of[k]) for k in self.face])
         self._neutral = lru_cache(maxsize=PEOPLE)(self._read_neutral)
@@ -88,11 +89,12 @@ class FrameSource:
             skin, shapes = self._neutral(int(faces.groups[self.face[k], 0]))
             weights[of_face] = read.weights
             moved = read.weights @ shapes.reshape(52, -1).astype(np.float32)
-            blended[of_face] = skin + moved.reshape(-1, n, 3)
-            simulated[of_face] = blended[of_face] + read.corrected.astype(np.float32)
+            expression = skin + moved.reshape(-1, n, 3)
+            blended[of_face] = expression + faces.carried(int(self.face[k]))
+            simulated[of_face] = expression + read.corrected.astype(np.float32)
         person = faces.groups[self.face[picked], 0]
         return FrameBatch(
-            faces.mean, picked, person, self.codes[picked], weights, self.levels[picked], blended, simulated
+            faces.mean, picked, person, self.codes[picked], weights, self.coefficients[picked], blended, simulated
         )
 
     def _read_neutral(self, identity: int) -> tuple[Floats32, np.ndarray]:

@@ -2,7 +2,7 @@
 
 | name           | form                                   | protocol                                     |
 |----------------|----------------------------------------|----------------------------------------------|
-| hyper          | the hypernetwork with a table and gains | thousands of steps of few frames: minutes   |
+| hyper          | the hypernetwork with a table and gains | gradients of some faces first, then skins    |
 | paper          | the hypernetwork as it is printed      | the paper's, 200,000 steps of 128 frames     |
 | softsmpl-small | one perceptron, the paper's widths     | the paper's                                  |
 | softsmpl-large | one perceptron, wider                  | the paper's                                  |
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from os import PathLike
 from typing import Any
 
@@ -39,6 +40,7 @@ from .trainer import (
     draw_layers,
     draw_positions,
     hold_out_people,
+    open_device,
     torch,
 )
 from .weights import TrainingNote, Weights
@@ -47,25 +49,36 @@ FLOOR = 1e-4
 """Added to each squared singular value of a face's edges, relative to their sum: lids that close flatten faces."""
 SAMPLED, JUDGED = 400, 200
 """Frames by which a training begins, and those of held-out people by which it is judged, at most."""
+LEAST_MOTION = 0.02
+"""[mm] Added to a frame's own size: a still one must not decide."""
+PENALTY = 1e-2
+"""Of the regression by which z begins, in shares of the mean square of weights."""
 
 
 @dataclass(frozen=True)
 class GradientTraining(TrainerConfig):
-    """Options of one training, each with its reason: those of our hypernetwork."""
+    """Options of one training, each with its reason: those of our hypernetwork.
+
+    It first learns deformation gradients of some faces of the mesh, without a solve, then skins through the transfer.
+    """
 
     form: str = "hypernetwork"
-    network: Widths = field(default_factory=Widths)
-    steps: int = 3200
-    batch: int = 8  # frames per step; a larger one takes proportionally longer on a CPU
-    frames: int = 1  # of one face among these, for which p and h are evaluated once
-    learning_rate: float = 6e-3
-    warm_up: int = 20
+    network: Widths = field(default_factory=lambda: Widths(latent=64, hidden=96, position=48))
+    steps: int = 4000
+    batch: int = 24  # frames per step; a larger one takes proportionally longer on a CPU
+    frames: int = 6  # of one face among these, for which p and h are evaluated once
+    sampled_steps: int = 3200  # of all, in gradients of sampled faces: a tenth of the price of a solved one
+    sampled_faces: int = 1200
+    fields: bool = True  # faces under p that vary over them teach, too
+    in_own_size: bool = True  # errors count in shares of how far a frame is from carried blendshapes
+    learning_rate: float = 3e-3
+    warm_up: int = 100
     final_rate: float = 1e-4
-    weight_decay: float = 0.3  # a few hundred frames overfit without
-    gradient_weight: float = 100.0  # mm per squared gradient error: teaches faces that the vertex term sees late
+    weight_decay: float = 0.01
+    clip: float | None = 1.0
     validation: float = 0.05  # share of people held out, to choose the best step: more of them teach than judge
-    validate_every: int = 100
-    best_by: str = "network"
+    validate_every: int = 200
+    best_by: str = "share"
 
 
 def follow_paper(form: str, widths: Widths) -> GradientTraining:
@@ -74,8 +87,9 @@ def follow_paper(form: str, widths: Widths) -> GradientTraining:
     The loss is Eq. 16 alone. Sixteen faces with eight frames each make a batch, since p and h are dear.
     """
     return GradientTraining(
-        form=form, network=widths, steps=200_000, batch=128, frames=8, learning_rate=1e-4, final_rate=5e-5,
-        falls="line", warm_up=1, weight_decay=0.0, gradient_weight=0.0,
+        form=form, network=widths, steps=200_000, batch=128, frames=8, sampled_steps=0, fields=False,
+        in_own_size=False, learning_rate=1e-4, final_rate=5e-5, falls="line", warm_up=1, weight_decay=0.0, clip=None,
+        best_by="network",
     )  # fmt: skip
 
 
@@ -106,7 +120,7 @@ def train_gradients(
     """Fit a network to a corpus' training frames; return the weights of least error on held-out people.
 
     Frames are read as batches need them. With `state`, a file, the training is kept there now and then and goes on from
-    there when called again. Raises InputError for fewer than two people, another device than the cpu, a loss that is
+    there when called again. Raises InputError for fewer than two people, a device that is not there, a loss that is
     not finite, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
@@ -120,87 +134,121 @@ class GradientLesson(Lesson):
     """A form's tensors, the loss of a batch of frames, and the error on those of held-out people."""
 
     def __init__(self, faces: Faces, config: GradientTraining):
-        if config.device != "cpu":
-            raise InputError(f"training: the transfer of this network is solved on the cpu, not on {config.device!r}")
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
+        if config.sampled_steps and not self.form.takes_faces:
+            raise InputError(f"training: a {config.form} network has its faces together; sampled_steps: expected 0")
+        self.device = open_device(config.device)
         people = np.unique(faces.groups[:, 0])
         if len(people) < 2:
             raise InputError(f"training needs frames of at least two people, there are {len(people)}")
         self.held = hold_out_people(people, config.validation, np.random.default_rng(config.seed))
         is_held = np.isin(faces.groups[:, 0], self.held)
         self.training = np.flatnonzero(~is_held)
-        self.source = FrameSource(faces, self.training)
+        self.source = FrameSource(faces, self.training, fields=config.fields)
         codes = self.source.codes
         mean = codes.mean(axis=0).astype(np.float64)
         # All of a code counts as much as one parameter: with fewer people than numbers it is mostly learnt by heart.
         scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
         self.inputs = Inputs(Features(faces.mean), mean, scale)
         self.seen = seen_ranges(faces, self.training, self.inputs.features)
-        self.followed = np.ptp(self.source.levels, axis=0) > 0.0
+        self.followed = np.ptp(self.source.coefficients[:, :, 0], axis=0) > 0.0
         torch.manual_seed(config.seed)
         rng = np.random.default_rng([config.seed, 2])
         sample = self.source.sample(SAMPLED, rng)
         anchors = still_vertices(faces.mean, sample.simulated - sample.blended)
         self.network = self._start(sample, anchors)
-        self.transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
-        self.triangles = torch.from_numpy(faces.mean.triangles.copy())
-        self.stiffness = torch.from_numpy(self.transfer.stiffness / faces.mean.areas.sum()).float()
-        held = FrameSource(faces, np.flatnonzero(is_held))
+        self.transfer = open_differentiable(DeformationTransfer(faces.mean, anchors, dtype=np.float32), self.device)
+        self.triangles = torch.from_numpy(faces.mean.triangles.copy()).to(self.device)
+        stiffness = self.transfer.stiffness / faces.mean.areas.sum()
+        self.stiffness = torch.from_numpy(np.asarray(stiffness, dtype=np.float32)).to(self.device)
+        held = FrameSource(faces, np.flatnonzero(is_held), fields=config.fields)
         self.judged = self._tensors(held.sample(JUDGED, rng), 1)
         self.about = [f"{len(faces)} faces"]
 
     def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
         network = draw_form(self.form, self.config, self.faces.mean, sample.codes.shape[1], self.followed)
         if "table" in network:
-            table = torch.from_numpy(principal_gradients(sample, self.config.network.latent))
-            network["scale"] = table.square().mean().sqrt().clamp(min=1e-9).reshape(1)
-            network["table"] = table / network["scale"]
+            table, linear = regress_gradients(sample, self.config.network.latent)
+            network["scale"] = torch.tensor([max(float(np.sqrt(np.mean(table**2))), 1e-9)])
+            network["table"] = torch.from_numpy(table) / network["scale"]
+            network["expression_linear.weight"] = torch.from_numpy(linear)
         network["anchored"][anchors] = 1.0
+        network = {name: value.to(self.device) for name, value in network.items()}
         for name, value in network.items():
             value.requires_grad_(name not in ("scale", *HELD))
         return network
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
-        """Weights (g, m, 52), codes (g, c), parameters (g, k), S and T (g m, n, 3) of a batch, m frames a face."""
+        """Weights (g, m, 52), codes (g, c), parameters (g, 1 or faces, k), S and T (g m, n, 3), m frames a face."""
         codes = np.array([self.inputs.code(code) for code in batch.codes[::frames]]).astype(np.float32)
         weights = batch.weights.reshape(len(codes), frames, -1)
-        parts = weights, codes, batch.parameters[::frames][:, self.followed], batch.blended, batch.simulated
-        return tuple(torch.from_numpy(np.ascontiguousarray(part)) for part in parts)
+        parts = weights, codes, self._parameters(batch.coefficients[::frames]), batch.blended, batch.simulated
+        return tuple(torch.from_numpy(np.ascontiguousarray(part)).to(self.device) for part in parts)
+
+    def _parameters(self, coefficients: Floats32) -> Floats32:
+        """Return p mapped to [-1, 1], shape (g, 1, k), or (g, faces, k) where some varies over the face."""
+        if not self.config.fields or not coefficients[..., 1:].any():
+            return np.clip(coefficients[:, None, self.followed, 0], -1.0, 1.0)
+        features, triangles = self.inputs.features, self.faces.mean.triangles
+        rows = [features.at_vertices(each)[:, self.followed][triangles].mean(axis=1) for each in coefficients]
+        return np.stack(rows).astype(np.float32)
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
-        """Return the mean vertex error [mm] of a batch (Eq. 16), and its weighted gradient error if there is one."""
+        """Return the mean error of a batch: of gradients at sampled faces at first, then of vertices (Eq. 16) [mm].
+
+        In shares of each frame's own size where the config says so.
+        """
         config = self.config
         batch = self.source.draw(config.batch // config.frames, config.frames, rng)
         weights, codes, parameters, blended, simulated = self._tensors(batch, config.frames)
+        if step < config.sampled_steps:
+            count = len(self.triangles)
+            chosen = torch.from_numpy(np.sort(rng.permutation(count)[: config.sampled_faces])).to(self.device)
+            parameters = parameters if parameters.shape[1] == 1 else parameters[:, chosen]
+            gradients = self.form.gradients(self.network, weights, codes, parameters, chosen)
+            return self._miss_gradients(gradients.flatten(0, 1), blended, simulated, chosen)
         gradients = self.form.gradients(self.network, weights, codes, parameters).flatten(0, 1)
-        delta = transfer_delta(gradients, blended, self.transfer)
-        vertex = torch.linalg.vector_norm(delta + blended - simulated, dim=-1).mean()
-        if not config.gradient_weight:
-            return vertex
-        # Mean squared (J - I) G S - G (T - S), which has no degenerate faces as |J - J*|² has.
-        edges, moved = self._edges(blended), self._edges(simulated - blended)
-        u, v = (gradients.view(*gradients.shape[:2], 3, 3) @ edges - moved).unbind(-1)
-        c11, c12, c22 = self.stiffness.unbind(-1)
-        per_face = c11 * (u * u).sum(-1) + 2.0 * c12 * (u * v).sum(-1) + c22 * (v * v).sum(-1)
-        return vertex + config.gradient_weight * per_face.sum(-1).mean()
+        delta = self.transfer(gradients, blended)
+        error = torch.linalg.vector_norm(delta + blended - simulated, dim=-1).mean(dim=-1)
+        if config.in_own_size:
+            error = error / (torch.linalg.vector_norm(simulated - blended, dim=-1).mean(dim=-1) + LEAST_MOTION)
+        return error.mean()
 
-    def _edges(self, positions):
-        corners = positions[:, self.triangles]
+    def _miss_gradients(self, gradients, blended, simulated, chosen) -> torch.Tensor:
+        """Return the mean over frames of |(J - I) G S - G (T - S)| over |G (T - S)|, of some faces of the mesh.
+
+        It has no degenerate faces, as |J - J*| has.
+        """
+        edges, moved = self._edges(blended, chosen), self._edges(simulated - blended, chosen)
+        missed = self._measure_edges(gradients.unflatten(-1, (3, 3)) @ edges - moved, chosen)
+        size = self._measure_edges(moved, chosen)
+        return (missed / (size + 1e-3 * size.mean())).sqrt().mean()
+
+    def _edges(self, positions, chosen):
+        corners = positions[:, self.triangles[chosen]]
         return (corners[:, :, 1:] - corners[:, :, :1]).transpose(-1, -2)
 
+    def _measure_edges(self, edges, chosen):
+        """Return Σ |G x|² of frames by the edges of their faces (frames, faces, 3, 2)."""
+        u, v = edges.unbind(-1)
+        c11, c12, c22 = self.stiffness[chosen].unbind(-1)
+        return (c11 * (u * u).sum(-1) + 2.0 * c12 * (u * v).sum(-1) + c22 * (v * v).sum(-1)).sum(-1)
+
     def errors(self) -> dict[str, float]:
-        """Return the mean vertex errors [mm] on held-out people of the network, and of T = S."""
+        """Return errors on held-out people: of the network and of T = S, carried, [mm], and the network's share."""
         weights, codes, parameters, blended, simulated = self.judged
-        sums = {"network": 0.0, "blendshapes": 0.0}
+        sums = {"network": 0.0, "blendshapes": 0.0, "share": 0.0}
         with torch.no_grad():
             for part in torch.arange(len(weights)).split(8):
                 gradients = self.form.gradients(self.network, weights[part], codes[part], parameters[part])
                 moved = simulated[part] - blended[part]
-                delta = transfer_delta(gradients.flatten(0, 1), blended[part], self.transfer)
-                for name, error in (("network", delta - moved), ("blendshapes", moved)):
-                    sums[name] += float(torch.linalg.vector_norm(error, dim=-1).mean()) * len(part) / len(weights)
+                delta = self.transfer(gradients.flatten(0, 1), blended[part])
+                missed, motion = (torch.linalg.vector_norm(x, dim=-1).mean(dim=-1) for x in (delta - moved, moved))
+                parts = missed, motion, missed / (motion + LEAST_MOTION)
+                for name, error in zip(sums, parts, strict=True):
+                    sums[name] += float(error.sum()) / len(weights)
         return sums
 
     def weights(self, trainer: Trainer) -> Weights:
@@ -251,9 +299,58 @@ class _Transfer(torch.autograd.Function):
         return torch.from_numpy(pulled), None, None
 
 
-def transfer_delta(gradients, blended, transfer: DeformationTransfer):
+@dataclass(frozen=True, eq=False)
+class SparseTransfer:
     """`DeformationTransfer.delta` as a torch operation: its backward pass is a solve with the same factor."""
-    return _Transfer.apply(gradients, blended, transfer)
+
+    transfer: DeformationTransfer
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """See `DeformationTransfer`."""
+        return self.transfer.stiffness
+
+    def __call__(self, gradients: torch.Tensor, blended: torch.Tensor) -> torch.Tensor:
+        """Return x - S [mm], shape (batch, n, 3), of J - I (batch, m, 9) and S (batch, n, 3)."""
+        return _Transfer.apply(gradients, blended, self.transfer)
+
+
+@dataclass(frozen=True, eq=False)
+class DenseTransfer:
+    """The same by a dense factor of torch, on any device: 80 MB for the default skin."""
+
+    transfer: DeformationTransfer
+    device: torch.device
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """See `DeformationTransfer`."""
+        return self.transfer.stiffness
+
+    @cached_property
+    def _parts(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """K's factor, the triangles, and their stiffness as (m, 2, 2)."""
+        c11, c12, c22 = torch.from_numpy(self.stiffness.copy()).to(self.device).unbind(-1)
+        both = torch.stack([torch.stack([c11, c12], -1), torch.stack([c12, c22], -1)], -2)
+        factor = torch.linalg.cholesky(torch.from_numpy(self.transfer.matrix.toarray()).to(self.device))
+        return factor, torch.from_numpy(self.transfer.triangles.astype(np.int64)).to(self.device), both
+
+    def __call__(self, gradients: torch.Tensor, blended: torch.Tensor) -> torch.Tensor:
+        """Return x - S [mm]; see `SparseTransfer`."""
+        factor, triangles, stiffness = self._parts
+        corners = blended[:, triangles]
+        edges = (corners[:, :, 1:] - corners[:, :, :1]).transpose(-1, -2)
+        pulls = (gradients.unflatten(-1, (3, 3)) @ edges @ stiffness).transpose(-1, -2)
+        forces = torch.zeros_like(blended)
+        for corner, pull in enumerate((-pulls.sum(dim=2), pulls[:, :, 0], pulls[:, :, 1])):
+            forces = forces.index_add(1, triangles[:, corner], pull)
+        flat = forces.transpose(0, 1).flatten(1)
+        return torch.cholesky_solve(flat, factor).unflatten(1, (len(blended), 3)).transpose(0, 1)
+
+
+def open_differentiable(transfer: DeformationTransfer, device: torch.device) -> SparseTransfer | DenseTransfer:
+    """Return the transfer as a torch operation, by the solver that the device has."""
+    return SparseTransfer(transfer) if device.type == "cpu" else DenseTransfer(transfer, device)
 
 
 def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> Ints:
@@ -299,3 +396,20 @@ def principal_gradients(samples: FrameBatch, count: int) -> Floats32:
     leading = vectors[:, ::-1][:, :kept].T.astype(np.float32)
     table[:kept] = (leading @ flat).reshape(kept, *gradients.shape[1:]) / weight / np.sqrt(len(samples))
     return table
+
+
+def regress_gradients(samples: FrameBatch, count: int) -> tuple[Floats32, Floats32]:
+    """Regress gradients on w: a table (count, faces, 9) of their principal components, and W (count, 52).
+
+    z = W w are a component's coefficients in the samples, by ridge regression.
+    """
+    table = principal_gradients(samples, count)
+    flat = table.reshape(count, -1)
+    weight = (samples.reference.areas / samples.reference.areas.mean()).astype(np.float32).repeat(9)
+    gradients = least_gradients(samples).reshape(len(samples), -1)
+    size = np.maximum((flat**2 * weight).sum(axis=1), 1e-12)
+    scores = ((gradients * weight) @ flat.T / size).astype(np.float64)
+    w = samples.weights.astype(np.float64)
+    gram = w.T @ w
+    ridge = PENALTY * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return table, np.linalg.solve(gram + ridge, w.T @ scores).T.astype(np.float32)

@@ -3,7 +3,8 @@
     T = DT(S, J),    J_i = I + reshape(z L_i)
 
 Each form says how z (k,) and L (faces, 9, k) follow from w, p, h and the face. The paper names no identity in Eq. 18;
-with it a network that has learned nothing leaves S as it is.
+with it a network that has learned nothing leaves S as it is. S are the blendshapes carried along by scaled bones, which
+the paper does not scale: no network has to learn what the head itself tells.
 """
 
 from __future__ import annotations
@@ -40,7 +41,6 @@ class Widths:
     latent: int = 32  # length of z_t
     expression: int = 128  # hidden width of what runs once per frame
     position: int = 32  # length of π(i)
-    gain: int = 16  # hidden width of gains, which are smooth in few parameters
     hidden: int = 16  # of what every face evaluates: time grows with its square
 
     def __post_init__(self):
@@ -69,6 +69,8 @@ class GradientForm(ABC):
     """Arrays that begin so many times smaller than usual."""
     follows_fields: ClassVar[bool] = True
     """Whether p may vary over the face."""
+    takes_faces: ClassVar[bool] = False
+    """Whether `gradients` can be asked for some faces of the mesh alone."""
 
     @abstractmethod
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
@@ -93,7 +95,10 @@ class GradientForm(ABC):
 
     @abstractmethod
     def gradients(self, network: Arrays, weights: Any, code: Any, parameters: Any) -> Any:
-        """Return J - I, shape (g, m, faces, 9), of weights (g, m, 52), codes (g, c) and uniform parameters (g, k)."""
+        """Return J - I, shape (g, m, faces, 9), of weights (g, m, 52), codes (g, c) and parameters (g, 1, k).
+
+        Where fields are followed, parameters may be (g, faces, k).
+        """
 
     @abstractmethod
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
@@ -105,9 +110,11 @@ class GradientRig:
 
     def __init__(
         self, form: GradientForm, network: Arrays, transfer: DeformationTransfer, code: Floats, at_vertices: Floats,
-        skin: Surface, shapes: Floats32, swing: Swings | None = None,
+        skin: Surface, carried: Floats32, shapes: Floats32, swing: Swings | None = None,
     ):  # fmt: skip
         """Bind parameters mapped to [-1, 1] at vertices (n, P), a normalised code (c,) and shapes (52, n, 3).
+
+        carried (n, 3) [mm]: how far scaled bones carry the neutral skin.
 
         Raises InputError for parameters that vary over the face where the form cannot follow.
         """
@@ -118,7 +125,7 @@ class GradientRig:
         parameters = followed[0] if is_uniform else followed[skin.triangles].mean(axis=1)
         self._bound, self._transfer = form.bind(network, code.astype(np.float32), parameters), transfer
         self.skin, self.swing = skin, swing
-        self._skin = skin.vertices.astype(np.float32)
+        self._skin, self._carried = skin.vertices.astype(np.float32), carried
         self._shapes = shapes.reshape(WEIGHTS, -1)
 
     @property
@@ -130,6 +137,7 @@ class GradientRig:
         """Return the simulated skin [mm], shape (n, 3), for 52 ARKit weights; see `Rig.frame`."""
         weights, surface = check_weights(weights), check_out(out, self._skin.shape)
         surface[:] = self.blend(weights) if blended is None else check_blended(blended, self.skin)
+        surface += self._carried
         forces = np.zeros_like(surface)
         latents, latent = self._bound(weights)
         _latent_forces(latents, latent, surface, self._transfer.triangles, self._transfer.stiffness, forces)

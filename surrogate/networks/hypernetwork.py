@@ -2,10 +2,9 @@
 
 The printed form is Eq. 18 and 19 and nothing else: two perceptrons and a trained table π.
 
-Ours has three parts of L that add up or scale, all gone after L is computed: a table B_i of the corpus' principal
-deformation gradients, a perceptron of (p, h, π(i)) that adapts it locally, and gains exp(g(p, h)) per latent, since
-answers scale with powers of stiffness ratios: L_i = gains ⊙ (B_i + MLP). A few hundred frames are enough only with the
-table and the gains.
+Ours has L_i = exp(g_i) ⊙ B_i + A_i: a table B of the corpus' principal deformation gradients, and gains and additions
+of one perceptron of (p_i, h, π(i)), since answers scale with powers of stiffness ratios, and p may vary over the face.
+z = f_w(w) + W w. Table and W begin by regression, so that training begins at what is linear in w.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats32
 from ..rigs.rig import WEIGHTS
 from .gradients import Bound, GradientForm, Sizes
-from .layers import Arrays, concatenate, einsum, elu, exp, linear, perceptron, perceptron_layers
+from .layers import EVERY, Arrays, einsum, elu, exp, linear, perceptron, perceptron_layers
 
 
 class PrintedHypernetwork(GradientForm):
@@ -40,7 +39,7 @@ class PrintedHypernetwork(GradientForm):
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`: z meets the last layer before the faces do, 9 outputs per face instead of 288."""
         latent = perceptron(network, "expression", weights, elu)
-        hidden = _list_printed_features(network, code[:, None], parameters[:, None])
+        hidden = _list_printed_features(network, code[:, None], parameters)
         last = network["last.weight"].reshape(latent.shape[-1], 9, -1)
         contracted = einsum("gml,lch->gmhc", latent, last)
         still = latent @ network["last.bias"].reshape(-1, 9)
@@ -62,11 +61,12 @@ def _list_printed_features(network: Arrays, code, parameters):
 
 
 class Hypernetwork(GradientForm):
-    """Ours: a table, gains and a small perceptron; see the module."""
+    """Ours: z with a part that is linear in w, and a table whose gains and additions follow p and h at each face."""
 
     kind = "hypernetwork"
     without_bias = ("expression_linear", "from_position", "from_code", "last")
-    quiet = {"expression.4.weight": 0.1, "last.weight": 0.0, "gain.2.weight": 0.1, "gain.2.bias": 0.0}
+    quiet = {"expression.4.weight": 0.1, "last.weight": 0.0, "gain.weight": 0.1, "gain.bias": 0.0}
+    takes_faces = True
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
         """See `GradientForm`. Most of what tissue does is linear in the weights."""
@@ -76,12 +76,11 @@ class Hypernetwork(GradientForm):
             "expression.4": (widths.latent, widths.expression),
             "expression.0": (widths.expression, WEIGHTS),
             "expression.2": (widths.expression, widths.expression),
-            "gain.2": (widths.latent, widths.gain),
-            "gain.0": (widths.gain, sizes.parameters + sizes.code),
             "from_position": (hidden, widths.position),
             "from_code": (hidden, sizes.code),
             "from_parameters": (hidden, sizes.parameters),
             "middle": (hidden, hidden),
+            "gain": (widths.latent, hidden),
             "last": (9 * widths.latent, hidden),
         }
 
@@ -89,22 +88,15 @@ class Hypernetwork(GradientForm):
         """See `GradientForm`. scale: the table's size, by which Adam steps all weights alike."""
         return {"table": (sizes.widths.latent, sizes.faces, 9), **super().tables(sizes), "scale": (1,)}
 
-    def gradients(self, network: Arrays, weights, code, parameters):
-        """See `GradientForm`: z meets the last layer before the faces do."""
-        code, parameters = code[:, None], parameters[:, None]
-        latent = _latent(network, weights) * _latent_gains(network, code, parameters)
-        count = latent.shape[-1]
-        contracted = einsum("gml,lch->gmhc", latent, network["last.weight"].reshape(count, 9, -1))
-        table = network["table"].reshape(count, -1)
-        local = _features(network, code, parameters)[:, None] @ contracted
-        return (latent @ table).reshape(*latent.shape[:2], -1, 9) + local
+    def gradients(self, network: Arrays, weights, code, parameters, faces=EVERY):
+        """See `GradientForm`, of some faces."""
+        latent = _latent(network, weights)
+        local = _local(network, code[:, None], parameters, faces)
+        return einsum("gml,gflc->gmfc", latent, local)
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
         """See `GradientForm`: L is all of it."""
-        hidden = _features(network, code, parameters)
-        local = (hidden @ network["last.weight"].T).reshape(len(hidden), -1, 9).transpose(0, 2, 1)
-        gains = _latent_gains(network, code, parameters)
-        latents = np.ascontiguousarray((network["table"].transpose(1, 2, 0) + local) * gains[..., None, :])
+        latents = np.ascontiguousarray(_local(network, code, parameters, EVERY).swapaxes(-1, -2))
         return lambda weights: (latents, _latent(network, weights))
 
 
@@ -113,17 +105,13 @@ def _latent(network: Arrays, weights):
     return perceptron(network, "expression", weights, elu) + weights @ network["expression_linear.weight"].T
 
 
-def _latent_gains(network: Arrays, code, parameters):
-    """Return the table's size times exp(g(p, h)), shape (..., latent)."""
-    everywhere = code + 0.0 * parameters[..., :1]
-    return network["scale"] * exp(perceptron(network, "gain", concatenate([parameters, everywhere]), elu))
-
-
-def _features(network: Arrays, code, parameters):
-    """Return f_ph's last hidden layer at all faces, shape (..., faces, hidden).
-
-    Of a normalised code (c,) and parameters (k,) or (faces, k); of a batch (b, 1, c) and (b, 1, k).
-    """
-    first = network["position"] @ network["from_position.weight"].T
+def _local(network: Arrays, code, parameters, faces):
+    """Return L at some faces, shape (..., faces, latent, 9), of codes (..., c) and parameters (..., k)."""
+    first = network["position"][faces] @ network["from_position.weight"].T
     first = first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))
-    return elu(linear(network, "middle", elu(first)))
+    hidden = elu(first)
+    hidden = hidden + elu(linear(network, "middle", hidden))
+    gains = exp(linear(network, "gain", hidden))
+    added = hidden @ network["last.weight"].T
+    table = network["table"][:, faces].swapaxes(0, 1)
+    return network["scale"] * (gains[..., None] * table + added.reshape(*gains.shape, 9))

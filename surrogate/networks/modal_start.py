@@ -9,11 +9,10 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.face import KeptFace
 from ..rigs.rig import WEIGHTS
 from .features import EFFECTS, Features, Inputs
 from .modal import PARTS, QUIET, WITHOUT_BIAS, ModalConfig, modal_layers, modal_shapes
-from .modal_faces import LessonFaces, NeutralMotion, relaxing, settling
+from .modal_faces import LessonFace, LessonFaces, NeutralMotion
 from .response_tables import expand
 from .ridge import find_components
 from .trainer import Tensors, draw_layers, draw_positions, torch
@@ -27,7 +26,7 @@ SOLVED = ("response_table", "response_scale")
 class StartPolicy:
     """Constants of the start from principal components."""
 
-    neutrals: int = 4  # times as many faces of `neutrals` as of the corpus
+    more: int = 2  # times as many faces without frames as with
     frames: int = 4  # of each sampled face
     quiet: float = 0.1  # of the usual weights, in layers that begin near zero
     effect_penalty: float = 3.0  # of the ridge regression of effects, by an effect's mean square
@@ -58,20 +57,18 @@ def draw_network(
     policy = StartPolicy() if policy is None else policy
     features, n = data.features, data.vertex_count
     numbers = rng.permutation(data.training)[:sampled]
-    faces = data.faces(numbers)
-    settling_faces = list(faces)
-    if data.neutrals is not None:
-        settling_faces += data.neutral_faces(rng.permutation(len(data.neutrals))[: policy.neutrals * sampled])
-    settled = [settling(face, features) for face in settling_faces]
-    relaxed = [relaxing(face, features) for face in faces]
-    mirrored = [settling(face, features, mirrored=True) for face in settling_faces if features.mirror is not None]
-    effects = np.stack([fit_effects(motions, features, policy) for motions in (settled + mirrored, relaxed)])
-    unexplained = [_subtract_effects(settled, features, effects[0]), _subtract_effects(relaxed, features, effects[1])]
+    kept = data.faces(numbers)
+    faces = data.draw_sides(kept, rng)
+    more = [] if data.more is None else rng.permutation(len(data.more))[: policy.more * sampled]
+    both = [side for face in [*kept, *data.more_faces(more)] for side in data.both_sides(face)]
+    motions = [face.settling for face in both], [face.relaxing for face in both]
+    effects = np.stack([fit_effects(part, features, policy) for part in motions])
+    unexplained = [_subtract_effects(part, features, table) for part, table in zip(motions, effects, strict=True)]
     remainders = []
     for face, number in zip(faces, numbers, strict=True):
         frames = data.corpus.frames(int(number), rng.permutation(len(data.corpus.frames_of[number]))[: policy.frames])
-        remainders.append(frames.remainder(face).reshape(-1, 3 * n))
-    summaries = [_summarise_moved(settling_faces, settled, data.inputs), _summarise_moved(faces, relaxed, data.inputs)]
+        remainders.append(face.see(frames).remainder(face).reshape(-1, 3 * n))
+    summaries = [_summarise_moved(both, part, data.inputs) for part in motions]
     learned = *unexplained, np.vstack(remainders)
     parts = [find_components(rows, count, rng) for rows, count in zip(learned, config.modes, strict=True)]
     arrays: dict[str, np.ndarray] = {"effects": effects}
@@ -86,8 +83,8 @@ def draw_network(
     for name in ("position", "response_position"):
         arrays[name] = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
     arrays["tables"] = np.zeros((config.response_tables + 1, WEIGHTS, n, 3))
-    for name, motions, rows, (modes, _) in zip(PARTS[:2], unexplained, summaries, parts[:2], strict=True):
-        arrays[f"{name}_linear.weight"] = _fit_linear(rows, motions @ modes.T, policy.linear_penalty).T
+    for name, left, rows, (modes, _) in zip(PARTS[:2], unexplained, summaries, parts[:2], strict=True):
+        arrays[f"{name}_linear.weight"] = _fit_linear(rows, left @ modes.T, policy.linear_penalty).T
     return network | {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}
 
 
@@ -97,7 +94,7 @@ def _subtract_effects(motions: Sequence[NeutralMotion], features: Features, tabl
     return np.stack([(motion.displacement - part).ravel() for motion, part in zip(motions, explained, strict=True)])
 
 
-def _summarise_moved(faces: Sequence[KeptFace], motions: Sequence[NeutralMotion], inputs: Inputs) -> Floats32:
+def _summarise_moved(faces: Sequence[LessonFace], motions: Sequence[NeutralMotion], inputs: Inputs) -> Floats32:
     """Return how far each face's summary is from that of nothing moved, a row each."""
     rows = []
     for face, motion in zip(faces, motions, strict=True):

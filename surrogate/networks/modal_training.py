@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from typing import NamedTuple
@@ -18,14 +18,14 @@ from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from .features import seen_ranges
 from .modal import ModalConfig, basis, bind_modal, hidden_features, neutral, remainder
-from .modal_faces import FaceInputs, FaceTensors, LessonFaces, settling
+from .modal_faces import FaceInputs, FaceTensors, LessonFace, LessonFaces, NeutralMotion
 from .modal_start import continue_network, draw_network
 from .response_tables import compress, mix, solve_tables
 from .trainer import Lesson, Trainer, TrainerConfig, open_device, torch
 from .weights import TrainingNote, Weights
 
 EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2")
-"""What a training that begins with weights, and has no `neutrals`, goes on with: what w does. Neutral faces stay as
+"""What a training that begins with weights, and has no `more` faces, goes on with: what w does. Neutral faces stay as
 they were learned: a corpus of a few hundred faces alone leaves 5 to 10 % more of them."""
 
 
@@ -36,7 +36,7 @@ class ModalTraining(TrainerConfig):
     network: ModalConfig = field(default_factory=ModalConfig)
     faces: int = 6  # per step
     frames: int = 6  # of each
-    neutrals: int = 10  # more faces per step of which only the settled neutral is known, where there are any
+    more: int = 10  # faces per step without frames, where there are any
     vertices: int = 1200  # of each, at random: a fourth teaches as much as all
     one_cycle: bool = True
     weight_decay: float = 0.2  # with some hundred people the summary is learnt by heart without
@@ -68,21 +68,22 @@ def train_modal(
     faces: Faces,
     config: ModalTraining | None = None,
     *,
-    neutrals: Faces | None = None,
+    more: Faces | None = None,
     start: Weights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
 ) -> Weights:
-    """Fit the network to a corpus' training faces, and to more settled `neutrals` of the same space, where given.
+    """Fit the network to a corpus' training faces, and to `more` faces of the same space without frames, where given.
 
-    It begins with principal components of what it learns, or with `start`, weights of another corpus of the same
-    space, whose ranges then count as seen. From a start without `neutrals` it learns what w does alone: neutral faces
-    stay those of the start. With `state`, a file, the training is kept there now and then, and goes on from there when
-    called again. Raises InputError for fewer than ten people, a device that is not there, a `start` of another mesh or
-    of other sizes than the config's, and a state of another training.
+    Where skins and shapes are symmetric, mirrored faces teach, too. It begins with principal components of what it
+    learns, or with `start`, weights of another corpus of the same space, whose ranges then count as seen. From a start
+    without `more` it learns what w does alone: neutral faces stay those of the start. With `state`, a file, the
+    training is kept there now and then, and goes on from there when called again. Raises InputError for fewer than ten
+    people, a device that is not there, a `start` of another mesh or of other sizes than the config's, and a state of
+    another training.
     """
     config = ModalTraining() if config is None else config
-    lesson = ModalLesson(faces, config, neutrals=neutrals, start=start, device=open_device(config.device))
+    lesson = ModalLesson(faces, config, more=more, start=start, device=open_device(config.device))
     rate = config.learning_rate if start is None else lesson.policy.begun_rate * config.learning_rate
     trainer = Trainer(lesson, replace(config, learning_rate=rate))
     trainer.train(state, on_progress)
@@ -90,14 +91,14 @@ def train_modal(
 
 
 class _Batch(NamedTuple):
-    """Faces of a step, their numbers, the vertices that count, and what the network is given of both."""
+    """Faces of a step, the vertices that count, what the network is given of both, and exact responses there."""
 
-    numbers: Sequence[int] | Ints
-    faces: list[KeptFace]
+    faces: list[LessonFace]
     vertices: Ints
     inputs: FaceInputs
     code: torch.Tensor
     hidden: torch.Tensor
+    exact: torch.Tensor
 
 
 class ModalLesson(Lesson):
@@ -111,16 +112,16 @@ class ModalLesson(Lesson):
         faces: Faces,
         config: ModalTraining,
         *,
-        neutrals: Faces | None = None,
+        more: Faces | None = None,
         start: Weights | None = None,
         device: torch.device | str = "cpu",
         policy: LessonPolicy = POLICY,
     ):
         self.config, self.policy = config, policy
-        self.learns_neutral = start is None or neutrals is not None
+        self.learns_neutral = start is None or more is not None
         rng = np.random.default_rng([config.seed, 0])
         self.data = LessonFaces.divide(
-            faces, neutrals, start, validation_share=config.validation, frames=config.frames, rng=rng
+            faces, more, start, validation_share=config.validation, frames=config.frames, rng=rng
         )
         self.tensors = FaceTensors(self.data.inputs, device)
         torch.manual_seed(config.seed)
@@ -133,7 +134,7 @@ class ModalLesson(Lesson):
             learns = self.learns_neutral or name.startswith(EXPRESSIVE)
             value.requires_grad_(learns and not name.startswith(("size_", "tables")))
         after = "" if start is None else f"begun after {start.note.steps} steps"
-        self.about = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
+        self.about = [f"{len(faces)} faces", f"{len(more or ())} more", after]
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
         """Return mean distances of neutral faces, responses, and frames after exact derivatives, in each face's scale.
@@ -148,74 +149,65 @@ class ModalLesson(Lesson):
         return self.loss_of(numbers, rng, np.sort(rng.choice(n, min(config.vertices, n), replace=False)))
 
     def loss_of(self, numbers: Sequence[int] | Ints, rng: np.random.Generator, vertices: Ints) -> torch.Tensor:
-        """Return the loss of some faces at some vertices."""
-        faces = self.data.faces(numbers)
-        settled_loss = self._measure_settled_loss(faces, rng, vertices) if self.learns_neutral else 0.0
-        parameters = [self.data.features.at_vertices(face.coefficients) for face in faces]
-        inputs = self.tensors.inputs_of(faces, parameters, vertices)
-        code = inputs.summary[..., : self.data.code_size]
-        batch = _Batch(
-            numbers, faces, vertices, inputs, code, hidden_features(self.network, inputs.local, code, vertices)
-        )
-        loss = settled_loss
-        if self.learns_neutral:
-            loss = loss + self._measure_relaxed_loss(batch, parameters)
+        """Return the loss of some faces, and of more without frames, at some vertices; each as it is or mirrored."""
+        data, more = self.data, []
+        if data.more is not None:
+            more = data.more_faces(rng.choice(len(data.more), min(self.config.more, len(data.more)), replace=False))
+        faces = data.draw_sides([*data.faces(numbers), *more], rng)
+        parameters = [face.parameters for face in faces]
+        inputs = self.tensors.inputs_of([face.code for face in faces], parameters, vertices)
+        code = inputs.summary[..., : data.code_size]
+        hidden = hidden_features(self.network, inputs.local, code, vertices)
         exact = self.tensors.stack([face.responses[:, vertices] for face in faces])
-        loss = loss + self._response_loss(batch, exact)
-        return loss + self.policy.frames * self._frame_loss(batch, exact, rng)
+        batch = _Batch(faces, vertices, inputs, code, hidden, exact)
+        loss = self._measure_response_loss(batch) + self.policy.frames * self._measure_frame_loss(batch, numbers, rng)
+        return loss + self._measure_neutral_loss(batch) if self.learns_neutral else loss
 
-    def _measure_settled_loss(self, faces: list[KeptFace], rng: np.random.Generator, vertices: Ints) -> torch.Tensor:
-        """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
+    def _measure_neutral_loss(self, batch: _Batch) -> torch.Tensor:
+        """Of neutral faces as they settle, and as they relax among their targets then."""
+        settling = [face.settling for face in batch.faces]
+        relaxing = [face.relaxing for face in batch.faces]
+        scales = [self._scale_settled(motion.displacement) for motion in settling]
+        vertices, codes = batch.vertices, [face.code for face in batch.faces]
+        inputs = self.tensors.inputs_of(codes, [motion.parameters for motion in settling], vertices)
+        hidden = hidden_features(self.network, inputs.local, batch.code, vertices)
+        settled = self._miss_neutral(0, settling, inputs, hidden, vertices)
+        relaxed = self._miss_neutral(1, relaxing, batch.inputs, batch.hidden, vertices)
+        return self._mean_distance(settled, scales) + self._mean_distance(relaxed, scales)
 
-        What is learned of one cheek is so of the other. Shapes, and the tets in lids and lips, are not symmetric enough
-        for responses.
-        """
-        features, network = self.data.features, self.network
-        if self.data.neutrals is not None:
-            faces = faces + self.data.neutral_faces(rng.choice(len(self.data.neutrals), self.config.neutrals))
-        has_mirror = features.mirror is not None
-        motions = [settling(face, features, mirrored=has_mirror and rng.random() < 0.5) for face in faces]
-        parameters, skins, displacements = zip(*motions, strict=True)
-        local, summary, unmoved = self.tensors.inputs_of(faces, parameters, vertices)
-        hidden = hidden_features(network, local, summary[..., : self.data.code_size], vertices)
-        effects = self.tensors.effects_of(parameters, skins, vertices)
-        predicted = neutral(network, 0, hidden, summary, unmoved, effects, vertices)
-        scales = [self._scale_settled(displacement) for displacement in displacements]
-        exact = self.tensors.stack([displacement[vertices] for displacement in displacements])
-        return self._mean_distance(predicted - exact, scales)
+    def _miss_neutral(
+        self, part: int, motions: Sequence[NeutralMotion], inputs: FaceInputs, hidden: torch.Tensor, vertices: Ints
+    ) -> torch.Tensor:
+        """Return by how much the network errs on one of NEUTRAL at some vertices [mm], shape (b, v, 3)."""
+        effects = self.tensors.effects_of(motions, vertices)
+        predicted = neutral(self.network, part, hidden, inputs.summary, inputs.unmoved, effects, vertices)
+        return predicted - self.tensors.stack([motion.displacement[vertices] for motion in motions])
 
-    def _measure_relaxed_loss(self, batch: _Batch, parameters: Sequence[np.ndarray]) -> torch.Tensor:
-        """Of what neutral faces relax to among their targets."""
-        effects = self.tensors.effects_of(parameters, [face.skin.vertices for face in batch.faces], batch.vertices)
-        _, summary, unmoved = batch.inputs
-        predicted = neutral(self.network, 1, batch.hidden, summary, unmoved, effects, batch.vertices)
-        exact = self.tensors.stack([face.relaxed[batch.vertices] for face in batch.faces])
-        return self._mean_distance(predicted - exact, [self._scale_settled(face.displacement) for face in batch.faces])
-
-    def _response_loss(self, batch: _Batch, exact: torch.Tensor) -> torch.Tensor:
-        """Of responses; exact ones (b, 52, v, 3)."""
+    def _measure_response_loss(self, batch: _Batch) -> torch.Tensor:
+        """Of responses."""
         shapes = self.tensors.stack([face.shapes[:, batch.vertices] for face in batch.faces])
         shares, lag = mix(self.network, batch.inputs.local, batch.code, batch.vertices)
         tables = self.network["tables"][:, :, batch.vertices]
         predicted = torch.einsum("bvk,kjvc->bjvc", shares, tables) - lag[:, None] * shapes
-        return self._mean_distance(predicted - exact, [self.response_scale(face) for face in batch.faces])
+        return self._mean_distance(predicted - batch.exact, [self.response_scale(face) for face in batch.faces])
 
-    def _frame_loss(self, batch: _Batch, exact: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
-        """Of what frames move beyond exact responses (b, 52, v, 3)."""
-        corpus = self.data.corpus
+    def _measure_frame_loss(
+        self, batch: _Batch, numbers: Sequence[int] | Ints, rng: np.random.Generator
+    ) -> torch.Tensor:
+        """Of what frames move beyond exact responses, of the first faces; `numbers` are theirs in the corpus."""
+        corpus, count = self.data.corpus, len(numbers)
         weights, motions, scales = [], [], []
-        for number, face in zip(batch.numbers, batch.faces, strict=True):
+        for number, face in zip(numbers, batch.faces[:count], strict=True):
             drawn = rng.choice(len(corpus.frames_of[number]), self.config.frames, replace=False)
-            frames = corpus.frames(int(number), drawn)
+            frames = face.see(corpus.frames(int(number), drawn))
             motion = frames.corrected.astype(np.float32) - face.offset.astype(np.float32)
             weights.append(frames.weights)
             motions.append(motion[:, batch.vertices])
             scales.append(self.policy.frame_floor + float(np.linalg.norm(motion, axis=2).mean()))
         w = self.tensors.stack(weights)
-        nonlinear = self.tensors.stack(motions).flatten(2) - w @ exact.flatten(2)
-        predicted = remainder(self.network, batch.inputs.summary)(w) @ basis(
-            self.network, 2, batch.hidden, batch.vertices
-        )
+        nonlinear = self.tensors.stack(motions).flatten(2) - w @ batch.exact[:count].flatten(2)
+        modes = basis(self.network, 2, batch.hidden[:count], batch.vertices)
+        predicted = remainder(self.network, batch.inputs.summary[:count])(w) @ modes
         return self._mean_distance((predicted - nonlinear).unflatten(-1, (-1, 3)), scales)
 
     def _mean_distance(self, error: torch.Tensor, scales: Sequence[float]) -> torch.Tensor:
@@ -223,7 +215,7 @@ class ModalLesson(Lesson):
         distance = (error.square().sum(dim=-1) + self.policy.rounding).sqrt().flatten(1).mean(dim=1)
         return (distance / torch.tensor(scales, dtype=distance.dtype, device=distance.device)).mean()
 
-    def response_scale(self, face: KeptFace) -> float:
+    def response_scale(self, face: LessonFace) -> float:
         """Return how large a face's responses are [mm], by which errors of them count: stiff and soft tissue alike."""
         return self.policy.response_floor + float(np.linalg.norm(face.responses.astype(np.float32), axis=2).mean())
 
@@ -232,25 +224,34 @@ class ModalLesson(Lesson):
         mean = float(np.linalg.norm(displacement.astype(np.float32), axis=1).mean())
         return self.policy.settled_floor + self.policy.settled_share * mean
 
-    def solve_tables(self, numbers: Ints) -> Floats32:
-        """Solve for the tables of responses over some faces of `training`, shape (k, 52, n, 3)."""
+    def solve_tables(self, faces: Iterable[LessonFace]) -> Floats32:
+        """Solve for the tables of responses over some faces, shape (k, 52, n, 3)."""
         network, data = self.arrays(), self.data
 
         def rows():
-            for face in (data.corpus.face(int(number)) for number in numbers):
-                local = data.features.local(data.features.at_vertices(face.coefficients))
+            for face in faces:
+                local = data.features.local(face.parameters)
                 shares, lag = mix(network, local, data.inputs.code(face.code).astype(np.float32))
-                responses = face.responses + lag * np.asarray(face.shapes, dtype=np.float32)
-                yield shares, responses, self.response_scale(face)
+                yield shares, face.responses + lag * face.shapes, self.response_scale(face)
 
         return solve_tables(rows(), data.vertex_count, self.config.network.response_tables + 1)
 
-    def _draw_faces(self, step: int) -> Ints:
-        """Draw the faces that a step solves the tables over."""
-        training = self.data.training
-        if len(training) <= self.config.solved:
-            return training
-        return np.random.default_rng([self.config.seed, 2, step]).choice(training, self.config.solved, replace=False)
+    def _draw_faces(self, step: int) -> Iterator[LessonFace]:
+        """Draw the faces that a step solves the tables over, with frames and without."""
+        data, rng = self.data, np.random.default_rng([self.config.seed, 2, step])
+        count = len(data.training) + len(data.more or ())
+        for number in rng.permutation(count)[: self.config.solved]:
+            yield from data.draw_sides([self._read(number)], rng)
+
+    def _read(self, number: int) -> KeptFace:
+        """Read a face by its number among those of training, and behind them those without frames."""
+        data, count = self.data, len(self.data.training)
+        return data.faces(data.training[[number]])[0] if number < count else data.more_faces([number - count])[0]
+
+    def every_face(self) -> Iterator[LessonFace]:
+        """Read all faces that teach, one after another, each from both sides."""
+        for number in range(len(self.data.training) + len(self.data.more or ())):
+            yield from self.data.both_sides(self._read(number))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the network's tensors as arrays."""
@@ -285,10 +286,12 @@ def measure_errors(network: dict[str, np.ndarray], tables: Floats32, data: Lesso
 def export_weights(lesson: ModalLesson, trainer: Trainer, start: Weights | None) -> Weights:
     """Return the trained network with tables over all faces, and with what it was made from."""
     data, corpus = lesson.data, lesson.data.corpus
-    ranges = seen_ranges(corpus, data.training, data.features)
+    seen = [seen_ranges(corpus, data.training, data.features)]
+    if data.more is not None:
+        seen.append(seen_ranges(data.more, np.arange(len(data.more)), data.features))
     if start is not None:
-        joined = {name: (*ranges[name], *start.note.seen[name]) for name in ranges}
-        ranges = {name: (min(values), max(values)) for name, values in joined.items()}
+        seen.append(start.note.seen)
+    joined = {name: [end for ranges in seen for end in ranges[name]] for name in seen[0]}
     note = TrainingNote(
         people=len(np.unique(corpus.groups[data.training, 0])),
         faces=len(data.training),
@@ -296,13 +299,13 @@ def export_weights(lesson: ModalLesson, trainer: Trainer, start: Weights | None)
         steps=trainer.step,
         config=asdict(lesson.config),
         curve=tuple(trainer.curve),
-        seen=ranges,
+        seen={name: (min(ends), max(ends)) for name, ends in joined.items()},
         held=tuple(data.held_out.tolist()),
-        neutrals=len(data.neutrals or ()),
+        neutrals=len(data.more or ()),
         before=None if start is None else asdict(start.note),
     )
     network = {name: value for name, value in trainer.arrays().items() if name != "tables"}
-    network |= compress(lesson.solve_tables(data.training))
+    network |= compress(lesson.solve_tables(lesson.every_face()))
     looseness = None if start is None else start.looseness
     inputs = data.inputs
     return Weights("modal", corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, network, note, looseness)

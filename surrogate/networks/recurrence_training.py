@@ -126,8 +126,7 @@ class RecurrenceLesson(Lesson):
 
     def _read(self, index: int) -> _Motion:
         table, row = self.table, self.table[index]
-        identity, group = (int(number) for number in table.groups[index])
-        face = KeptFace(identity, table.person(identity), table.parameters(index), table.settled(identity, group))
+        face = table.face(index)
         rig = self._bind(face)
         blended = face.blend(row["weights"])
         turns = row["rotations"].astype(np.float64)

@@ -35,7 +35,7 @@ class SoftSMPL(GradientForm):
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""
-        latent = _latent(network, weights, code[:, None], parameters[:, None])
+        latent = _latent(network, weights, code[:, None], parameters)
         answer = latent @ network["last.weight"].T + network["last.bias"]
         return answer.reshape(*latent.shape[:-1], -1, 9)
 

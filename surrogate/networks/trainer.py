@@ -232,7 +232,7 @@ def open_device(name: str) -> torch.device:
     """Return a device by name, as "cpu" or "cuda"; InputError for one that is not there."""
     try:
         device = torch.device(name)
-        torch.zeros(1, device=device)
+        torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError) as error:
         said = str(error).splitlines()[0][:80]
         raise InputError(f"training: no device {name!r} ({said})") from None

@@ -56,6 +56,14 @@ class TrainingNote:
     held: tuple[int, ...] = ()
     before: Mapping[str, Any] | None = None
 
+    @property
+    def seconds(self) -> float:
+        """Seconds of this training and of all before it."""
+        total, before = float(self.curve[-1]["seconds"]), self.before
+        while before is not None:
+            total, before = total + float(before["curve"][-1]["seconds"]), before.get("before")
+        return total
+
 
 @dataclass(frozen=True, eq=False)
 class Weights:
@@ -206,6 +214,8 @@ def _read_note(said: Mapping[str, Any]) -> TrainingNote:
     config, before = said["config"], said.get("before")
     if not isinstance(config, dict) or not isinstance(before, (dict, type(None))):
         raise InputError("note config and before: expected objects")
+    if before is not None:
+        _read_note(before)
     return TrainingNote(**counts, config=config, curve=tuple(curve), seen=seen, held=tuple(held), before=before)
 
 

@@ -12,7 +12,8 @@ from scipy.linalg.blas import ssyrk
 
 from ...lhm.base.checks import check_arguments, real
 from ...lhm.base.errors import InputError
-from ...lhm.base.files.moving_surface import Morphs, write_rig
+from ...lhm.base.files.glb import write_glb
+from ...lhm.base.files.morphs import Morphs, morph_take
 from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.expressions import Take, conversation
 from ...lhm.expressions.made_up import combinations
@@ -118,13 +119,13 @@ class BakedRig:
         """Write the rig as glTF: its neutral skin, its targets, and their weights over a take.
 
         The targets serve any take, by weights that `target_weights` gives. The error of leaving out more stands in the
-        mesh's `extras`. Raises InputError for a file that cannot be written.
+        asset's `extras`. Raises InputError for a file that cannot be written.
         """
         usual, played = self.target_weights(usual_expressions(1, SAMPLED)), self.target_weights(take.weights)
         reach = np.maximum(np.abs(np.concatenate([usual, played])).max(axis=0), 1e-6)
-        rig = Morphs(played / reach, self.targets * reach[:, None, None], self.largest_error)
+        morphs = Morphs(played / reach, self.targets * reach[:, None, None], self.largest_error)
         neutral = Surface(self.neutral.astype(np.float64), self.triangles)
-        write_rig(path, neutral, take.times, rig, usual / reach)
+        write_glb(path, morph_take("rig", neutral, take.times, morphs, usual / reach))
 
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; see `BoundSurrogate.dynamic`."""

@@ -41,6 +41,11 @@ class BoundSurrogate:
         """The settled neutral skin [mm], shape (n, 3)."""
         return self._settled.reshape(-1, 3).copy()
 
+    @property
+    def linear_targets(self) -> Floats32 | None:
+        """What each weight adds to the neutral skin [mm], shape (52, n, 3), where frames are sums of these alone."""
+        return None if len(self.modes.modes) else self._shapes.reshape(WEIGHTS, -1, 3)
+
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
         """The simulated skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given.
 

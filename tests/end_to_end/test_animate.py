@@ -2,7 +2,6 @@
 
 import json
 import os
-import struct
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +22,7 @@ from softdeca.surrogate import CertifiedFace, Surrogate, certify
 from softdeca.surrogate.methods import bind_cheaply
 
 from ..refusals import refused
+from ..rig_files import bake_usd, parse_glb, read_glb
 
 
 @pytest.fixture(scope="module")
@@ -146,10 +146,11 @@ def test_a_frame_that_is_not_within_the_accuracy_is_told(sphere_head, deltas, tm
 def test_what_a_gif_leaves_out_and_how_far_a_gltf_is_off_is_told(sphere_head, deltas, tmp_path, monkeypatch):
     for module in ("play", "preview"):
         monkeypatch.setattr(f"softdeca.animation.{module}.GIF_SECONDS", 0.05)
-    short = run(AnimateConfig(tmp_path / "3", format="gltf", preview="gif"), sphere_head, deltas, take(3))
-    extras = gltf(tmp_path / "3" / "take.glb")["meshes"][0]["extras"]
-    told = f"take.glb: {extras['morph_targets']} morph targets, greatest error {extras['greatest_error_mm']:.2g} mm"
-    assert short.notes == (told,)
+    short = run(AnimateConfig(tmp_path / "3", format="glb", preview="gif"), sphere_head, deltas, take(3))
+    surfaces, notes = read_glb(tmp_path / "3" / "take.glb")
+    names = list(surfaces["skin"].offsets)
+    assert names and names == [f"component {k + 1}" for k in range(len(names))]
+    assert short.notes == (f"take.glb: {len(names)} morph targets, greatest error {notes['greatest_error_mm']:.2g} mm",)
     longer = run(AnimateConfig(tmp_path / "5", preview="gif"), sphere_head, deltas, take(5))
     assert longer.notes == ("preview.gif ends after 0.05 s; --preview mp4 shows the 2 frames left",)
 
@@ -158,7 +159,7 @@ def test_the_command_writes_a_preview_a_log_and_a_model(command, tmp_path):
     (tmp_path / "p.toml").write_text("gravity = 2.0\nfrequency = 3\n")
     ended = command(
         *("animate", "conversation:0.2:2", "--level", 1, "--parameters", tmp_path / "p.toml"),
-        *("--format", "gltf", "--dynamic", "--frames", "2:", "--out", tmp_path / "take", "--json"),
+        *("--format", "glb", "--dynamic", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
     result = json.loads(ended.out)
@@ -257,12 +258,6 @@ def played(path, frames=8):
         return file["VTKHDF/Points"][()].reshape(frames, -1, 3)
 
 
-def gltf(path):
-    content = path.read_bytes()
-    (size,) = struct.unpack("<I", content[12:16])
-    return json.loads(content[20 : 20 + size])
-
-
 def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, sphere_head, deltas, tmp_path):
     face = Face(sphere_head, deltas, Parameters(soft_volume=1.2))
     bind = partial(bind_cheaply, surrogate=network)
@@ -287,6 +282,33 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
         animate_rig(Output(tmp_path, turned=True), face, bind, replace(take, head=None), silent)
 
 
+@pytest.mark.parametrize("format", ["glb", "usd"])
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_frames_that_are_sums_of_targets_are_written_by_their_names(
+    network, sphere_head, deltas, tmp_path, format, dynamic
+):
+    if format == "usd":
+        pytest.importorskip("pxr")
+    face, shown = Face(sphere_head, deltas, Parameters(soft_volume=1.2)), take()
+    output = Output(tmp_path, format, dynamic=dynamic)
+    done, rig = animate_rig(output, face, partial(bind_cheaply, surrogate=network), shown, silent)
+    path = tmp_path / f"take.{format}"
+    assert done.files[0] == path
+    if format == "usd":
+        names, times, frames = bake_usd(path)
+        assert times == pytest.approx(shown.times)
+    else:
+        skin, (content, array) = read_glb(path)[0]["skin"], parse_glb(path)
+        names = list(skin.offsets)
+        weights = array(content["animations"][0]["samplers"][0]["output"]).reshape(8, -1)
+        frames = np.array([skin.frame(row) for row in weights])
+    if dynamic:
+        assert all(name.startswith("component") for name in names) and "greatest error" in done.notes[0]
+        return
+    assert names == list(expressions.ARKIT) and done.notes == (f"{path.name}: ARKit's 52 morph targets",)
+    assert np.abs(frames - [rig.frame(w) for w in shown.weights]).max() < 0.01
+
+
 def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(network):
     space, template = identities.Anny(), load_template(level=1)
     code, skin = space.sample(np.random.default_rng(4))
@@ -307,21 +329,21 @@ def test_the_command_writes_what_a_rig_makes_and_the_rig(command, tmp_path):
     ended = command(
         *("animate", "conversation:0.2:2", "--accuracy", "none"),
         *("--parameters", tmp_path / "p.toml", "--dynamic"),
-        *("--format", "gltf", "--frames", "2:", "--out", tmp_path / "take", "--json"),
+        *("--format", "glb", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
     result = json.loads(ended.out)
     assert result["methods"] == {"network": 10} and result["frames"] == 10
     assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
-    assert gltf(tmp_path / "take" / "take.glb")["animations"]
+    assert parse_glb(tmp_path / "take" / "take.glb")[0]["animations"]
     ended = command(
         *("animate", "conversation:0.1", "--accuracy", "none", "--level", 1, "--preview", "none"),
         *("--targets", 12),
         *("--out", tmp_path / "baked"),
     )
     assert ended.status == 0 and "6 frames (6 network), 0 failed; no error told; bound in" in ended.out
-    rig = gltf(tmp_path / "baked" / "rig.glb")
+    rig, _ = parse_glb(tmp_path / "baked" / "rig.glb")
     assert len(rig["meshes"][0]["primitives"][0]["targets"]) == 12
-    greatest = rig["meshes"][0]["extras"]["greatest_error_mm"]
+    greatest = rig["asset"]["extras"]["greatest_error_mm"]
     assert 0.0 < greatest < 5.0 and f"rig.glb: 12 morph targets, greatest error {greatest:.2g} mm" in ended.out
     assert rig["accessors"][rig["animations"][0]["samplers"][0]["output"]]["count"] == 6 * 12

@@ -29,14 +29,15 @@ RUN = {
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
     "softdeca head show head.npz --expression jawOpen*0.5 --vtk layers": "",
     "softdeca view head.npz --parameters p.toml --out out/view.html": "",
-    "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
+    "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format glb --preview mp4": (
         "--frames 0:2 --out out/take"
     ),
     "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": (
         "--frames 0:2 --out out/rig"
     ),
-    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format gltf": "--frames 0:2 --out out/dialled",
+    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format glb": "--frames 0:2 --out out/dialled",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
+    "softdeca head export head.npz --parameters p.toml --out rig.glb": "",
     "softdeca bench list": "",
     "softdeca animate take.csv --head head.npz": "--frames 0:2 --out out/scan",
 }
@@ -108,5 +109,5 @@ def test_what_runs_here_ends_well(folder, command, monkeypatch):
         ended = command(*shlex.split(line)[1:], *shlex.split(more))
         assert ended.status == 0, (line, ended.errors, ended.out[-500:])
     made = ("head.npz", "head.msh", "layers", "out/head", "out/view.html")
-    made += ("out/take/preview.mp4", "out/scan/preview.gif")
+    made += ("out/take/preview.mp4", "out/scan/preview.gif", "rig.glb")
     assert all((folder / name).exists() for name in made), sorted(str(p) for p in folder.rglob("*"))

@@ -21,7 +21,7 @@ PAGES = sorted(
 
 
 def test_every_use_has_a_tutorial():
-    uses = {"corpus", "own_head", "own_law", "own_solver", "report", "validate"}
+    uses = {"corpus", "own_head", "own_law", "own_solver", "report", "validate", "whole_idea"}
     assert set(PAGES) == {"concepts", *(f"tutorials/{use}" for use in uses)}
 
 

@@ -119,8 +119,8 @@ def test_what_cannot_be_is_one_line(command, corpus, tmp_path):
         (("train", corpus, "--device", "abacus"), "no device 'abacus'"),
         (("evaluate", corpus, "--surrogate", "no.safetensors"), "no such file"),
         (("evaluate", corpus), "vertices"),
-        (("train", corpus, "--network", "paper", "--neutrals", corpus), "paper cannot honour --neutrals"),
-        (("train", corpus, "--network", "hyper", "--device", "meta"), "solved on the cpu, not on 'meta'"),
+        (("train", corpus, "--network", "paper", "--more", corpus), "paper cannot honour --more"),
+        (("train", corpus, "--network", "hyper", "--device", "meta"), "no device 'meta'"),
         (("train", corpus, "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
     ):
         assert said in command(*words, "--out", tmp_path / "out").refusal()

@@ -26,7 +26,8 @@ from scipy.sparse import csc_matrix
 from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.archive import describe, write_archive
 from softdeca.benchmarks.face.problems import MESHES, PROBLEMS
-from softdeca.lhm.base.files import moving_surface
+from softdeca.lhm.base.files.glb import write_glb
+from softdeca.lhm.base.files.morphs import morph_take, reduce_to_morphs
 from softdeca.lhm.head import file as head_file
 from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.template import file as template_file
@@ -156,7 +157,8 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     template_file.save_template(folder / "template.npz", template)
     whole_files.regressor(wrap).save(folder / "depths.npz")
     motion = np.stack([0 * wrap.vertices, 0.1 * wrap.vertices, 0.2 * wrap.vertices]).astype(np.float32)
-    moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
+    found = reduce_to_morphs(motion, tolerance=0.05)
+    write_glb(folder / "take.glb", morph_take("skin", wrap, np.arange(3) / 30, found, found.weights))
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
     Corpus.from_plan(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
     made = {(name, "whole"): (folder / name).read_bytes() for name in ("head.npz", "template.npz", "depths.npz")}
@@ -191,6 +193,8 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made["guesses.json", "whole"] = b'{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 0.5}}'
     timed = {"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0.0}, {"weights": [0.6], "time": 0.04}]}
     made["take.json", "timed"] = json.dumps(timed).encode()
+    score = {"index": 25, "score": 0.2, "category_name": "jawOpen"}
+    made["take.json", "scored"] = json.dumps([{"face_blendshapes": [[score]], "timestamp_ms": 33}]).encode()
     made |= {("take.csv", "live link"): live_link(), ("take.csv", "recorder"): recorder()}
     made["options.toml", "whole"] = b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\nsoft_stiffness = 4\n"
     made["local/cheek.npy", "whole"] = npy(np.linspace(5.0, 6.0, 40))

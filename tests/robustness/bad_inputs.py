@@ -71,7 +71,7 @@ CALLED = {
     "scene": ("a Scene",), "young": ("Young's modulus",), "poisson": ("Poisson's ratio",), "contact": ("region",),
     "named": ("weights", "ARKit expression"), "shapes": ("expressions",), "seconds": ("take",),
     "time_step": ("frames per second",), "soft": ("sub-layers",), "muscle": ("sub-layers",),
-    "vertices": ("Target.positions", "Fixed.values"), "law": ("a material",), "centre": ("region",),
+    "vertices": ("Target.positions", "Fixed.values"), "law": ("a material",), "centre": ("region",), "frames": ("frame 0",),
 }  # fmt: skip
 """What a refusal calls an argument where it says another word than its name."""
 EMPTY_OF = {
@@ -194,6 +194,12 @@ def functions() -> Iterator[Function]:
     yield Function("sample_weights", expressions.sample_weights, {"rng": np.random.default_rng(0)})
     yield Function("Take", expressions.Take, {"weights": np.zeros((3, 52)), "rate": 60.0, "times": np.arange(3) / 60})
     yield Function("read_take", expressions.read_take, {"path": "no/such.csv"})
+    tracked = {"neutral": HEAD.skin, "shapes": DELTAS + 0.1}
+    yield Function("TrackedFace", expressions.TrackedFace.from_skin, tracked)
+    meshed = {"first": HEAD.skin}
+    yield Function("TrackedFace.from_mesh", expressions.TrackedFace.from_mesh, tracked | meshed)
+    face, frames = expressions.TrackedFace.from_skin(**tracked), [HEAD.skin.vertices]
+    yield Function("fit_take", expressions.fit_take, {"face": face, "frames": frames, "rate": 30.0})
     yield Function("resampled", expressions.resample, {"take": TAKE, "rate": 30.0})
     yield Function(
         "recordings", expressions.recordings, {"folder": None, "conversations": 1, "random": 1, "seconds": 1.0}

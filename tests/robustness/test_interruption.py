@@ -243,16 +243,24 @@ def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(plan, 
     assert len(by_cluster) == 12 and by_cluster == make("other")
 
 
-def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, command, mean_head):
+@pytest.mark.parametrize(
+    ("words", "out"),
+    [("fit --level 1", "head.npz"), ("export given --format usd", "head.usd"), ("export given", "a.glb")],
+)
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, command, mean_head, words, out):
     """The fixture has fitted a head before, so that all that a fit compiles is kept already."""
+    if "usd" in words:
+        pytest.importorskip("pxr")
+    given, folder = tmp_path / "given.npz", tmp_path / "out"
+    save_head(given, mean_head)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
     try:
-        ended = command("head", "fit", "--level", "1", "--out", tmp_path / "head.npz")
+        ended = command("head", *words.replace("given", str(given)).split(), "--out", folder / out)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert ended.refusal().startswith(f"softdeca: error: {tmp_path / 'head.npz'}: cannot be written")
-    assert list(tmp_path.iterdir()) == []
+    assert ended.refusal().startswith(f"softdeca: error: {folder / out}: cannot be written")
+    assert list(folder.iterdir()) == []
 
 
 STRIKE = """

@@ -76,12 +76,17 @@ def test_a_degenerate_identity_is_fitted_and_simulated_or_refused_by_name():
 
 
 def test_a_blink_leaves_nothing_behind(head):
-    """Frames of shut lids, each started from the last, end where cold ones do, and invert no soft tissue."""
+    """Frames of shut lids, each started from the last, end where cold ones do or lower, and invert no soft tissue.
+
+    Half-shut lids have two minima. The open face has one, whatever was before.
+    """
     shut = expressions.weights_of({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0, "eyeSquintLeft": 0.6})
     faces = expressions.blend(SPACE, np.zeros(SPACE.code_size), np.outer([0.6, 1.0, 0.5, 0.0], shut))
     sequence = Sequence(Face(head), tolerance=1e-6)
     for targets in faces:
         warm = sequence.frame(targets)
         cold = solve(facial_scene(head, Parameters(), targets), tolerance=1e-7)
-        assert np.abs(warm.positions - cold.positions).max() < 0.01
+        away = np.abs(warm.positions - cold.positions).max()
+        assert away < 0.01 or warm.energy < cold.energy
         assert warm.volume_ratio[: len(head.soft.tets)].min() > 0
+    assert away < 0.01

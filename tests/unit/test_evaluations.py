@@ -1,7 +1,7 @@
 """Methods on sequences, and against FEniCSx: what a small corpus of spheres with both gives."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -152,7 +152,8 @@ def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus,
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
-    note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
+    begun = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 40.0},), {})
+    note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 60.0},), {}, before=asdict(begun))
     score = evaluate([METHODS[DERIVATIVES]], CorpusTrials(corpus, heads=HEADS).static())[0]
     found = compute_breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0

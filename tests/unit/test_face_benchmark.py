@@ -552,6 +552,19 @@ def test_the_archives_own_script_needs_numpy_and_meshio_alone(judged, archive, t
     assert ended.stdout.splitlines()[0] == score.line and "SHIFTED" in score.line
 
 
+def test_the_whole_idea_is_right_on_its_mesh_from_the_files_alone(archive, tmp_path):
+    with zipfile.ZipFile(archive.path) as file:
+        file.extractall(tmp_path)
+    script = Path(__file__).parents[1] / "verification" / "face_by_whole_idea.py"
+    code = "import sys, runpy; sys.modules['softdeca'] = None; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0])"
+    for problem in PROBLEMS:
+        words = [script, tmp_path, problem, "coarse", tmp_path / f"{problem}.vtu"]
+        subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
+        score = scorer.score(tmp_path / f"{problem}.vtu", archive)
+        assert score.verdict == "right on this mesh" and "linear tets' answer on it to" in score.line, score.line
+        assert len(score.compared) == 16, score.line
+
+
 def test_another_package_answers_from_the_files_alone(archive, tmp_path):
     pytest.importorskip("felupe")
     pytest.importorskip("pyamg")

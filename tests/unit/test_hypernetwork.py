@@ -9,7 +9,7 @@ import torch
 
 from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer
-from softdeca.reference import Parameters
+from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Frames, Person
 from softdeca.surrogate.corpus.folder import Corpus
@@ -21,17 +21,20 @@ from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, NETWORK, ready_methods
+from softdeca.surrogate.networks import gradient_training
 from softdeca.surrogate.networks.forms import FORMS
 from softdeca.surrogate.networks.frames import FrameSource
 from softdeca.surrogate.networks.gradient_training import (
     NETWORKS,
+    DenseTransfer,
     GradientLesson,
     GradientTraining,
+    SparseTransfer,
     least_gradients,
     principal_gradients,
+    regress_gradients,
     still_vertices,
     train_gradients,
-    transfer_delta,
 )
 from softdeca.surrogate.networks.gradients import Widths
 from softdeca.surrogate.networks.trainer import Lesson, Trainer, TrainerConfig, draw_positions
@@ -44,8 +47,11 @@ PLAN = CorpusPlan(
     identities=20, groups=5, frames=2, sequences=0, responses=1.0, references=0, parameter_responses=0.0,
     kinds={"few": 1.0}, varying=0.0, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
-SMALL = Widths(latent=24, expression=32, position=8, gain=8, hidden=8)
-CONFIG = GradientTraining(network=SMALL, steps=250, validate_every=50)
+SMALL = Widths(latent=24, expression=64, position=16, hidden=32)
+CONFIG = GradientTraining(
+    network=SMALL, steps=600, sampled_steps=200, sampled_faces=40, batch=8, frames=2, weight_decay=0.3,
+    validate_every=100,
+)  # fmt: skip
 QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate": 2e-3, "validate_every": 30}
 """In place of the paper's protocol."""
 
@@ -81,15 +87,50 @@ def bind(surrogate, **changes):
     return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
 
 
-def test_torch_solve_passes_gradcheck():
+def test_both_torch_solves_pass_gradcheck_and_agree():
     skin = SPACE.mean
     transfer = DeformationTransfer(skin, [0, 5])
     generator = torch.Generator().manual_seed(0)
     gradients = 0.1 * torch.randn(2, len(skin.triangles), 9, generator=generator, dtype=torch.float64)
     blended = torch.from_numpy(np.stack([skin.vertices, 1.1 * skin.vertices]))
-    assert torch.autograd.gradcheck(
-        lambda g: transfer_delta(g, blended, transfer), (gradients.requires_grad_(),), fast_mode=True
-    )
+    solves = SparseTransfer(transfer), DenseTransfer(transfer, torch.device("cpu"))
+    for solve in solves:
+        assert torch.autograd.gradcheck(lambda g: solve(g, blended), (gradients.requires_grad_(),), fast_mode=True)  # noqa: B023
+    one, other = (solve(gradients, blended).detach().numpy() for solve in solves)
+    np.testing.assert_allclose(one, other, atol=1e-10)
+    np.testing.assert_allclose(one, transfer.delta(gradients.detach().numpy(), blended.numpy()), atol=1e-12)
+
+
+def test_a_training_on_another_device_takes_torch_s_own_solver(faces, monkeypatch):
+    losses = []
+    for dense in (False, True):
+        if dense:
+            monkeypatch.setattr(gradient_training, "open_differentiable", DenseTransfer)
+        lesson = GradientLesson(faces["train"], replace(CONFIG, sampled_steps=0))
+        losses.append(float(lesson.loss(0, np.random.default_rng(0)).detach()))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-4)
+
+
+def test_a_training_begins_at_a_regression_on_w(samples):
+    table, linear = regress_gradients(samples, 24)
+    gradients = least_gradients(samples).reshape(len(samples), -1)
+    fitted = samples.weights @ linear.T @ table.reshape(24, -1)
+    assert np.square(fitted - gradients).sum() < 0.9 * np.square(gradients).sum()
+
+
+def test_scaled_bones_carry_the_skin_before_a_network_moves_it(surrogate):
+    """The network has not seen them: it gives what it gives to the carried skin."""
+    scaled = Parameters(mandible_scale_y=1.1)
+    with pytest.raises(InputError, match="mandible_scale_y = 1.1 is beyond"):
+        bind(surrogate, parameters=scaled)
+    head = SPACE.fit(SPACE.mean)
+    carried = Face(head, parameters=scaled).carried
+    assert np.abs(carried).max() > 0.5
+    w = np.full(52, 0.2)
+    with pytest.warns(UserWarning, match="mandible_scale_y"):
+        frame = bind(surrogate, parameters=scaled, head=head, beyond="clamp").frame(w)
+    plain = bind(surrogate).frame(w)
+    assert np.abs(frame - plain - carried).max() < 0.3 * np.abs(carried).max()
 
 
 def test_least_gradients_reproduce_the_simulated_skins_and_principal_ones_span_them(samples):
@@ -115,7 +156,7 @@ def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weigh
 
 @pytest.mark.parametrize("name", [*NETWORKS])
 def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, tmp_path):
-    weights = train_gradients(faces["train"], replace(NETWORKS[name], **QUICK))
+    weights = train_gradients(faces["train"], replace(NETWORKS[name], sampled_steps=0, **QUICK))
     losses = [point["loss"] for point in weights.note.curve]
     assert losses[-1] < 0.95 * losses[0] and weights.note.steps == 90
     weights.save(tmp_path / "weights.safetensors")
@@ -124,7 +165,7 @@ def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, 
     followed = weights.network["followed"] > 0.0
     test = FrameSource(faces["test"]).sample(2, np.random.default_rng(0))
     codes = np.array([surrogate.inputs.code(code) for code in test.codes]).astype(np.float32)
-    parts = test.weights[:, None], codes, test.parameters[:, followed]
+    parts = test.weights[:, None], codes, np.clip(test.coefficients[:, None, followed, 0], -1.0, 1.0)
     gradients = FORMS[weights.kind].gradients(network, *map(torch.from_numpy, parts)).flatten(0, 1).double().numpy()
     transfer = DeformationTransfer(weights.mean, np.flatnonzero(weights.network["anchored"]))
     expected = test.blended + transfer.delta(gradients, test.blended.astype(np.float64))
@@ -180,6 +221,9 @@ class Endless:
     def coefficients(self, index):
         level = np.random.default_rng(index).uniform(-1.0, 1.0, (len(STATIC), 1))
         return np.hstack([level, np.zeros((len(STATIC), 16))])
+
+    def carried(self, index):
+        return np.zeros(self.mean.vertices.shape, dtype=np.float32)
 
     def person(self, identity):
         return Person(self.code(identity), self.mean, np.zeros((52, len(self.mean.vertices), 3), dtype=np.float16))

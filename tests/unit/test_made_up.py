@@ -52,9 +52,9 @@ def of(weights, name):
     return weights[:, index(name)]
 
 
-def test_weights_are_in_range_and_all_expressions_occur(talk):
+def test_weights_are_in_range_and_all_expressions_but_the_tongue_occur(talk):
     assert talk.shape == (7200, 52) and talk.min() >= 0.0 and talk.max() <= 1.0
-    assert talk.max(axis=0).min() > 0.05
+    assert np.flatnonzero(talk.max(axis=0) <= 0.05).tolist() == [index("tongueOut")]
 
 
 def test_the_same_seed_gives_the_same_talk(talk):
@@ -190,8 +190,9 @@ def test_the_sentences_are_varied_and_every_visem_occurs():
     weights = np.concatenate([speech(text).weights for text in shipped_sentences()])
     assert len(set(shipped_sentences())) == len(shipped_sentences()) == 40
     moved = weights.max(axis=0)
-    for name in ("jawOpen", "mouthFunnel", "mouthPucker", "mouthStretchLeft", "mouthShrugLower", "tongueOut", *CLOSED):
+    for name in ("jawOpen", "mouthFunnel", "mouthPucker", "mouthStretchLeft", "mouthShrugLower", *CLOSED):
         assert moved[index(name)] > 0.15, name
+    assert moved[index("tongueOut")] == 0.0
     assert of(speech(shipped_sentences()[0]).weights, "eyeBlinkLeft").max() > 0.9
 
 

@@ -12,12 +12,14 @@ from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.face import Derivatives, Frames, KeptFace, Person
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
-from softdeca.surrogate.corpus.mixture import STATIC, WAVES
-from softdeca.surrogate.corpus.people import OfSpace
+from softdeca.surrogate.corpus.mixture import NAMES, STATIC, WAVES, ParameterSet, draw
+from softdeca.surrogate.corpus.people import OfSpace, people_from_text
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
+from softdeca.surrogate.corpus.simulator import make_face
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_methods
@@ -30,6 +32,7 @@ from softdeca.surrogate.networks.modal import (
     neutral,
     remainder,
 )
+from softdeca.surrogate.networks.modal_faces import LessonFace, NeutralMotion
 from softdeca.surrogate.networks.modal_training import ModalLesson, ModalTraining, train_modal
 from softdeca.surrogate.networks.response_tables import compress, expand, mix, solve_tables
 from softdeca.surrogate.networks.responses import LearnedResponses
@@ -175,9 +178,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
-    whole = train_modal(
-        faces["train"], replace(CONFIG, steps=20, validate_every=20), start=start, neutrals=faces["train"]
-    )
+    whole = train_modal(faces["train"], replace(CONFIG, steps=20, validate_every=20), start=start, more=faces["train"])
     learned = ("settled", "relaxed", "gain", "modes.0", "modes.1")
     assert not any(
         np.array_equal(value, start.network[name])
@@ -198,12 +199,19 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
 def test_tables_are_solved_over_some_faces_in_training_and_over_all_at_its_end(faces, monkeypatch):
     config, solved = replace(CONFIG, steps=4, validate_every=4, solve_every=2, solved=5), []
     solve = ModalLesson.solve_tables
-    monkeypatch.setattr(ModalLesson, "solve_tables", lambda self, some: solved.append(some) or solve(self, some))
-    train_modal(faces["train"], config)
-    *some, every = solved
+
+    def watch(self, some):
+        solved.append(list(some))
+        return solve(self, solved[-1])
+
+    monkeypatch.setattr(ModalLesson, "solve_tables", watch)
+    train_modal(faces["train"], config, more=faces["test"])
+    *some, every = ([(face.kept.identity, face.kept.parameters.coefficients.sum()) for face in each] for each in solved)
     assert [len(each) for each in some] == [5, 5, 5]
-    assert len({tuple(each) for each in some[:2]}) == 2, "drawn anew"
+    assert some[0] != some[1], "drawn anew"
     assert len(every) > 5
+    tested = set(faces["test"].groups[:, 0].tolist())
+    assert tested <= {identity for identity, _ in every}, "faces without frames teach, too"
 
 
 def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
@@ -217,9 +225,9 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
     network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
     with torch.no_grad():
         for part, values in enumerate((features.without_palsy(p), p)):
-            local, summary, unmoved = lesson.tensors.inputs_of([face], [values], every)
+            local, summary, unmoved = lesson.tensors.inputs_of([face.code], [values], every)
             hidden = hidden_features(network, local, summary[..., :size], every)
-            effects = lesson.tensors.effects_of([values], [face.skin.vertices], every)
+            effects = lesson.tensors.effects_of([NeutralMotion(values, face.skin.vertices, offset)], every)
             offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
         amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
         shares, lag = mix(network, local, summary[..., :size], every)
@@ -231,7 +239,7 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
     lesson = ModalLesson(faces["train"], CONFIG)
-    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.data.training)))
+    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.every_face())))
     learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
     lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
     lesson.tensors = replace(lesson.tensors, dtype=np.float64)
@@ -567,3 +575,33 @@ def test_a_changed_file_of_weights_is_found_by_its_checksum(weights, tmp_path, c
     assert path.read_bytes() != before
     with pytest.raises(InputError, match=words):
         Weights.load(path)
+
+
+def test_a_mirrored_face_is_what_the_simulator_makes_of_the_mirrored_parameters():
+    people = people_from_text("anny", level=1)
+    space, features = people.space, Features(people.mean)
+    person = Person(np.zeros(space.code_size), people.mean, space.expressions)
+    parameters = next(
+        p for p in (draw(np.random.default_rng(seed), "single", field=False) for seed in range(99))
+        if "paralysis_left" in p.names
+    )  # fmt: skip
+    order = np.arange(len(NAMES))
+    left, right = NAMES.index("paralysis_left"), NAMES.index("paralysis_right")
+    order[[left, right]] = right, left
+    swapped = ParameterSet(parameters.kind, parameters.varied[order], parameters.coefficients[order])
+    head = people.head(person)
+    kept = {}
+    for side, one in enumerate((parameters, swapped)):
+        face = make_face(people, person, head, one)
+        kept[side] = KeptFace(
+            0, person, one, face.settled().displacement, face.carried, Derivatives(face.offset, face.responses)
+        )
+    mirrored, simulated = LessonFace(kept[0], features, True), LessonFace(kept[1], features)
+    np.testing.assert_allclose(mirrored.parameters, simulated.parameters, atol=1e-6)
+    assert np.abs(mirrored.skin - simulated.skin).max() < 0.01
+    size = np.linalg.norm(simulated.responses, axis=2).mean()
+    unlike = np.linalg.norm(kept[0].responses - kept[1].responses, axis=2).mean()
+    assert np.linalg.norm(mirrored.responses - simulated.responses, axis=2).mean() < 0.02 * size < 0.1 * unlike
+    w = np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
+    frame = Frames(w, (kept[0].responses * w[0, :, None, None]).sum(axis=0)[None].astype(np.float32))
+    assert np.abs(mirrored.see(frame).remainder(mirrored) + mirrored.offset).max() < 1e-4

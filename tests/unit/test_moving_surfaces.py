@@ -1,16 +1,20 @@
-"""VTKHDF and glTF: what other programs read back is what was written."""
+"""VTKHDF, glTF and USD: what other programs read back is what was written."""
 
-import json
-import struct
+import sys
 
 import numpy as np
 import pytest
 import trimesh
 
 from softdeca.lhm import Surface
-from softdeca.lhm.base.files.moving_surface import reduce_to_morphs, write_gltf, write_vtkhdf
+from softdeca.lhm.base.errors import MissingDependencyError
+from softdeca.lhm.base.files.glb import write_glb
+from softdeca.lhm.base.files.morphs import MorphedSurface, MorphRig, morph_take, reduce_to_morphs
+from softdeca.lhm.base.files.moving_surface import write_vtkhdf
+from softdeca.lhm.base.files.usd import write_usd
 
 from ..refusals import refused
+from ..rig_files import bake_usd, parse_glb, read_glb, read_usd
 
 SPHERE = trimesh.creation.icosphere(2, radius=100)
 SKIN = Surface(SPHERE.vertices, SPHERE.faces)
@@ -58,46 +62,28 @@ def test_vtkhdf_is_the_same_bytes_again_and_refuses_what_does_not_fit(tmp_path):
     assert not (tmp_path / "c").exists()
 
 
-def parsed(path):
-    """The JSON of a .glb, and a function from an accessor's number to its array, by the specification alone."""
-    data = path.read_bytes()
-    magic, version, length = struct.unpack_from("<4sII", data)
-    size, kind = struct.unpack_from("<I4s", data, 12)
-    content = json.loads(data[20 : 20 + size])
-    rest, rest_kind = struct.unpack_from("<I4s", data, 20 + size)
-    assert (magic, version, length, kind, rest_kind) == (b"glTF", 2, len(data), b"JSON", b"BIN\0")
-    binary = data[28 + size : 28 + size + rest]
-
-    def array(number):
-        accessor = content["accessors"][number]
-        view = content["bufferViews"][accessor["bufferView"]]
-        kind = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
-        values = np.frombuffer(binary, kind, view["byteLength"] // 4, view["byteOffset"])
-        values = values.reshape(accessor["count"], -1)
-        assert values.min(axis=0) == pytest.approx(accessor["min"]) and values.max(axis=0) == pytest.approx(
-            accessor["max"]
-        )
-        return values
-
-    return content, array
+def morphed(motion, tolerance=0.01):
+    found = reduce_to_morphs(motion, tolerance=tolerance)
+    return found, morph_take("skin", SKIN, TIMES, found, found.weights)
 
 
 def test_gltf_animates_the_motion_within_its_stated_error(tmp_path):
     motion = moving()
-    found = write_gltf(tmp_path / "take.glb", SKIN, TIMES, motion, tolerance=0.01)
-    content, array = parsed(tmp_path / "take.glb")
-    primitive = content["meshes"][0]["primitives"][0]
-    assert np.array_equal(array(primitive["indices"]).reshape(-1, 3), SKIN.triangles)
+    found, rig = morphed(motion)
+    write_glb(tmp_path / "take.glb", rig)
+    content, array = parse_glb(tmp_path / "take.glb")
+    (primitive,) = content["meshes"][0]["primitives"]
     sampler = content["animations"][0]["samplers"][0]
     assert array(sampler["input"]).ravel() == pytest.approx(TIMES - TIMES[0])
-    assert len(primitive["targets"]) == 3, "the motion is of rank 3"
     weights = array(sampler["output"]).reshape(7, 3)
-    neutral, normal = array(primitive["attributes"]["POSITION"]), array(primitive["attributes"]["NORMAL"])
-    targets = np.array([array(target["POSITION"]) for target in primitive["targets"]])
-    played = 1000 * (neutral + np.tensordot(weights, targets, axes=1))
-    off = np.linalg.norm(played - (SKIN.vertices + motion), axis=2).max()
-    assert off <= 0.0102 and found.error <= 0.01
-    assert content["meshes"][0]["extras"] == {"greatest_error_mm": found.error, "morph_targets": 3}
+    surfaces, notes = read_glb(tmp_path / "take.glb")
+    assert notes == {"greatest_error_mm": found.error} and found.error <= 0.01
+    skin = surfaces["skin"]
+    assert list(skin.offsets) == ["component 1", "component 2", "component 3"], "the motion is of rank 3"
+    assert np.array_equal(skin.triangles, SKIN.triangles)
+    for row, frame in zip(weights, SKIN.vertices + motion, strict=True):
+        assert np.linalg.norm(skin.frame(row) - frame, axis=1).max() <= 0.0102
+    normal = array(primitive["attributes"]["NORMAL"])
     turned = normal + np.tensordot(weights, [array(target["NORMAL"]) for target in primitive["targets"]], axes=1)
     for frame, normals in zip(SKIN.vertices + motion, turned, strict=True):
         exact = SKIN.with_vertices(frame).vertex_normals
@@ -106,6 +92,44 @@ def test_gltf_animates_the_motion_within_its_stated_error(tmp_path):
     loaded = trimesh.load(tmp_path / "take.glb", force="mesh", process=False)
     assert np.asarray(loaded.vertices) == pytest.approx(SKIN.vertices / 1000, abs=1e-7)
     assert np.array_equal(loaded.faces, SKIN.triangles)
+
+
+def test_usd_animates_the_motion_within_its_stated_error(tmp_path):
+    pytest.importorskip("pxr")
+    motion = moving()
+    found, rig = morphed(motion)
+    write_usd(tmp_path / "take.usd", rig)
+    names, times, frames = bake_usd(tmp_path / "take.usd")
+    assert names == ["component_1", "component_2", "component_3"] and times == pytest.approx(TIMES - TIMES[0])
+    assert np.linalg.norm(frames - SKIN.vertices - motion, axis=2).max() <= 0.0102
+    surfaces, notes = read_usd(tmp_path / "take.usd")
+    assert notes == {"generator": "softdeca", "greatest_error_mm": found.error}
+    assert np.array_equal(surfaces["skin"].triangles, SKIN.triangles)
+    refused("cannot be written", write_usd, tmp_path, rig)
+
+
+@pytest.mark.parametrize(("write", "read", "name"), [(write_glb, read_glb, "a.glb"), (write_usd, read_usd, "a.usda")])
+def test_a_rig_without_a_take_has_its_surfaces_and_their_places(tmp_path, write, read, name):
+    """One that stands still keeps its node's place and colours, one that moves its targets, also one of zeros."""
+    targets = np.array([0.1 * SKIN.vertices, np.zeros_like(SKIN.vertices)])
+    colours = np.abs(SKIN.vertices) / 100
+    still = MorphedSurface.from_targets("ball", SKIN, targets[:0], colour=colours, place=(10.0, 20.0, -30.0))
+    rig = MorphRig([MorphedSurface.from_targets("skin", SKIN, targets), still], ("jawOpen", "none"), {"mean": 0.25})
+    write(tmp_path / name, rig)
+    surfaces, notes = read(tmp_path / name)
+    assert notes["mean"] == 0.25 and list(surfaces) == ["skin", "ball"]
+    assert list(surfaces["skin"].offsets) == ["jawOpen", "none"] and surfaces["ball"].offsets == {}
+    assert surfaces["skin"].frame([1.0, 1.0]) == pytest.approx(1.1 * SKIN.vertices, abs=1e-4)
+    assert surfaces["ball"].frame([]) == pytest.approx(SKIN.vertices + [10.0, 20.0, -30.0], abs=1e-4)
+    if name == "a.glb":
+        content, array = parse_glb(tmp_path / name)
+        assert "animations" not in content
+        assert array(content["meshes"][1]["primitives"][0]["attributes"]["COLOR_0"]) == pytest.approx(colours)
+
+
+def test_usd_without_its_package_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    refused(r"pip install 'softdeca\[usd\]'", write_usd, tmp_path / "a.usd", None, error=MissingDependencyError)
 
 
 def test_morphs_meet_their_bound_with_no_more_targets_than_frames():
@@ -120,7 +144,7 @@ def test_morphs_meet_their_bound_with_no_more_targets_than_frames():
 
 
 def test_a_motion_that_is_none_is_a_still_head(tmp_path):
-    write_gltf(tmp_path / "still.glb", SKIN, TIMES, np.zeros((7, *SKIN.vertices.shape), np.float32))
-    content, _ = parsed(tmp_path / "still.glb")
-    assert "animations" not in content and "targets" not in content["meshes"][0]["primitives"][0]
-    refused("motion of shape", write_gltf, tmp_path / "bad.glb", SKIN, TIMES, np.zeros((3, 5, 3), np.float32))
+    found, rig = morphed(np.zeros((7, *SKIN.vertices.shape), np.float32))
+    write_glb(tmp_path / "still.glb", rig)
+    content, _ = parse_glb(tmp_path / "still.glb")
+    assert found.error == 0 and "animations" not in content and "targets" not in content["meshes"][0]["primitives"][0]

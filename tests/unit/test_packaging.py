@@ -42,12 +42,11 @@ def test_each_package_imported_is_a_dependency():
     listed = {line.strip(' ",').split(">=")[0].replace("-", "_") for line in listed.splitlines() if ">=" in line}
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
     names = {name for _, name in imported(*PORTIONS)} - set(sys.stdlib_module_names)
-    # FEniCSx comes from Debian or conda; extras: what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh, speech, live
-    # pages.
+    # FEniCSx comes from Debian or conda; extras: what trains, MP4, libigl, FElupe, gmsh, speech, Draco, CHOLMOD, USD.
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"}
-    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "websockets"}
-    # Contact's check; and the arena's solvers, some in environments of their own, with what they share as scripts.
-    elsewhere |= {"ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem"}
+    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "pxr"}
+    # The live page; contact's check; the arena's solvers, some in environments of their own, with what they share.
+    elsewhere |= {"websockets", "ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem"}
     assert {other_names.get(name, name) for name in names} - elsewhere == listed
 
 

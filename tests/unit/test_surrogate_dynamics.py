@@ -1,7 +1,5 @@
 """The surrogate's dynamics (Eq. 21): rest, shifts, stability, frequency, beside the simulator's own."""
 
-import json
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +11,8 @@ from softdeca.surrogate import METHODS
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.rigs.inertia import DynamicRig, Looseness
+
+from ..rig_files import parse_glb, read_glb
 
 SPACE = Spheres(1)
 N = len(SPACE.mean.vertices)
@@ -139,20 +139,10 @@ def test_a_baked_rig_as_gltf_plays_the_take(rig, tmp_path):
     weights = 0.5 * np.random.default_rng(0).random((6, 52))
     baked = rig.bake(40)
     baked.write_gltf(tmp_path / "rig.glb", expressions.Take(weights, 60.0, np.arange(6) / 60))
-    content = (tmp_path / "rig.glb").read_bytes()
-    (size,) = struct.unpack("<I", content[12:16])
-    about, binary = json.loads(content[20 : 20 + size]), content[28 + size :]
-
-    def read(number):
-        accessor = about["accessors"][number]
-        begin = about["bufferViews"][accessor["bufferView"]]["byteOffset"]
-        width = 3 if accessor["type"] == "VEC3" else 1
-        return np.frombuffer(binary, np.float32, width * accessor["count"], begin).reshape(-1, width)
-
-    (primitive,) = about["meshes"][0]["primitives"]
-    neutral = read(primitive["attributes"]["POSITION"])
-    targets = np.array([read(target["POSITION"]) for target in primitive["targets"]])
-    played = read(about["animations"][0]["samplers"][0]["output"]).reshape(6, len(targets))
+    about, array = parse_glb(tmp_path / "rig.glb")
+    surfaces, notes = read_glb(tmp_path / "rig.glb")
+    assert notes == {"greatest_error_mm": baked.largest_error}
+    played = array(about["animations"][0]["samplers"][0]["output"]).reshape(6, -1)
     assert np.abs(played).max() <= 1.0 + 1e-6
     for w, mixed in zip(weights, played, strict=True):
-        assert 1e3 * (neutral + np.tensordot(mixed, targets, axes=1)) == pytest.approx(baked.frame(w), abs=1e-3)
+        assert surfaces["rig"].frame(mixed) == pytest.approx(baked.frame(w), abs=1e-3)

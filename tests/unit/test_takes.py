@@ -259,7 +259,7 @@ def test_a_bad_csv_is_one_line_that_names_the_place(write, content, message):
 
 def test_other_files_are_refused(write, tmp_path):
     refused("nowhere.csv: no such file", read_take, tmp_path / "nowhere.csv")
-    refused("expected one of .csv, .json", read_take, write("", "take.txt"))
+    refused("expected one of .csv, .json, .jsonl", read_take, write("", "take.txt"))
     (tmp_path / "folder.csv").mkdir()
     refused("folder.csv: not a plain file", read_take, tmp_path / "folder.csv")
 
@@ -311,6 +311,82 @@ def timed(*times):
 )
 def test_a_bad_json_is_one_line_that_names_the_place(write, text, message):
     assert message in refused("take.json: ", read_take, write(text, "take.json"))
+
+
+def landmarker(*frames, camel=False, **more):
+    """Results of MediaPipe's face landmarker for frames of scores by name, None for no face."""
+    name, found = ("categoryName", "faceBlendshapes") if camel else ("category_name", "face_blendshapes")
+    results = []
+    for number, scores in enumerate(frames):
+        named = {"_neutral": 1e-6} | (scores or {})
+        face = [{"index": k, "score": score, name: each} for k, (each, score) in enumerate(named.items())]
+        faces = [{"categories": face, "headIndex": -1, "headName": ""} if camel else face]
+        results.append({found: [] if scores is None else faces} | {key: at[number] for key, at in more.items()})
+    return results
+
+
+SCORES = ({"jawOpen": 0.2, "eyeBlinkLeft": 0.0}, None, {"jawOpen": 0.4, "eyeBlinkLeft": 1.25})
+
+
+@pytest.mark.parametrize("camel", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (json.dumps, "take.json"),
+        (lambda results: json.dumps({"frames": results}, indent=1), "take.json"),
+        (lambda results: "\n".join(map(json.dumps, results)) + "\n", "take.json"),
+        (lambda results: "\n".join(map(json.dumps, results)) + "\n", "take.jsonl"),
+    ],
+)
+def test_results_of_mediapipe_are_read_in_all_their_forms(write, kind, name, camel):
+    stamps = {"timestampMs" if camel else "timestamp_ms": [5000, 5040, 5080]}
+    take = read_take(write(kind(landmarker(*SCORES, camel=camel, **stamps)), name))
+    expected = [{"jawOpen": 0.2}, {"jawOpen": 0.4, "eyeBlinkLeft": 1.0}]
+    np.testing.assert_array_equal(take.weights, [expressions.weights_of(frame) for frame in expected])
+    np.testing.assert_allclose(take.times, [0.0, 0.08], atol=1e-12)
+    np.testing.assert_allclose(take.lost_at, [0.04])
+    assert take.rate == pytest.approx(25.0) and take.clipped == 1
+    assert "tongueOut" in take.missing and "jawOpen" not in take.missing
+
+
+def test_results_without_timestamps_are_a_webcams(write):
+    take = read_take(write(json.dumps(landmarker({"jawOpen": 1.0}, {"jawOpen": 0.0})), "take.json"))
+    assert take.rate == 30.0 and take.times[1] == pytest.approx(1 / 30)
+    alone = read_take(write(json.dumps(landmarker({"jawOpen": 1.0})[0]), "take.json"))
+    assert len(alone.weights) == 1 and alone.weights[0, index("jawOpen")] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("results", "message"),
+    [
+        (landmarker(None, None), "no frames with a face"),
+        ({"frames": [], "face_blendshapes": 1}, "expected a list of face landmarker results that is not empty"),
+        ([*landmarker({"jawOpen": 0.1}), {"timestamp": 3}], "frame 1: expected an object with a list face_blendshapes"),
+        ([*landmarker({"jawOpen": 0.1}), 3], "frame 1: expected an object with a list face_blendshapes"),
+        ([{"face_blendshapes": [[], []]}], "frame 0: 2 faces, expected one"),
+        ([{"face_blendshapes": [[]]}], "frame 0: expected a list of categories"),
+        ([{"face_blendshapes": [[{"score": 1}]]}], "frame 0, category 0: expected an object with category_name"),
+        (landmarker({}), "frame 0: no category but _neutral"),
+        (landmarker({"jawOpen": 0.1}, {"jawOpn": 0.1}), "frame 1, category 1: unknown ARKit expression 'jawOpn'"),
+        (landmarker({"jawOpen": 0.1, "JawOpen": 0.1}), "frame 0: category jawOpen stands there twice"),
+        (landmarker({"jawOpen": 0.1}, {"jawOpen": None}), "frame 1, category jawOpen: None is no finite number"),
+        (landmarker({"jawOpen": 0.1}, {"jawOpen": float("nan")}), "frame 1, category jawOpen: nan is no finite"),
+        (landmarker({"jawOpen": 0.1}, {"jawLeft": 0.1}), "frame 0: no category jawLeft, which frame 1 has"),
+        (landmarker({"jawOpen": 0.1, "jawLeft": 0}, {"jawOpen": 0}), "frame 1: no category jawLeft, which frame 0 has"),
+        (landmarker(*SCORES, timestamp=[0, 40, 40]), "frame 2, timestamp: time does not rise"),
+        (landmarker(*SCORES, timestamp=[0, "x", 80]), "frame 1, timestamp: x is no finite number"),
+        (landmarker(*SCORES, timestamp=[0, None, 80]), "frame 1, timestamp: None is no finite number"),
+        (landmarker(*SCORES, timestamp=[0.0, 0.04, 0.08]), "25000 frames a second; expected milliseconds"),
+    ],
+    ids=itertools.count(),
+)
+def test_a_bad_result_of_mediapipe_names_frame_and_category(write, results, message):
+    assert message in refused("take.json: ", read_take, write(json.dumps(results), "take.json"))
+
+
+def test_a_line_that_is_no_json_is_named(write):
+    line = json.dumps(landmarker({"jawOpen": 0.1})[0])
+    assert "line 3: not JSON" in refused("take.jsonl: ", read_take, write(f"{line}\n\n{{\n", "take.jsonl"))
 
 
 def test_takes_check_what_they_are_made_of():

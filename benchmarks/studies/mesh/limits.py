@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ....lhm.base.errors import SoftdecaError
+from ....lhm.base.geometry.mirror import find_twins
 from ....lhm.base.mesh import Floats
 from ....lhm.head.head import LayeredHead
 from ....lhm.head.remesh import refine_head, remesh
@@ -144,15 +144,15 @@ def compare_mirrored_loads(person: Person, size: float) -> list[dict]:
     """
     rest = person.head.skin.vertices
     displacement = person.shape(ONE_SIDED) - rest
-    distance, partner = cKDTree(rest).query(rest * MIRROR)
-    if distance.max() > 1e-3:  # [mm]
-        raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
+    twins = find_twins(rest)
+    if twins is None:
+        raise SoftdecaError("the mean skin is not its own mirror image")
     rows = []
     for what, head in ((SPLIT_PRISMS, person.head), (FREE_TETS, remesh(person.head, size))):
-        shapes = [rest + displacement, rest + displacement[partner] * MIRROR]
+        shapes = [rest + displacement, rest + displacement[twins] * MIRROR]
         left, right = (solve_linear(head, shape, SOFT) for shape in shapes)
         motion = distances(right.skin, shapes[1])
-        rows.append(compare(what, left, right.skin[partner] * MIRROR, motion[partner]))
+        rows.append(compare(what, left, right.skin[twins] * MIRROR, motion[twins]))
     return rows
 
 

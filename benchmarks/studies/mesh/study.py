@@ -70,8 +70,8 @@ class MeshError(OfPerson):
         "Quadratic tets: neo-Hookean tissue of default shear moduli on the same mesh, by displacement (P2) below nu "
         "0.49, with a pressure (P2-P1) from there. Free tets are compared with split prisms of the same element. T is "
         "the reference's skin; no bone is scaled, so carried(S) is S. Mirrored loads are a one-sided smile and its "
-        "mirror image on the mean head, whose skin is symmetric but whose wraps are not. Their distance is that of one "
-        "answer to the other's mirror image."
+        "mirror image on the mean head. Its skin and wraps are symmetric, its split prisms but for those across the "
+        "middle, and its free tets are not. The distance is that of one answer to the other's mirror image."
     )
     limit = 7200.0
 

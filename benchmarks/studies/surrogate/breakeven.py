@@ -18,10 +18,10 @@ PAID = ("shapes", "fit", "settling", "derivatives", "statics", "sequences")
 class Breakeven:
     """Processor seconds of one core, and what follows.
 
-    corpus: of the training people that are there; training: of the network; simulated_frame: a static frame of the
-    simulator to the corpus' tolerance, on a settled face; linearised_face: fit, settling and derivatives of one face;
-    own_frame, own_face: the network's frame and bind. frames: after which corpus and training cost less than
-    simulating; faces: after which less than linearising each.
+    corpus: of the training people that are there; training: of the network and of those that it went on from;
+    simulated_frame: a static frame of the simulator to the corpus' tolerance, on a settled face; linearised_face: fit,
+    settling and derivatives of one face; own_frame, own_face: the network's frame and bind. frames: after which corpus
+    and training cost less than simulating; faces: after which less than linearising each.
     """
 
     corpus: float
@@ -68,7 +68,7 @@ def compute_breakeven(folder: Path, note: TrainingNote, network: Score) -> Break
         return None
     return Breakeven(
         corpus=sum(spent.values()),
-        training=float(note.curve[-1]["seconds"]),
+        training=note.seconds,
         simulated_frame=spent["statics"] / frames,
         linearised_face=(spent["shapes"] + spent["fit"]) / len(timed)
         + (spent["settling"] + spent["derivatives"]) / groups,

@@ -28,7 +28,7 @@ from ....surrogate.corpus.people import People, people_from_text
 from ....surrogate.methods import DERIVATIVES, DIAL, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD_FIRST_ORDER, SETTLED
 from ....surrogate.rigs.rig import Rig
 from ....surrogate.ruler import MOVES
-from ...harness.study import Column, Row, Study, Table, Task, Values, at_least
+from ...harness.study import Column, Row, Study, Table, Task, Values, at_least, at_most
 
 HELD_OUT, EXTERNAL, BEYOND = "held-out", "external", "out of range"
 KINDS = ("materials", "single", "both", "default", "single", "effects")
@@ -36,13 +36,14 @@ KINDS = ("materials", "single", "both", "default", "single", "effects")
 FAR = {"muscle_strain_ratio": (0.05, 0.3), "strain_limit": (1.1, 1.2)}
 """What the network has not seen: a muscle's softness always, a strain limit in every other face."""
 ENOUGH = 200
-"""Frames by accuracy from which on a share of 95 % is judged: two frames of one face decide nothing."""
+"""Answers, frames by accuracies, from which on a share of 95 % is judged; fewer decide medians alone."""
 ACCURACIES = (0.1, 0.05, 0.02, 0.01, 0.003, 0.001)
 """[mm] that are asked for."""
 TRUTH = 1e-8
 """Gradient norm of the truth, relative to that of the targets' springs each 1 mm long."""
 NEAR = (0.8, 1.25)
 """Told over true error is to be in here."""
+BANDS = tuple(zip((at_least, at_most), NEAR, strict=True))
 LEAST = 1e-3
 """[mm] Smaller true errors are counted apart: there rounding of positions and of the truth shows."""
 COLOURS = ("#006d5b", "#b3541e", "#4c3f91")
@@ -121,31 +122,16 @@ class Dial(Study):
         return face, kind, rng
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Bound errors by what was asked for and told; and what was hoped for besides."""
+        """Bound errors by what was asked for and told: their medians, and with ENOUGH frames their shares, too."""
         answers = [row for one in rows for row in one.values["told"]]
         counted = [row for row in answers if row["true"] >= LEAST]
-        within = float(np.mean([row["true"] <= row["accuracy"] for row in answers]))
-        trusted = float(np.mean([row["true"] <= POLICY.doubt * row["told"] for row in counted])) if counted else 1.0
-        sure = _share_near([row for row in answers if row["certain"]])
-        certain = [row for row in answers if row["certain"]]
-        hope = "share of frames whose told error is within 0.8 to 1.25 of the true one"
-        shares = [
-            at_least(
-                "share of frames whose true error is within the accuracy asked for",
-                within,
-                0.95,
-                answer=len(answers) >= ENOUGH,
-            ),
-            at_least(f"share of frames whose true error is at most {POLICY.doubt:g} times the told one", trusted, 0.95),
-            at_least(hope, _share_near(answers), 0.95, answer=False),
-            at_least(f"{hope}, of those that say they are certain", sure, 0.95, answer=False),
-        ]
-        counts = (
-            len(answers),
-            len(counted),
-            *(sum(row["true"] >= LEAST for row in group) for group in (answers, certain)),
-        )
-        gates = [gate | {"count": count} for gate, count in zip(shares, counts, strict=True)]
+        asked = float(np.median([row["true"] / row["accuracy"] for row in answers]))
+        gates = [_count(at_most("true error over the accuracy asked for, median", asked, 1.0), answers)]
+        if counted:
+            told = float(np.median([row["told"] / row["true"] for row in counted]))
+            gates += [_count(gate("told over true error, median", told, bound), counted) for gate, bound in BANDS]
+        if len(answers) >= ENOUGH:
+            gates += _bound_shares(answers, counted)
         for accuracy, rate in ((0.01, 10.0), (0.05, 30.0)):
             ms = [row["ms"] for row in counted if row["accuracy"] == accuracy]
             if ms:
@@ -267,6 +253,27 @@ def _line(accuracy: float, answers: Sequence[Mapping]) -> dict:
         "certain": float(np.mean([row["certain"] for row in answers])),
         "ms": float(np.median([row["ms"] for row in answers])),
     }
+
+
+def _count(gate: dict, answers: Sequence[Mapping]) -> dict:
+    """Add to a gate of how many answers it is."""
+    return gate | {"count": len(answers)}
+
+
+def _bound_shares(answers: Sequence[Mapping], counted: Sequence[Mapping]) -> list[dict]:
+    """Bound the shares of answers that are as asked and told; those of `counted` have a true error above LEAST."""
+    certain = [row for row in counted if row["certain"]]
+    within = float(np.mean([row["true"] <= row["accuracy"] for row in answers]))
+    trusted = float(np.mean([row["true"] <= POLICY.doubt * row["told"] for row in counted])) if counted else 1.0
+    trust = f"share of frames whose true error is at most {POLICY.doubt:g} times the told one"
+    hope = "share of frames whose told error is within 0.8 to 1.25 of the true one"
+    sure = f"{hope}, of those that say they are certain"
+    return [
+        _count(at_least("share of frames whose true error is within the accuracy asked for", within, 0.95), answers),
+        _count(at_least(trust, trusted, 0.95), counted),
+        _count(at_least(hope, _share_near(answers), 0.95, answer=False), counted),
+        _count(at_least(sure, _share_near(certain), 0.95, answer=False), certain),
+    ]
 
 
 def _share_near(answers: Sequence[Mapping]) -> float:

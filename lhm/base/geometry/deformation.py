@@ -51,7 +51,7 @@ class DeformationTransfer:
     """The prefactorised system of a reference surface; `dtype` is float32 or float64.
 
     `anchors` (indices) are drawn to where the blended skin has them, with `weight` times the mean diagonal of GᵀDG.
-    `solve` maps b, shape (n, columns), C-contiguous and of this dtype, to K⁻¹ b.
+    `matrix` is K; `solve` maps b, shape (n, columns), C-contiguous and of this dtype, to K⁻¹ b.
     Raises MeshError for reference triangles without area and for a connected part without an anchor.
     """
 
@@ -60,7 +60,8 @@ class DeformationTransfer:
         self.triangles = np.ascontiguousarray(reference.triangles, dtype=np.int32)
         self.n_vertices = len(reference.vertices)
         self.stiffness = _edge_stiffness(reference).astype(self.dtype)
-        self.solve = factorise(self._matrix(np.asarray(anchors), weight).astype(self.dtype))
+        self.matrix = self._matrix(np.asarray(anchors), weight).astype(self.dtype)
+        self.solve = factorise(self.matrix)
 
     def _matrix(self, anchors, weight) -> csc_matrix:
         """Return K = GᵀDG + anchors."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from ...base.geometry.mirror import find_middle
 from ...base.mesh import Floats
 from ...head.columns import Columns
 
@@ -31,6 +32,8 @@ class ClimbPolicy:
 
 POLICY = ClimbPolicy()
 """The constants as they were measured."""
+ROUNDING = 1e-9
+"""A sine that grows by less has not grown: twins mirror each other but for rounding."""
 
 
 def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolicy = POLICY) -> Floats:
@@ -38,7 +41,7 @@ def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolic
 
     A column's skull and muscle vertex move together, its muscle vertex alone, and its skin vertex within the tangent
     plane; no column becomes shorter than `least` [mm]. A move is made only if the smallest sine around it grows, so
-    no tet that was positive is inverted.
+    no tet that was positive is inverted. Where columns have twins, which then have to mirror each other, both move.
     """
     n = columns.n
     length = np.linalg.norm(stack[2 * n :] - stack[:n], axis=1)
@@ -48,9 +51,13 @@ def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolic
     skin, muscle, skull = stack.reshape(3, -1, 3)
     thin = np.minimum(np.linalg.norm(muscle - skin, axis=1), np.linalg.norm(skull - muscle, axis=1))
     enough = np.clip(policy.flat * thin / columns.mean_edge(skin), policy.least_enough, policy.enough)
+    bounds = (enough, shortest, policy.longest * length)
+    every = np.arange(n)
+    twins = every if columns.twins is None else columns.twins
+    in_plane = np.zeros(n, dtype=bool) if columns.twins is None else twins == every
+    mirror = (twins, in_plane, find_middle(stack.reshape(3, n, 3), twins))
     arrays = (columns.tets, columns.incident, columns.starts)
-    longest = policy.longest * length
-    return _climb(stack.copy(), *arrays, enough, shortest, longest, normals, slide, policy.sweeps, policy.cycle)
+    return _climb(stack.copy(), *arrays, *mirror, *bounds, normals, slide, policy.sweeps, policy.cycle)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -116,18 +123,31 @@ def _direction(which, c):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _bad_columns(x, tets, n, enough):
+def _bad_columns(x, tets, n, twins, enough):
+    """Columns of tets that are not good enough; of twins the one with the smaller number."""
     bad = np.zeros(n, np.bool_)
     for t in range(len(tets)):
         sine = smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
         for k in range(4):
-            if sine < enough[tets[t, k] % n]:
-                bad[tets[t, k] % n] = True
+            v = tets[t, k] % n
+            if sine < enough[v]:
+                bad[min(v, twins[v])] = True
     return np.flatnonzero(bad)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide, sweeps, cycle):
+def _put(x, v, twin, middle, place, share, delta):
+    """Put vertex v at place + share delta, and its twin, if it is another, at the mirror image."""
+    for c in range(3):
+        x[v, c] = place[c] + share * delta[c]
+    if twin != v:
+        x[twin, 0], x[twin, 1], x[twin, 2] = 2.0 * middle - x[v, 0], x[v, 1], x[v, 2]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _climb(
+    x, tets, incident, starts, twins, in_plane, middle, enough, shortest, longest, normals, slide, sweeps, cycle
+):
     n = len(shortest)
     rest = x[:n].copy()
     step = np.empty((n, 3))
@@ -138,10 +158,10 @@ def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide,
     delta = np.empty(3)
     for sweep in range(sweeps):
         if sweep % cycle == 0:
-            active = _bad_columns(x, tets, n, enough)
+            active = _bad_columns(x, tets, n, twins, enough)
             moves = 0
         for v in active:
-            first, last = starts[v], starts[v + 1]
+            first, last, twin = starts[v], starts[v + 1], twins[v]
             worst, where = _worst_around(x, tets, incident, first, last)
             if worst >= enough[v]:
                 continue
@@ -154,36 +174,37 @@ def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide,
                 for which in range(14):
                     for c in range(3):
                         delta[c] = 0.5 ** (sweep % cycle) * step[v, kind] * _direction(which, c)
+                    if in_plane[v]:
+                        delta[0] = 0.0
                     for level in range(3):
-                        for c in range(3):
-                            x[level * n + v, c] = best[level, c]
+                        _put(x, level * n + v, level * n + twin, middle, best[level], 0.0, delta)
                     if kind == 0:
-                        for c in range(3):
-                            x[2 * n + v, c] = column[2, c] + delta[c]
-                            x[n + v, c] = column[1, c] + share * delta[c]
+                        _put(x, 2 * n + v, 2 * n + twin, middle, column[2], 1.0, delta)
+                        _put(x, n + v, n + twin, middle, column[1], share, delta)
                     elif kind == 1:
-                        for c in range(3):
-                            x[n + v, c] = column[1, c] + delta[c]
+                        _put(x, n + v, n + twin, middle, column[1], 1.0, delta)
                     else:
                         along = (delta * normals[v]).sum()
                         away = 0.0
                         for c in range(3):
-                            x[v, c] = column[0, c] + delta[c] - along * normals[v, c]
-                            away += (x[v, c] - rest[v, c]) ** 2
+                            delta[c] -= along * normals[v, c]
+                            away += (column[0, c] + delta[c] - rest[v, c]) ** 2
                         if away > slide[v] ** 2:
                             continue
+                        _put(x, v, twin, middle, column[0], 1.0, delta)
                     size = np.sqrt(((x[2 * n + v] - x[v]) ** 2).sum())
                     if size < shortest[v] or size > longest[v]:
                         continue
-                    better, sine = _all_above(x, tets, incident, first, last, where, worst)
+                    better, sine = _all_above(x, tets, incident, first, last, where, worst + ROUNDING)
                     if better:
                         worst = sine
                         for level in range(3):
                             for c in range(3):
                                 best[level, c] = x[level * n + v, c]
                 for level in range(3):
+                    _put(x, level * n + v, level * n + twin, middle, best[level], 0.0, delta)
                     for c in range(3):
-                        x[level * n + v, c] = column[level, c] = best[level, c]
+                        column[level, c] = best[level, c]
                 if worst > before:
                     moves += 1
                     worst, where = _worst_around(x, tets, incident, first, last)

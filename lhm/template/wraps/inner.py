@@ -73,9 +73,10 @@ def smooth_creases(columns: Columns, wrap: Floats, policy: LayersPolicy = POLICY
     """A wrap (n, 3) [mm] whose crossings with itself and sharpest creases are smoothed away.
 
     Vertices of crossing triangles, and those from which no direction enters all their triangles at an angle whose
-    sine is `policy.least_cosine`, move half a Laplacian step with their neighbours. Raises FitError for crossings that
-    are left after `policy.crease_rounds`.
+    sine is `policy.least_cosine`, move half a Laplacian step with their neighbours. Columns with twins are made
+    symmetric. Raises FitError for crossings that are left after `policy.crease_rounds`.
     """
+    wrap = columns.symmetrise(wrap)
     for _ in range(policy.crease_rounds):
         crossing = TriangleTree(wrap, columns.triangles).self_crossings()
         hit = (cone_normals(columns, wrap)[1] < policy.least_cosine).astype(float)
@@ -83,7 +84,7 @@ def smooth_creases(columns: Columns, wrap: Floats, policy: LayersPolicy = POLICY
         if not hit.any():
             return wrap
         moved = np.maximum(hit, columns.edges @ hit > 0)[:, None] * 0.5
-        wrap = wrap + moved * (columns.mean @ wrap - wrap)
+        wrap = columns.symmetrise(wrap + moved * (columns.mean @ wrap - wrap))
     crossing = TriangleTree(wrap, columns.triangles).self_crossings()
     if len(crossing):
         raise FitError(f"skin wrap: {len(crossing)} pairs of triangles cross, the first is {crossing[0].tolist()}")
@@ -134,9 +135,10 @@ def make_valid(columns: Columns, stack: Floats, policy: LayersPolicy = POLICY) -
 
     Worst tets are shaped by climbing. Columns of a defect that is left are shortened and, with their neighbours',
     turned towards the inward normal; where that goes on, or the skin wrap crosses itself, that is smoothed there too.
-    Raises FitError naming what is left after `policy.rounds`.
+    Columns with twins are made symmetric. Raises FitError naming what is left after `policy.rounds`.
     """
     n = columns.n
+    stack = columns.symmetrise(stack)
     skin = smooth_creases(columns, stack[:n], policy)
     stack = stack + np.tile(skin - stack[:n], (3, 1))
     search = Crossings.of(columns, stack)
@@ -149,7 +151,8 @@ def make_valid(columns: Columns, stack: Floats, policy: LayersPolicy = POLICY) -
         if not len(hit):
             return stack
         if number < policy.rounds - 1:
-            stack = _thinner(columns, stack, hit, policy, smooth=number >= 4 or len(skin_pairs) > 0)
+            thinner = _thinner(columns, stack, hit, policy, smooth=number >= 4 or len(skin_pairs) > 0)
+            stack = columns.symmetrise(thinner)
     inverted = int((sines(stack, columns.tets) <= 0).sum())
     crossing = sum(map(len, search.find(stack)))
     if inverted or crossing:

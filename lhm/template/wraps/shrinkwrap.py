@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.geometry.distance import SignedDistance
+from ...base.geometry.mirror import find_twins, symmetrise
 from ...base.geometry.surfaces import geodesic_sphere
 from ...base.geometry.topology import neighbours, subdivide
 from ...base.mesh import Floats, Surface
@@ -43,8 +44,9 @@ def shrink(
 
     `spacing` (skin vertices): wanted length of the wrap's edges there, relative; `pockets`: mask of those in
     and around pockets; `focus` (3,): the point [mm] towards which the sphere's vertices are
-    concentrated from the start.
+    concentrated from the start. The wrap of a skin that is its own mirror image is its own, too.
     """
+    is_symmetric = find_twins(skin.vertices) is not None
     low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
     centre, radii = 0.5 * (low + high), 0.5 * (high - low)
     sphere, triangles = geodesic_sphere(COARSE)
@@ -55,8 +57,9 @@ def shrink(
         if number:
             x, triangles = subdivide(x, triangles)
         ones = neighbours(triangles, len(x))
+        twins = find_twins(x) if is_symmetric else None
         for step in range(steps):
-            x = _step(x, triangles, ones, distance, spacing, pockets)
+            x = symmetrise(_step(x, triangles, ones, distance, spacing, pockets), twins)
             if step % 20 == 0:
                 progress("wrapping the skin", (sum(cost[:number]) + cost[number] * step / steps) / sum(cost))
     return Surface(x, triangles)

@@ -1,0 +1,113 @@
+"""A face as a rig for other programs: skin, eyes and teeth, moved by morph targets of ARKit's 52 names.
+
+The targets are blendshapes, or the simulator's derivatives: physics at the price of blendshapes, whose sums leave the
+simulator by what is not linear. That error is measured, and stands in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..lhm.base.files.glb import write_glb
+from ..lhm.base.files.morphs import MorphedSurface, MorphRig
+from ..lhm.base.files.usd import write_usd
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress
+from ..lhm.expressions import Take, sample_weights
+from ..lhm.identities.arkit import ARKIT
+from ..reference import Face
+from ..surrogate import BoundSurrogate, CertifiedFace
+from ..surrogate.certified import find_counted
+from ..surrogate.methods import BLENDSHAPES, DERIVATIVES, differentiate
+from .eyes_and_teeth import TURN, EyesAndTeeth, find_eyes_and_teeth
+from .pictures import to_linear_light
+
+RigFormat = Literal["glb", "usd"]
+WRITERS: Mapping[str, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
+EXPRESSIONS, ACCURACY = 8, 1e-3
+"""Mixed expressions that the error is measured on, and the accuracy [mm] of the simulator's answers there."""
+ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth")
+
+
+def blended_rig(face: Face) -> MorphRig:
+    """Make the rig of a face's blendshapes, without p."""
+    return named_rig(face.skin, face.shapes, {"method": BLENDSHAPES})
+
+
+def simulated_rig(face: Face, progress: OnProgress) -> MorphRig:
+    """Make the rig of the face that settles under p and of the simulator's derivatives; some seconds.
+
+    The notes tell its error; see `measure_error`. Raises what the simulator raises.
+    """
+    progress("derivatives", 0.0)
+    rest = face.skin.with_vertices(face.skin.vertices + face.offset)
+    targets = face.shapes + face.responses
+    progress("derivatives", 1.0)
+    return named_rig(rest, targets, {"method": DERIVATIVES, **measure_error(face, progress)})
+
+
+def measure_error(face: Face, progress: OnProgress) -> dict[str, float]:
+    """Measure how far the simulator's derivatives are from it, on EXPRESSIONS random expressions.
+
+    The mean is over those of the mean distance [mm] of the vertices that physics moves, the largest of any vertex.
+    """
+    certified = CertifiedFace(face, differentiate(face), DERIVATIVES)
+    rng, means, largest = np.random.default_rng(0), [], 0.0
+    for number in range(EXPRESSIONS):
+        progress("error", number / EXPRESSIONS)
+        weights = sample_weights(rng)
+        skin = certified.frame(weights, ACCURACY).skin.astype(np.float64)
+        distance = np.linalg.norm(certified.rig.frame(weights) - skin, axis=1)
+        means.append(distance[find_counted(skin, face.blend(weights) + face.carried)].mean())
+        largest = max(largest, float(distance.max()))
+    progress("error", 1.0)
+    return {"expressions": EXPRESSIONS, "mean_error_mm": float(np.mean(means)), "largest_error_mm": largest}
+
+
+def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:
+    """Make a rig of a skin at rest and 52 targets (52, n, 3) [mm], with eyes and teeth where the skin's are known."""
+    surfaces = [MorphedSurface.from_targets("skin", rest, targets)]
+    organs = find_eyes_and_teeth(rest)
+    if organs is None:
+        return MorphRig(surfaces, ARKIT, notes)
+    surfaces += _morph_organs(organs, rest, targets)
+    return MorphRig(surfaces, ARKIT, {**notes, "eye_turns_degrees": tell_turns()})
+
+
+def _morph_organs(organs: EyesAndTeeth, rest: Surface, targets: Floats | Floats32) -> Iterator[MorphedSurface]:
+    """Give eyes, which stand still at their centres, and rows of teeth, whose place is linear in the skin's."""
+    at_rest, colours = organs.place(rest.vertices), to_linear_light(organs.colours)
+    moved = np.stack([organs.place(rest.vertices + target) for target in targets]) - at_rest
+    ends = np.cumsum([len(organ.points) for organ in organs.organs]).tolist()
+    for name, begin, end in zip(ORGANS, [0, *ends], ends, strict=False):
+        points, colour, offsets = at_rest[begin:end], colours[begin:end], moved[:, begin:end]
+        triangles = organs.triangles[((organs.triangles >= begin) & (organs.triangles < end)).all(axis=1)] - begin
+        if name.endswith("eye"):
+            centre = 0.5 * (points[0] + points[-1])  # of a ball, whose first and last points are its poles
+            look = {"colour": colour, "place": centre}
+            yield MorphedSurface.from_targets(name, Surface(points - centre, triangles), offsets[:0], **look)
+        else:
+            yield MorphedSurface.from_targets(name, Surface(points, triangles), offsets, colour=colour)
+
+
+def tell_turns() -> dict[str, dict[str, float]]:
+    """Tell by how many degrees a weight of 1 turns its eye's node about x or y, about x first."""
+    turns: dict[str, dict[str, float]] = {}
+    for side, out in (("Left", 1.0), ("Right", -1.0)):
+        turns |= {f"eyeLook{way}{side}": {"x": TURN[way]} for way in ("Up", "Down")}
+        turns |= {f"eyeLookOut{side}": {"y": out * TURN["Out"]}, f"eyeLookIn{side}": {"y": -out * TURN["In"]}}
+    return turns
+
+
+def named_take(method: str, rig: BoundSurrogate, take: Take) -> MorphRig | None:
+    """Make the rig of a skin that plays a take by its own 52 targets; None where its frames are no sums of these."""
+    targets = rig.linear_targets
+    if targets is None:
+        return None
+    rest = rig.skin.with_vertices(rig.neutral.astype(np.float64))
+    skin = MorphedSurface.from_targets("skin", rest, targets)
+    return MorphRig([skin], ARKIT, {"method": method}, take.times, np.clip(take.weights, 0.0, 1.0))

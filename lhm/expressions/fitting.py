@@ -1,0 +1,222 @@
+"""Weights from moving meshes: what a sequence of meshes has of a head's 52 shapes, and how its head moves.
+
+A frame is R (N + Σ w_i B_i) + t, with the neutral skin N and the shapes B. The weights, in [0, 1], minimise the squared
+distance over the area. The part of it that a small rigid motion takes away is left out of the shapes and of the frame,
+so that a nod is no expression; the rotation itself is then found anew, until neither changes.
+
+Meshes of other triangles are registered once, by their first frame, which has to be neutral: each vertex belongs to the
+closest point of the head's skin, and keeps its distance from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.spatial.transform import Rotation
+
+from ..base.checks import check_arguments, finite
+from ..base.errors import InputError
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.likeness import check_moved
+from ..base.geometry.warp import rigid_motion
+from ..base.mesh import Floats, Surface
+from ..identities.arkit import ARKIT
+from .takes import Take, angles_from_rotations, check_rate
+
+
+@dataclass(frozen=True)
+class FittingPolicy:
+    """When pose and weights have settled, what is not fitted, and how far a registered mesh may lie."""
+
+    hold: float = 1e-7  # draws weights to the frame before, in shares of a shape's square motion
+    least_motion: float = 0.05  # [mm] of a shape's farthest vertex, below which its weight is not fitted
+    settled: float = 1e-6  # change of a weight
+    rounds: int = 30  # of pose and weights, at most
+    steps: int = 50  # of a registration, at most
+    still: float = 1e-4  # [mm]: a step by which it has ended
+    reach: float = 10.0  # [mm] from the head's skin: vertices farther off, as of hair, are left out
+    least_near: float = 0.3  # of the vertices, that are within reach
+    off: float = 3.0  # [mm] median distance of these at most
+    sizes: tuple[float, float] = (0.25, 4.0)  # a mesh's extent over the head's
+
+
+POLICY = FittingPolicy()
+
+
+@check_arguments
+@dataclass(frozen=True, eq=False)
+class TrackedFace:
+    """A face whose vertices are known over time: `rest` [mm] in the head's frame, and its `shapes` (52, n, 3) [mm].
+
+    `kept` (n,): which of a frame's `count` vertices these are. InputError for shapes of another size, or not finite.
+    """
+
+    rest: Surface
+    shapes: Floats
+    kept: np.ndarray
+    count: int
+
+    def __post_init__(self):
+        size = (len(ARKIT), len(self.rest.vertices), 3)
+        object.__setattr__(self, "shapes", np.asarray(finite("shapes", self.shapes, size), dtype=np.float64))
+
+    @classmethod
+    @check_arguments
+    def from_skin(cls, neutral: Surface, shapes: Floats) -> TrackedFace:
+        """Track all vertices of a skin."""
+        count = len(neutral.vertices)
+        return cls(neutral, shapes, np.arange(count), count)
+
+    @classmethod
+    @check_arguments
+    def from_mesh(cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
+        """Register a mesh of other triangles by its first frame [mm], which is neutral.
+
+        It may be moved, and turned a little. Raises InputError where it then does not lie on the skin.
+        """
+        shapes = cls.from_skin(neutral, shapes).shapes
+        extents = [float(np.ptp(each.vertices, axis=0).max()) for each in (first, neutral)]
+        if not policy.sizes[0] <= extents[0] / extents[1] <= policy.sizes[1]:
+            raise InputError(
+                f"the first frame is {extents[0]:.3g} mm across, the head {extents[1]:.3g} mm; are its units off?"
+            )
+        tree = TriangleTree(neutral.vertices, neutral.triangles)
+        middle = neutral.vertices.mean(axis=0) - first.vertices.mean(axis=0)
+        ends = [_settle_on(tree, neutral.face_normals, first.vertices + shift, policy) for shift in (0.0, middle)]
+        placed = min(ends, key=lambda points: float(np.median(tree.closest(points)[2])))
+        triangle, weights, distance = tree.closest(placed)
+        near = distance <= policy.reach
+        if near.mean() < policy.least_near or np.median(distance[near]) > policy.off:
+            raise InputError(
+                f"the first frame lies {np.median(distance):.3g} mm from the head's skin (median); "
+                "expected a neutral face of this head, upright and facing as it does"
+            )
+        corners = neutral.triangles[triangle[near]]
+        sampled = np.stack([np.einsum("nk,nkd->nd", weights[near], shape[corners]) for shape in shapes])
+        number = np.cumsum(near) - 1
+        triangles = number[first.triangles[near[first.triangles].all(axis=1)]]
+        return cls(Surface(placed[near], triangles), sampled, np.flatnonzero(near), len(placed))
+
+
+def _settle_on(tree: TriangleTree, normals: Floats, points: Floats, policy: FittingPolicy) -> Floats:
+    """Move points (n, 3) [mm] rigidly onto a surface with face normals (m, 3), the farther half of them left out.
+
+    Distances are those to the planes of the closest triangles, along which points may slide (Chen and Medioni 1992).
+    """
+    placed = points
+    for _ in range(policy.steps):
+        triangle, weights, distance = tree.closest(placed)
+        near = distance <= max(float(np.median(distance)), 1e-9)
+        goal = np.einsum("nk,nkd->nd", weights[near], tree.corners[triangle[near]])
+        middle, normal = placed.mean(axis=0), normals[triangle[near]]
+        arms = placed[near] - middle
+        equations = np.column_stack([np.cross(arms, normal), normal])
+        gaps = np.einsum("nd,nd->n", goal - placed[near], normal)
+        turn, shift = np.linalg.lstsq(equations, gaps, rcond=None)[0].reshape(2, 3)
+        ahead = Rotation.from_rotvec(turn).apply(placed - middle) + middle + shift
+        moved, placed = float(np.abs(ahead - placed).max()), ahead
+        if moved <= policy.still:
+            break
+    return placed
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTake:
+    """A take, and what it leaves: `residuals` (frames,) [mm], root mean square distance over the area."""
+
+    take: Take
+    residuals: Floats
+
+
+@check_arguments
+def fit_take(
+    face: TrackedFace,
+    frames: Iterable[Floats],
+    *,
+    rate: float = 30.0,
+    on_frame: Callable[[int], None] = lambda number: None,
+    policy: FittingPolicy = POLICY,
+) -> FittedTake:
+    """Fit the weights of frames, each of vertices [mm], `rate` [Hz] apart, and the head's rotation.
+
+    A frame begins where the last one ended. Shapes that move no vertex have weight 0 and are `missing` in the take.
+    `on_frame` hears of each. Raises InputError, naming the frame, for another count of vertices than the face's, values
+    that are not finite, and what no expression makes of the face; for a rate out of range, without frames, and where
+    no shape moves the face.
+    """
+    check_rate(rate)
+    solver = _Solver.from_face(face, policy)
+    weights = np.zeros(len(ARKIT))
+    fitted, residuals, turns = [], [], []
+    for number, vertices in enumerate(frames):
+        vertices = finite(f"frame {number}", vertices, (face.count, 3))
+        weights, rotation, residual = solver.fit(vertices[face.kept], weights, f"frame {number}")
+        fitted.append(weights)
+        residuals.append(residual)
+        turns.append(rotation)
+        on_frame(number)
+    if not fitted:
+        raise InputError("no frames")
+    missing = tuple(name for k, name in enumerate(ARKIT) if k not in solver.used)
+    times, head = np.arange(len(fitted)) / rate, angles_from_rotations(np.stack(turns))
+    return FittedTake(Take(np.stack(fitted), rate, times, missing, head), np.array(residuals))
+
+
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """The least squares of a face's frames, the same matrix for all.
+
+    `root` (n, 1): square roots of the vertices' shares of the area; `rigid` (3 n, 6) and `apart` (3 n, k) are small
+    rigid motions, orthonormal, and the `used` shapes less these, so weighted; `factor` (k, k) is Cholesky's.
+    """
+
+    face: TrackedFace
+    used: np.ndarray
+    root: Floats
+    rigid: Floats
+    apart: Floats
+    hold: Floats
+    factor: Floats
+    policy: FittingPolicy
+
+    @classmethod
+    def from_face(cls, face: TrackedFace, policy: FittingPolicy) -> _Solver:
+        used = np.flatnonzero(np.linalg.norm(face.shapes, axis=2).max(axis=1) >= policy.least_motion)
+        if not used.size:
+            raise InputError("no expression moves the face")
+        areas = face.rest.vertex_areas
+        if not areas.sum() > 0.0:
+            raise InputError("the face has no area: are there no triangles?")
+        root = np.sqrt(areas / areas.sum())[:, None]
+        x = face.rest.vertices - face.rest.vertices.mean(axis=0)
+        motions = [np.broadcast_to(axis, x.shape) for axis in np.eye(3)] + [np.cross(axis, x) for axis in np.eye(3)]
+        rigid = np.linalg.qr(np.stack([(root * motion).ravel() for motion in motions], axis=1))[0]
+        basis = (root * face.shapes[used]).reshape(len(used), -1).T
+        apart = basis - rigid @ (rigid.T @ basis)
+        hold = policy.hold * np.sum(basis**2, axis=0)
+        factor = np.linalg.cholesky(apart.T @ apart + np.diag(hold))
+        return cls(face, used, root, rigid, apart, hold, factor, policy)
+
+    def fit(self, vertices: Floats, before: Floats, name: str) -> tuple[Floats, Floats, float]:
+        """Return a frame's weights (52,), its rotation (3, 3) and residual [mm], from the weights before."""
+        rest, weights = self.face.rest.vertices, before
+        for turn in range(self.policy.rounds):
+            posed = rest + np.tensordot(weights[self.used], self.face.shapes[self.used], axes=1)
+            rotation, translation = rigid_motion(posed, vertices)
+            still = (vertices - translation) @ rotation
+            if turn == 0:
+                check_moved(name, self.face.rest, still, reference="the face at rest")
+            motion = (self.root * (still - rest)).ravel()
+            motion = motion - self.rigid @ (self.rigid.T @ motion)
+            right = self.apart.T @ motion + self.hold * before[self.used]
+            reduced = solve_triangular(self.factor, right, lower=True)
+            found = np.zeros(len(ARKIT))
+            found[self.used] = np.clip(lsq_linear(self.factor.T, reduced, bounds=(0.0, 1.0), method="bvls").x, 0.0, 1.0)
+            change, weights = float(np.abs(found - weights).max()), found
+            if change <= self.policy.settled:
+                break
+        return weights, rotation, float(np.linalg.norm(motion - self.apart @ weights[self.used]))

@@ -1,0 +1,196 @@
+"""Weights from moving meshes: in the head's own triangles and in others, its rotation removed, and back from a file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softdeca.lhm import Surface, expressions, identities
+from softdeca.lhm.base.files.mesh_sequence import read_mesh_sequence
+from softdeca.lhm.base.geometry.warp import rigid_motion
+from softdeca.lhm.expressions import TrackedFace, fit_take, index, read_take, write_take
+
+from ..refusals import refused
+
+
+@pytest.fixture(scope="module")
+def shapes(mean_head):
+    return mean_head.rig.deltas.astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def take():
+    """Twelve frames of a conversation without a tongue, whose head turns by up to half a radian."""
+    made = expressions.conversation_take(np.random.default_rng(0), 360, rate=30.0).part(slice(0, None, 30))
+    turns = np.linspace(0.0, 1.0, len(made.times))[:, None] * [0.5, -0.3, 0.2]
+    weights = np.where(np.arange(52) == index("tongueOut"), 0.0, made.weights)  # moves no skin
+    return replace(made, weights=weights, rate=30.0, times=np.arange(len(turns)) / 30.0, head=turns)
+
+
+def moving(skin, shapes, take):
+    """The skin of a take, turned, shape (frames, n, 3) [mm]; it wanders by centimetres besides."""
+    turns = expressions.rotations(take.head)
+    posed = skin.vertices + np.tensordot(take.weights, shapes, axes=1)
+    return posed @ turns.transpose(0, 2, 1) + 20.0 * np.sin(take.times)[:, None, None]
+
+
+def in_other_triangles(surface, frames, seed=0):
+    """The same surface with a vertex more in each triangle, all in another order, and its frames."""
+    triangles, n = surface.triangles, len(surface.vertices)
+    middle = n + np.arange(len(triangles))
+    split = np.vstack([np.column_stack([triangles[:, k], triangles[:, k - 2], middle]) for k in range(3)])
+    order = np.random.default_rng(seed).permutation(n + len(triangles))
+    whole = np.concatenate([frames, frames[:, triangles].mean(axis=2)], axis=1)
+    return np.argsort(order)[split], whole[:, order]
+
+
+def test_a_take_comes_back_from_the_heads_own_triangles(mean_head, shapes, take):
+    fitted = fit_take(TrackedFace.from_skin(mean_head.skin, shapes), moving(mean_head.skin, shapes, take), rate=30.0)
+    assert np.abs(fitted.take.weights - take.weights).max() < 1e-4
+    assert np.abs(fitted.take.head - take.head).max() < 1e-5
+    np.testing.assert_allclose(fitted.take.times, take.times)
+    assert fitted.residuals.shape == take.times.shape and fitted.residuals.max() < 1e-4
+    assert fitted.take.missing == ("tongueOut",)
+
+
+def test_a_take_comes_back_from_other_triangles(mean_head, shapes, take):
+    frames = moving(mean_head.skin, shapes, take)
+    elsewhere = Rotation.from_euler("yx", [0.1, 0.05]).as_matrix()
+    first = mean_head.skin.vertices @ elsewhere.T + [15.0, -10.0, 30.0]
+    triangles, frames = in_other_triangles(mean_head.skin, np.concatenate([first[None], frames]))
+    face = TrackedFace.from_mesh(mean_head.skin, shapes, Surface(frames[0], triangles))
+    fitted = fit_take(face, frames)
+    assert fitted.take.weights[0].max() < 1e-3
+    assert np.abs(fitted.take.weights[1:] - take.weights).max() < 1e-3 and fitted.residuals.max() < 1e-3
+
+
+def test_hair_is_left_out_of_a_registration(mean_head, shapes, take):
+    triangles, frames = in_other_triangles(mean_head.skin, moving(mean_head.skin, shapes, take))
+    triangles, rest = in_other_triangles(mean_head.skin, mean_head.skin.vertices[None])
+    hair = Surface(0.2 * mean_head.skin.vertices + [0.0, 250.0, 0.0], mean_head.skin.triangles)
+    first = np.vstack([rest[0], hair.vertices])
+    mesh = Surface(first, np.vstack([triangles, hair.triangles + len(rest[0])]))
+    face = TrackedFace.from_mesh(mean_head.skin, shapes, mesh)
+    assert len(face.kept) == len(rest[0]) and face.count == len(first)
+    wild = np.concatenate([frames, np.tile(17.0 * hair.vertices, (len(frames), 1, 1))], axis=1)
+    fitted = fit_take(face, wild)
+    assert np.abs(fitted.take.weights - take.weights).max() < 1e-3
+
+
+def test_noise_moves_weights_little_and_is_told(mean_head, shapes, take):
+    rng = np.random.default_rng(1)
+    frames = moving(mean_head.skin, shapes, take)
+    fitted = fit_take(TrackedFace.from_skin(mean_head.skin, shapes), frames + rng.normal(0.0, 0.2, frames.shape))
+    visible = np.linalg.norm(shapes, axis=2).max(axis=1) > 3.0
+    assert np.abs(fitted.take.weights - take.weights)[:, visible].mean() < 0.02
+    # Of 0.2 mm on each axis.
+    assert fitted.residuals == pytest.approx(0.2 * np.sqrt(3.0), rel=0.1)
+
+
+def test_a_residual_is_what_no_weight_reaches(mean_head, shapes):
+    far = mean_head.skin.vertices + 1.5 * shapes[index("jawOpen")]
+    fitted = fit_take(TrackedFace.from_skin(mean_head.skin, shapes), [far])
+    assert fitted.take.weights[0, index("jawOpen")] == 1.0 and fitted.residuals[0] > 0.5
+    areas = mean_head.skin.vertex_areas / mean_head.skin.vertex_areas.sum()
+    posed = mean_head.skin.vertices + np.tensordot(fitted.take.weights[0], shapes, axes=1)
+    rotation, translation = rigid_motion(posed, far)
+    away = far - posed @ rotation.T - translation
+    assert fitted.residuals[0] == pytest.approx(np.sqrt(areas @ np.sum(away**2, axis=1)), rel=0.1)
+
+
+@pytest.mark.parametrize("space", ["ict", "flame"])
+def test_people_of_other_spaces_are_fitted_too(data, space, take):
+    file = {"ict": "ict_facekit.npz", "flame": "flame.npz"}[space]
+    if not (data / file).is_file():
+        pytest.skip(f"no real data {file}: $SOFTDECA_DATA, or docs/architecture.md")
+    people = identities.from_text(f"{space}:{data / file}")
+    code = 0.5 * np.random.default_rng(3).normal(size=people.code_size)
+    skin, shapes = people.skin(code), people.expression_deltas(code)
+    visible = np.linalg.norm(shapes, axis=2).max(axis=1) > 1.0
+    fitted = fit_take(TrackedFace.from_skin(skin, shapes), moving(skin, shapes, take)[:4])
+    assert np.abs(fitted.take.weights - take.weights[:4])[:, visible].mean() < 0.02
+    assert fitted.residuals.max() < 0.01
+
+
+def test_what_is_no_face_in_motion_is_refused(mean_head, shapes):
+    skin = mean_head.skin
+    face, rest = TrackedFace.from_skin(skin, shapes), skin.vertices
+    refused("frame 1: expected shape .4463, 3., got .3, 3.", fit_take, face, [rest, rest[:3]])
+    holed = rest.copy()
+    holed[7, 1] = np.nan
+    refused("frame 1: 1 values are not finite, the first at .7, 1.", fit_take, face, [rest, holed])
+    refused("frame 0: 0.001 times as large", fit_take, face, [0.001 * rest])
+    refused("frame 0: its likeness to the face at rest", fit_take, face, [rest[::-1]])
+    refused("rate: 0 Hz", fit_take, face, [rest], rate=0.0)
+    refused("no frames", fit_take, face, [])
+    refused("shapes: expected shape .52, 4463, 3.", TrackedFace.from_skin, skin, shapes[:, 1:])
+    refused("no expression moves the face", fit_take, TrackedFace.from_skin(skin, 0.0 * shapes), [rest])
+    points = TrackedFace.from_mesh(skin, shapes, Surface(rest, np.zeros((0, 3), dtype=int)))
+    refused("the face has no area", fit_take, points, [rest])
+    refused("are its units off?", TrackedFace.from_mesh, skin, shapes, Surface(0.1 * rest, skin.triangles))
+    turned = Surface(rest @ Rotation.from_euler("y", 1.5).as_matrix().T, skin.triangles)
+    refused("expected a neutral face of this head", TrackedFace.from_mesh, skin, shapes, turned)
+
+
+def test_a_take_is_written_as_it_is_read(take, tmp_path):
+    lacking = replace(take, missing=("tongueOut",))
+    write_take(tmp_path / "take.csv", lacking, {"residual mm": take.times})
+    back = read_take(tmp_path / "take.csv")
+    assert np.abs(back.weights - lacking.weights).max() < 1e-8 and np.abs(back.head - take.head).max() < 1e-7
+    np.testing.assert_allclose(back.times, take.times, atol=1e-8)
+    assert back.missing == ("tongueOut",) and back.rate == pytest.approx(30.0, rel=1e-6)
+    refused("take.txt: expected a file that ends in .csv", write_take, tmp_path / "take.txt", take)
+
+
+def write_obj(file, vertices, triangles):
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    file.write_text("\n".join(lines) + "\n")
+
+
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+HALVES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_a_folder_of_meshes_is_read_by_the_numbers_in_names(tmp_path):
+    for number in (2, 10, 1):
+        write_obj(tmp_path / f"frame_{number}.obj", SQUARE + number, HALVES)
+    (tmp_path / "notes.txt").write_text("not a mesh")
+    sequence = read_mesh_sequence(tmp_path, unit="cm")
+    assert sequence.names == ("frame_1.obj", "frame_2.obj", "frame_10.obj") and len(sequence) == 3
+    assert [frame[0, 0] for frame in sequence] == [10.0, 20.0, 100.0]
+    np.testing.assert_array_equal(sequence.triangles, HALVES)
+
+
+def test_vertices_over_time_are_read(tmp_path):
+    frames = SQUARE + np.arange(3)[:, None, None]
+    np.savez(tmp_path / "take.npz", vertices=frames, triangles=HALVES)
+    sequence = read_mesh_sequence(tmp_path / "take.npz")
+    np.testing.assert_array_equal(list(sequence), frames)
+    np.testing.assert_array_equal(sequence.triangles, HALVES)
+    np.savez(tmp_path / "bare.npz", vertices=frames)
+    assert read_mesh_sequence(tmp_path / "bare.npz").triangles is None
+
+
+def test_a_bad_sequence_names_the_file(tmp_path):
+    refused("no meshes in this folder", read_mesh_sequence, tmp_path)
+    refused("nowhere: expected a folder of meshes, or an .npz", read_mesh_sequence, tmp_path / "nowhere")
+    refused("nowhere.npz: no such file", read_mesh_sequence, tmp_path / "nowhere.npz")
+    write_obj(tmp_path / "a.obj", SQUARE, HALVES)
+    write_obj(tmp_path / "b.obj", SQUARE[:3], HALVES[:1])
+    write_obj(tmp_path / "c.obj", SQUARE, HALVES[::-1])
+    (tmp_path / "d.obj").write_text("v 0 0 nan\n")
+    sequence = read_mesh_sequence(tmp_path)
+    refused("b.obj: 3 vertices, a.obj has 4", sequence.read, 1)
+    refused("c.obj: other triangles than a.obj", sequence.read, 2)
+    refused("d.obj: ", sequence.read, 3)
+    for name, arrays, words in (
+        ("other", {"points": SQUARE}, "array 'vertices' is missing"),
+        ("flat", {"vertices": SQUARE}, "vertices"),
+        ("none", {"vertices": np.zeros((0, 4, 3))}, "vertices: none"),
+        ("holed", {"vertices": np.full((1, 4, 3), np.nan)}, "vertices"),
+        ("beyond", {"vertices": SQUARE[None], "triangles": [[0, 1, 4]]}, "triangles"),
+    ):
+        np.savez(tmp_path / f"{name}.npz", **arrays)
+        assert words in refused(f"{name}.npz: ", read_mesh_sequence, tmp_path / f"{name}.npz")
