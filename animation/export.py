@@ -82,7 +82,7 @@ def _morph_organs(organs: EyesAndTeeth, rest: Surface, targets: Floats | Floats3
     """Give eyes, which stand still at their centres, and rows of teeth, whose place is linear in the skin's."""
     at_rest, colours = organs.place(rest.vertices), to_linear_light(organs.colours)
     moved = np.stack([organs.place(rest.vertices + target) for target in targets]) - at_rest
-    ends = np.cumsum([len(body.points) for body in organs.bodies]).tolist()
+    ends = np.cumsum([len(organ.points) for organ in organs.organs]).tolist()
     for name, begin, end in zip(ORGANS, [0, *ends], ends, strict=False):
         points, colour, offsets = at_rest[begin:end], colours[begin:end], moved[:, begin:end]
         triangles = organs.triangles[((organs.triangles >= begin) & (organs.triangles < end)).all(axis=1)] - begin

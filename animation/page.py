@@ -25,7 +25,7 @@ from ..reference import Face
 from ..surrogate import BoundRig
 from ..surrogate.methods import BLENDSHAPES, DERIVATIVES
 from ..surrogate.rigs.rig import Remainder
-from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
+from .eyes_and_teeth import TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 
 TOP = 2.0
@@ -167,18 +167,17 @@ def _pack_inside(packed: Packed, skin: Surface) -> dict[str, Any] | None:
         return None
     bodies = [
         {
-            "points": packed.add(f"within {k}", body.points.astype(np.float32)),
-            "carriers": packed.add(f"within {k} carriers", body.carriers.astype(np.uint32)),
-            "fit": packed.add(f"within {k} fit", body.fit.astype(np.float32)),
-            "side": body.side,
-            "centre": np.broadcast_to(body.centre, 3).tolist(),
+            "points": packed.add(f"within {k}", organ.points.astype(np.float32)),
+            "carriers": packed.add(f"within {k} carriers", organ.carriers.astype(np.uint32)),
+            "fit": packed.add(f"within {k} fit", organ.fit.astype(np.float32)),
+            "side": organ.side,
+            "centre": np.broadcast_to(organ.centre, 3).tolist(),
         }
-        for k, body in enumerate(organs.bodies)
+        for k, organ in enumerate(organs.organs)
     ]
     return {
         "bodies": bodies,
         "turn": TURN,
-        "back": BACK,
         "triangles": packed.add("within triangles", organs.triangles.astype(np.uint32)),
         "colours": packed.add("within colours", to_linear_light(organs.colours).astype(np.float32)),
     }

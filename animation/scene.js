@@ -39,7 +39,6 @@ function turnAndScale(motion) {
 class Within {
   constructor(content, arrays, expressions) {
     this.turn = content.turn;
-    this.back = content.back;
     this.expressions = expressions;
     this.bodies = content.bodies.map((body) => ({
       ...body, points: arrays[body.points], carriers: arrays[body.carriers], fit: arrays[body.fit],
@@ -68,7 +67,6 @@ class Within {
       const place = [0, 1, 2].map((c) => motion[3][c] + centre.reduce((sum, value, k) => sum + value * motion[k][c], 0));
       for (let i = 0; i < points.length; i += 3) {
         const own = turned.map((row) => row[0] * points[i] + row[1] * points[i + 1] + row[2] * points[i + 2]);
-        if (side) own[2] -= this.back;
         for (let c = 0; c < 3; c++) out[at++] = scale * (own[0] * rows[0][c] + own[1] * rows[1][c] + own[2] * rows[2][c]) + place[c];
       }
     }

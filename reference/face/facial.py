@@ -22,6 +22,7 @@ from ..added import added_laws
 from ..materials import Material, NeoHookean
 from ..scene import Scene
 from .bones import Bones, carry_wraps, jaw_motion, prescribed_bones, rigid_bones, scale_bone, soft_bones
+from .organs import RigidOrgan, make_obstacles
 from .palsy import Springs
 from .parameters import TETS_PER_PRISM, TISSUE_DENSITY, Parameters, spread_to_tets, spread_to_triangles
 from .tissue import Attachment, Guard, Stack, connecting_tets, guard
@@ -62,6 +63,7 @@ def facial_scene(
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
     contact: Sequence[str | np.ndarray] = (),
+    organs: Sequence[RigidOrgan] = (),
     attached: Sequence[Attachment] = (),
 ) -> Scene:
     """Build the energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
@@ -73,7 +75,8 @@ def facial_scene(
     tets divide soft tissue and muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to
     skull, no muscle wrap) and "skin" (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices,
     or at a named one, and holds the others where the expression carries them; a head's own volume mesh is taken
-    whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart.
+    whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart, and off
+    `organs`; those of a mandible that is soft, or attached, are left out.
     `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are.
     Raises SceneError for targets of another shape or that no expression makes of the skin, by unit, place or order of
     vertices, and for unknown or contradicting choices.
@@ -109,7 +112,9 @@ def facial_scene(
     if np.any(parameters.added_gravity):
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
-        parts.append(terms.Contact(_contact_triangles(head, contact), thickness=GAP))
+        moving = bones != "soft" and MANDIBLE not in elsewhere
+        obstacles = make_obstacles(head, parameters, organs, first, moving)
+        parts.append(terms.Contact(_contact_triangles(head, contact), thickness=GAP, obstacles=obstacles))
     tets = np.vstack(tissue.tets)
     return Scene(vertices, tets, (*parts, *bodies), columns=stack.find_columns(tets))
 

@@ -33,7 +33,7 @@ class NewtonStepPolicy:
 
 @dataclass(frozen=True)
 class ContactPolicy:
-    """Contact of a surface with itself; see `contact.descent` and `contact.surfaces`."""
+    """Contact of a surface with itself and with obstacles; see `contact.descent` and `contact.surfaces`."""
 
     offset: float = 0.005  # [mm] beyond the gap: stiff contact acts below it, and so holds the gap itself
     reach: float = 0.2  # [mm] within which pairs are rows: a step's gaps that may close are among them

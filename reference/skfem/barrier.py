@@ -46,6 +46,8 @@ class Barrier:
     def __init__(self, term: terms.Contact, scene: Scene, discretisation: Discretisation):
         if discretisation.element != "P1":
             raise SceneError("Contact: solver 'skfem' models it on linear tets only, by element 'P1'")
+        if term.obstacles:
+            raise SceneError("Contact: solver 'skfem' models no obstacles; take `freeze_contact`'s scene")
         self._ipctk = load_ipctk()
         ids, places = np.unique(term.triangles, return_inverse=True)
         triangles = np.asfortranarray(places.reshape(-1, 3), dtype=np.int32)

@@ -25,7 +25,7 @@ class Gaps:
         self._distances = [
             tuple(getattr(ipctk, f"{name}_distance{what}") for what in ("", "_gradient", "_hessian")) for name in names
         ]
-        self._dofs = discretisation.dofs[term.pairs].reshape(-1, 12)
+        self._term, self._dofs = term, discretisation.dofs[term.pairs].reshape(len(term.pairs), -1)
         self._size = discretisation.size
         self._stiffness, self._offset = (
             np.broadcast_to(amount, len(term.pairs)) for amount in (term.stiffness, term.offset)
@@ -38,25 +38,25 @@ class Gaps:
 
     def value(self, x: Floats) -> float:
         """See Part."""
-        depth = np.maximum(self._offset - np.array([np.sqrt(of[0](*self._corners(x, r))) for r, of in self._all()]), 0)
-        return 0.5 * float(self._stiffness @ depth**2)
+        distance = np.array([np.sqrt(find(*corners)) for corners, (find, *_) in self._all(x)])
+        return 0.5 * float(self._stiffness @ np.maximum(self._offset - distance, 0.0) ** 2)
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
-        gradient = np.zeros(self._size)
-        for r, (find, find_gradient, _) in self._all():
-            corners = self._corners(x, r)
+        gradient, forces = np.zeros(self._size), np.zeros((len(self._dofs), 12))
+        for r, (corners, (find, find_gradient, _)) in enumerate(self._all(x)):
             distance = np.sqrt(find(*corners))
             if distance < self._offset[r]:
                 slope = find_gradient(*corners) / (2.0 * distance)
-                gradient[self._dofs[r]] -= self._stiffness[r] * (self._offset[r] - distance) * slope
+                forces[r] = self._stiffness[r] * (self._offset[r] - distance) * slope
+        spread = self._term.spread_forces(forces.reshape(-1, 4, 3))
+        np.subtract.at(gradient, self._dofs, spread.reshape(self._dofs.shape))
         return gradient
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; each pair's own is projected where tangents are."""
-        rows, columns, values = [], [], []
-        for r, (find, find_gradient, find_hessian) in self._all():
-            corners = self._corners(x, r)
+        hessians = np.zeros((len(self._dofs), 12, 12))
+        for r, (corners, (find, find_gradient, find_hessian)) in enumerate(self._all(x)):
             distance = np.sqrt(find(*corners))
             depth = self._offset[r] - distance
             if depth <= 0.0:
@@ -68,16 +68,13 @@ class Gaps:
             if treat is project_spd:
                 sizes, vectors = np.linalg.eigh(local)
                 local = (vectors * np.maximum(sizes, 0.0)) @ vectors.T
-            rows.append(np.repeat(self._dofs[r], 12))
-            columns.append(np.tile(self._dofs[r], 12))
-            values.append(local.ravel())
-        if not values:
-            return csr_matrix((self._size, self._size))
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        return coo_matrix(entries, shape=(self._size, self._size)).tocsr()
+            hessians[r] = local
+        count = self._dofs.shape[1]
+        places = np.repeat(self._dofs, count, axis=1).ravel(), np.tile(self._dofs, (1, count)).ravel()
+        values = self._term.spread_hessians(hessians).ravel()
+        return coo_matrix((values, places), shape=(self._size, self._size)).tocsr()
 
-    def _all(self):
-        return enumerate(self._distances)
-
-    def _corners(self, x: Floats, r: int) -> Floats:
-        return x[self._dofs[r]].reshape(4, 3)
+    def _all(self, x: Floats):
+        """Yield each pair's corners, and the functions of its distance, squared."""
+        positions = x[self._dofs].reshape(len(self._dofs), -1, 3)
+        return zip(self._term.find_corners(positions), self._distances, strict=True)

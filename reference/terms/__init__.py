@@ -4,9 +4,10 @@ Energies are integrals over the rest configuration. Units: mm, kPa (= mN/mm²), 
 A term without `tets` acts on all tets. Stiffnesses and the like are one number, or one per element acted on.
 """
 
+from .contact import Contact, Gaps, Obstacle
 from .loads import Gravity, Pressure, Traction
 from .solids import Hyperelastic, Solid, Strain, Volume
-from .surfaces import Bending, Contact, Gaps, SurfaceStrain
+from .surfaces import Bending, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
 from .vertices import Fixed, Inertia, RigidBody, Target
 
@@ -20,6 +21,7 @@ __all__ = [
     "Hyperelastic",
     "Inertia",
     "Mesh",
+    "Obstacle",
     "OnTets",
     "OnTriangles",
     "Pressure",

@@ -1,4 +1,4 @@
-"""The energies of surfaces, over triangles of a scene's vertices: strain in the plane, bending, contact."""
+"""The energies of surfaces, over triangles of a scene's vertices: strain in the plane, bending."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...lhm.base.errors import MeshError, SceneError
-from ...lhm.base.mesh import Floats, Ints, as_elements
-from .term import Amount, Mesh, OnTriangles, Term, as_places
+from ...lhm.base.mesh import Floats, Ints
+from .term import Amount, Mesh, OnTriangles, as_places
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,64 +69,6 @@ class Bending(OnTriangles):
     def unit_force(self, mesh: Mesh) -> float:
         """See Term; stiffness over an edge's length."""
         return float(np.sum(self.stiffness / edge_lengths(mesh, self.triangles)))
-
-
-@dataclass(frozen=True, eq=False)
-class Contact(OnTriangles):
-    """Self-contact of surfaces: stiffness/2 per rest area times the squared depth of what is nearer than `thickness`.
-
-    triangles (k, 3) of the scene's vertices are kept from crossing one another (SoftDECA 3.3.2); stiffness [kPa/mm];
-    thickness [mm] is the gap kept, less where parts are nearer at rest. Pairs are of a vertex and a triangle, and of
-    two edges, that have no common vertex. A start must not cross.
-    """
-
-    triangles: np.ndarray = field(repr=False)
-    stiffness: float = 3000.0
-    thickness: float = 0.0
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._set(
-            stiffness=Amount(0.0, strict=True).check_one("Contact.stiffness", self.stiffness),
-            thickness=Amount(0.0).check_one("Contact.thickness", self.thickness),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Gaps(Term):
-    """Contact of known pairs: Σ stiffness/2 max(offset - distance, 0)², for solvers that look for none themselves.
-
-    pairs (r, 4) of the scene's vertices: a vertex and a triangle or, where `between_edges` (r,) says so, two edges;
-    the distance [mm] is that of their nearest points. stiffness [mN/mm] and offset [mm]: one number or one per pair.
-    """
-
-    may_soften: ClassVar[bool] = True
-
-    pairs: np.ndarray = field(repr=False)
-    between_edges: np.ndarray = field(repr=False)
-    stiffness: float | np.ndarray
-    offset: float | np.ndarray
-
-    def __post_init__(self):
-        try:
-            pairs = as_elements("Gaps.pairs", self.pairs, 4, np.iinfo(np.int64).max)
-        except MeshError as error:
-            raise SceneError(str(error)) from None
-        between = np.asarray(self.between_edges)
-        if between.dtype != bool or between.shape != (len(pairs),):
-            raise SceneError(f"Gaps.between_edges: expected a mask of shape ({len(pairs)},), got {between.shape}")
-        self._set(pairs=pairs, between_edges=between)
-        self._set_amounts({"stiffness": Amount(0.0), "offset": Amount(0.0)}, len(pairs))
-
-    def check(self, mesh: Mesh):
-        """See Term."""
-        super().check(mesh)
-        if self.pairs.size and self.pairs.max() >= len(mesh.vertices):
-            raise SceneError(f"vertex {self.pairs.max()} is outside 0..{len(mesh.vertices) - 1}")
-
-    def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
-        return self.pairs
 
 
 def edge_lengths(mesh: Mesh, triangles: Ints) -> Floats:

@@ -165,7 +165,7 @@ def test_each_answer_is_pythons_own(tab, head_file):
     distance = np.array(tab.page.evaluate("viewer.arrayOf('PD', 'distance')"))
     assert np.abs(distance - np.linalg.norm(simulated - face.blend(weights), axis=1)).max() < 0.01
     told = tab.page.evaluate("viewer.errors")
-    assert [each["method"] for each in told][:3] == [NETWORK, NETWORK_AND_DERIVATIVES, PD]
+    assert list(dict.fromkeys(each["method"] for each in told)) == [NETWORK, NETWORK_AND_DERIVATIVES, PD]
     assert told[-1]["mean"] < 0.01 * told[1]["mean"], "the error falls"
     shown = tab.page.locator("#ladder li").all_inner_texts()
     assert [text.partition("\n")[0] for text in shown] == [NETWORK, NETWORK_AND_DERIVATIVES, PD]

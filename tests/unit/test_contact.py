@@ -147,7 +147,7 @@ def test_the_model_of_elasticity_is_l_bfgs_on_the_contact_vertices(bodies):
     contact, coordinates, rng = prepared.contact, prepared.system.coordinates, np.random.default_rng(0)
     place = coordinates.start(0.3 * rng.normal(size=scene.vertices.shape))
     solve_start = partial(prepared.system.solve, rotations=place.rotations)
-    model = Model(solve_start, coordinates, contact.compliance, contact.vertices, place.rotations)
+    model = Model(solve_start, coordinates, contact.compliance, contact.points, place.rotations)
     A = np.linalg.inv([prepared.system.solve(unit, place.rotations) for unit in np.eye(coordinates.size)])
     memory = Memory(coordinates.size)
     for _ in range(11):
@@ -157,16 +157,17 @@ def test_the_model_of_elasticity_is_l_bfgs_on_the_contact_vertices(bodies):
         model.add(step, change, model.solve_start(change))
     inverse = -np.stack([memory.direction(unit, model.solve_start) for unit in np.eye(coordinates.size)])
     moves = np.stack([coordinates.move(place, 1e-6 * unit).u - place.u for unit in np.eye(coordinates.size)]) / 1e-6
-    P = moves[:, contact.vertices].reshape(coordinates.size, -1).T
-    vector, forces = rng.normal(size=coordinates.size), rng.normal(size=(len(contact.vertices), 3))
+    P = moves[:, contact.points.vertices].reshape(coordinates.size, -1).T
+    vector, forces = rng.normal(size=coordinates.size), rng.normal(size=(len(contact.points.vertices), 3))
     near = {"rtol": 1e-5, "atol": 1e-5}
     np.testing.assert_allclose(model.solve(vector, model.solve_start(vector)), inverse @ vector, rtol=1e-8, atol=1e-10)
     found = model.restrict_solution(vector, model.solve_start(vector)).ravel()
     np.testing.assert_allclose(found, P @ inverse @ vector, **near)
     np.testing.assert_allclose(model.spread(forces), P.T @ forces.ravel(), **near)
     np.testing.assert_allclose(model.push(forces).ravel(), P @ inverse @ P.T @ forces.ravel(), **near)
-    rows = Nearby(contact.surfaces, ContactPolicy(reach=0.6)).find_rows(scene.vertices[contact.vertices])
-    C = np.stack([rows.select([r]).spread(np.ones(1), len(contact.vertices)).ravel() for r in range(len(rows.ids))])
+    rows = Nearby(contact.surfaces, ContactPolicy(reach=0.6)).find_rows(scene.vertices[contact.points.vertices])
+    one = [rows.select([r]).spread(np.ones(1), len(contact.points)) for r in range(len(rows.ids))]
+    C = np.stack(one).reshape(len(one), -1)
     np.testing.assert_allclose(model.between(rows), C @ P @ inverse @ P.T @ C.T, **near)
 
 

@@ -26,7 +26,7 @@ def test_eyes_lie_behind_open_lids_and_within_the_head():
     balls = points[: TEETH.start].reshape(2, -1, 3)
     assert np.allclose(balls[0].mean(axis=0) * [-1, 1, 1], balls[1].mean(axis=0), atol=0.01)  # left and right
     size = np.linalg.norm(balls[0] - (balls[0].max(axis=0) + balls[0].min(axis=0)) / 2, axis=1)
-    assert 13.0 < size.min() and size.max() < 16.5
+    assert 11.0 < size.min() and size.max() < 13.5
     assert (points.max(axis=0) < skin.max(axis=0)).all() and (points.min(axis=0) > skin.min(axis=0)).all()
 
 
@@ -69,11 +69,11 @@ def test_they_turn_with_the_head():
 def test_their_surfaces_are_closed_and_look_outward():
     found = _default()
     ball = found.triangles[(found.triangles < EYE.stop).all(axis=1)]
-    x = found.bodies[0].points
+    x = found.organs[0].points
     a, b, c = x[ball[:, 0]], x[ball[:, 1]], x[ball[:, 2]]
     outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c)
-    assert (outward > -1e-9).all() and len(found.colours) == sum(len(body.points) for body in found.bodies)
-    tooth = found.bodies[2].points[:144]
+    assert (outward > -1e-9).all() and len(found.colours) == sum(len(organ.points) for organ in found.organs)
+    tooth = found.organs[2].points[:144]
     faces = found.triangles[((found.triangles >= TEETH.start) & (found.triangles < TEETH.start + 144)).all(axis=1)]
     a, b, c = (tooth[faces[:, k] - TEETH.start] for k in range(3))
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - tooth.mean(axis=0)) > -1e-9).all()

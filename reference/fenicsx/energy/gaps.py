@@ -28,10 +28,10 @@ INSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Distances(NodalEnergy):
-    """Pairs with nodes (m, 4) in the solver's numbering, their stiffness [mN/mm] and offset [mm], both (m,)."""
+    """The pairs of a Gaps term on this rank, their nodes (m, k), stiffness [mN/mm] and offset [mm], both (m,)."""
 
     nodes: Ints
-    between_edges: np.ndarray
+    gaps: Gaps
     stiffness: Floats
     offset: Floats
 
@@ -46,24 +46,27 @@ class Distances(NodalEnergy):
         own = (nodes[:, 0] >= 0) & (nodes[:, 0] < numbering.nodes.owned)
         if (nodes[own] < 0).any():
             raise SceneError("Gaps: a pair lies on two processes; solve it on one")
-        amounts = (np.broadcast_to(amount, len(nodes))[own] for amount in (term.stiffness, term.offset))
-        return cls(nodes[own], term.between_edges[own], *amounts)
+        stiffness, offset = (np.broadcast_to(amount, len(nodes))[own] for amount in (term.stiffness, term.offset))
+        shares, places = (None if values is None else values[own] for values in (term.shares, term.places))
+        gaps = Gaps(term.pairs[own], term.between_edges[own], stiffness, offset, shares, places)
+        return cls(nodes[own], gaps, stiffness, offset)
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        return 0.5 * float(self.stiffness @ np.maximum(self.offset - self._measure(x)[0], 0.0) ** 2)
+        return 0.5 * float(self.stiffness @ np.maximum(self.offset - self._measure(x)[1], 0.0) ** 2)
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
-        distance, weights, gap, _ = self._measure(x)
+        _, distance, weights, gap, _ = self._measure(x)
         push = -self.stiffness * np.maximum(self.offset - distance, 0.0) / distance
-        add_forces(self.nodes, push[:, None, None] * weights[:, :, None] * gap[:, None, :], into)
+        forces = push[:, None, None] * weights[:, :, None] * gap[:, None, :]
+        add_forces(self.nodes, self.gaps.spread_forces(forces), into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """See NodalEnergy."""
-        distance, weights, gap, slopes = self._measure(x)
+        corners, distance, weights, gap, slopes = self._measure(x)
         m = len(distance)
-        along = np.einsum("mij,mjc->mic", slopes, x[self.nodes])  # G
+        along = np.einsum("mij,mjc->mic", slopes, corners)  # G
         mixed = slopes[..., None] * gap[:, None, None, :] + weights[:, None, :, None] * along[:, :, None, :]
         mixed = mixed.reshape(m, slopes.shape[1], 12)
         inverse = np.linalg.pinv(along @ along.transpose(0, 2, 1), hermitian=True)
@@ -77,16 +80,21 @@ class Distances(NodalEnergy):
         if kept < 1.0:
             values, vectors = np.linalg.eigh(local)
             local = (vectors * np.maximum(values, kept * values)[:, None, :]) @ vectors.transpose(0, 2, 1)
-        return local.reshape(m, 4, 3, 4, 3).transpose(0, 1, 3, 2, 4)
+        k = self.nodes.shape[1]
+        return self.gaps.spread_hessians(local).reshape(m, k, 3, k, 3).transpose(0, 1, 3, 2, 4)
 
-    def _measure(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return distances (m,), weights (m, 4), gaps (m, 3) and the weights' slopes by free parameters (m, 2, 4)."""
-        corners = x[self.nodes]
+    def _measure(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Return corners (m, 4, 3), distances (m,), weights (m, 4), gaps (m, 3) and slopes (m, 2, 4).
+
+        The slopes are the weights' by the free parameters.
+        """
+        corners = self.gaps.find_corners(x[self.nodes])
         weights, slopes = np.zeros((len(corners), 4)), np.zeros((len(corners), 2, 4))
-        for mask, find in ((self.between_edges, _between_edges), (~self.between_edges, _on_triangle)):
+        between = self.gaps.between_edges
+        for mask, find in ((between, _between_edges), (~between, _on_triangle)):
             weights[mask], slopes[mask] = find(corners[mask])
         gap = np.einsum("mj,mjc->mc", weights, corners)
-        return np.linalg.norm(gap, axis=1), weights, gap, slopes
+        return corners, np.linalg.norm(gap, axis=1), weights, gap, slopes
 
 
 def _choose_least(corners: Floats, weights: Floats, slopes: Floats) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Contact of a surface with itself, inside the descent (SoftDECA 3.3.2)."""
+"""Contact of a surface with itself and with obstacles, inside the descent (SoftDECA 3.3.2)."""
 
 from .descent import ContactDescent
 

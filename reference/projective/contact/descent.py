@@ -15,8 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ....lhm.base.geometry.bvh import TriangleTree
-from ....lhm.base.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...solution import Reason
 from ...terms import Gaps
@@ -25,14 +24,16 @@ from ..policy import POLICY, ContactPolicy
 from ..unknowns.coordinates import Place
 from ..unknowns.system import System
 from .model import Compliance, Model
-from .surfaces import ContactSurface, Nearby, Rows
+from .points import ContactPoints
+from .rows import Rows
+from .surfaces import ContactSurface, Nearby
 
 SolveMatrix = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
 class Touching:
-    """A point without contact's energy, the contact vertices there (k, 3) [mm], and what is near on them."""
+    """A point without contact's energy, the contact points there (k, 3) [mm], and what is near on them."""
 
     free: Point
     x: Floats
@@ -42,10 +43,10 @@ class Touching:
 
 @dataclass(frozen=True, eq=False)
 class ContactDescent:
-    """A descent of a scene's energy with its Contact terms: their surfaces, and A⁻¹ between their vertices."""
+    """A descent of a scene's energy with its Contact terms: their points, their surfaces, and A⁻¹ between points."""
 
     rest: Floats
-    vertices: Ints
+    points: ContactPoints
     surfaces: Sequence[ContactSurface]
     compliance: Compliance
     system: System
@@ -54,8 +55,9 @@ class ContactDescent:
     @classmethod
     def from_scene(cls, scene: Scene, system: System, policy: ContactPolicy = POLICY.contact) -> ContactDescent:
         """Make the surfaces of a scene; nothing is solved for yet."""
-        vertices, surfaces = ContactSurface.from_scene(scene, policy)
-        return cls(scene.vertices, vertices, surfaces, Compliance(system, vertices), system, policy)
+        points = ContactPoints.from_scene(scene)
+        surfaces = ContactSurface.from_scene(scene, points, policy)
+        return cls(scene.vertices, points, surfaces, Compliance(system, points.vertices), system, policy)
 
     def descend(self, problem: Problem, point: Point, watch: Observer, *, solve: SolveMatrix) -> tuple[Point, Reason]:
         """Minimise a problem's energy and contact's from a point; see `descent.Descent`. The watch sees both together.
@@ -76,7 +78,7 @@ class ContactDescent:
         watch.forget()
         begin = point if looks.free is None else looks.free
         rotations, coordinates = begin.place.rotations, self.system.coordinates
-        model = Model(lambda vector: solve(vector, rotations), coordinates, self.compliance, self.vertices, rotations)
+        model = Model(lambda vector: solve(vector, rotations), coordinates, self.compliance, self.points, rotations)
         return self._descend_touching(problem, begin, watch, nearby, model)
 
     def _descend_touching(
@@ -85,9 +87,10 @@ class ContactDescent:
         x = self.find_places(point.place)
         here = self._touch(point, x, nearby.find_rows(x))
         solved = model.solve_start(point.gradient)
-        pushes = here.rows.spread(here.rows.forces, len(self.vertices))
+        pushes = here.rows.spread(here.rows.forces, len(self.points))
         while (reason := watch.see(here.total)) is None:
             gradient = here.free.gradient
+            model.turn(here.free.place.rotations)
             free = model.restrict_solution(gradient, solved)
             wanted = self._find_pushes(model, here.rows, -free, pushes)
             right, solved_right = -gradient, -solved
@@ -114,7 +117,7 @@ class ContactDescent:
 
         The force is half of what all vertices are pushed with [mN]; "contact_crossings" are pairs of triangles.
         """
-        x = positions[self.vertices]
+        x = self.points.find_places(positions)
         rows = self._find_rows(x)
         pushes = rows.spread(rows.forces, len(x))
         return {
@@ -125,42 +128,40 @@ class ContactDescent:
 
     def touches(self, positions: Floats) -> bool:
         """Tell whether pairs are too near at positions (n, 3) [mm], or more triangles cross than at rest."""
-        x = positions[self.vertices]
+        x = self.points.find_places(positions)
         rows = self._find_rows(x)
         return bool((rows.depth > 0.0).any()) or self.count_crossings(x) > self.crossings_at_rest
 
     @cached_property
     def crossings_at_rest(self) -> int:
         """Pairs of triangles that cross at rest, which nothing parts."""
-        return self.count_crossings(self.rest[self.vertices])
+        return self.count_crossings(self.points.find_places(self.rest))
 
     def count_crossings(self, x: Floats) -> int:
-        """Count the pairs of triangles that cross with contact vertices at x (k, 3) [mm]."""
-        return sum(len(TriangleTree(x, surface.triangles).self_crossings()) for surface in self.surfaces)
+        """Count the pairs of triangles that cross with contact points at x (k, 3) [mm]."""
+        return sum(surface.count_crossings(x) for surface in self.surfaces)
 
     def find_places(self, place: Place) -> Floats:
-        """Return the contact vertices' positions [mm], shape (k, 3), at a place."""
-        return (self.rest + place.u)[self.vertices]
+        """Return the contact points' positions [mm], shape (k, 3), at a place."""
+        return self.points.find_places(self.rest + place.u)
 
     def freeze(self, positions: Floats, *, pressed: bool = False) -> Gaps:
         """Return the pairs that are near at positions (n, 3) [mm], or only those that push, with their energy."""
-        rows = self._find_rows(positions[self.vertices])
-        rows = rows.select(np.flatnonzero(rows.depth > 0.0)) if pressed else rows
-        return Gaps(self.vertices[rows.ids], rows.between_edges, rows.stiffness, rows.offset)
+        rows = self._find_rows(self.points.find_places(positions))
+        return self.points.freeze(rows.select(np.flatnonzero(rows.depth > 0.0)) if pressed else rows)
 
     def _find_rows(self, x: Floats) -> Rows:
-        """Find the pairs that are near, with contact vertices at x (k, 3) [mm], asked once."""
+        """Find the pairs that are near, with contact points at x (k, 3) [mm], asked once."""
         return Nearby(self.surfaces, self.policy).find_rows(x)
 
     def _touch(self, point: Point, x: Floats, rows: Rows) -> Touching:
-        """Add contact to a point of the energy without it, with contact vertices at x (k, 3) and these rows near."""
-        forces = np.zeros_like(self.rest)
-        forces[self.vertices] = rows.spread(rows.forces, len(x))
+        """Add contact to a point of the energy without it, with contact points at x (k, 3) and these rows near."""
+        forces = self.points.spread(rows.spread(rows.forces, len(x)), len(self.rest))
         gradient = point.gradient - self.system.coordinates.pull(forces, point.place)
         return Touching(point, x, rows, Point(point.place, point.energy + rows.energy, gradient))
 
     def _find_pushes(self, model: Model, rows: Rows, free: Floats, pushes: Floats) -> Floats:
-        """Find the forces on the contact vertices (k, 3) [mN] that the model's step ends with.
+        """Find the forces on the contact points (k, 3) [mN] that the model's step ends with.
 
         free (k, 3): its motion without any; pushes (k, 3): the forces of the step before, under which gaps that would
         close count. Active sets, each a dense solve of (C S Cᵀ + 1 / stiffness) λ = depth after the free motion.

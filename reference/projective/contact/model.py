@@ -1,7 +1,7 @@
-"""The model of elasticity that contact is solved in: A⁻¹ and the memory of L-BFGS, on the contact vertices.
+"""The model of elasticity that contact is solved in: A⁻¹ and the memory of L-BFGS, on the contact points.
 
 B⁻¹ = A⁻¹ + U M Uᵀ is the inverse of L-BFGS in compact form (Byrd, Nocedal and Schnabel 1994, Theorem 2.2), with the PD
-matrix A at the bodies' first rotations as its start. P takes the contact vertices' motion from a step over unknowns.
+matrix A at the bodies' first rotations as its start. P takes the contact points' motion from a step over unknowns.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from scipy.sparse import csr_matrix
 
 from ....lhm.base.mesh import Floats, Ints
 from ..memory import CAPACITY
-from ..unknowns.coordinates import CROSS, Coordinates
+from ..unknowns.coordinates import Coordinates
 from ..unknowns.system import System
-from .surfaces import Rows
+from .points import ContactPoints, restrict
+from .rows import Rows
 
 COLUMNS = 64
 """Right-hand sides solved for at once."""
@@ -25,6 +26,7 @@ class Compliance:
     """The inverse of A between contact vertices while bodies are held, a block per group of components, (k, k).
 
     A column is found when it is first asked for, and kept: preparing all of a face's costs as much as three frames.
+    Contact points beyond the vertices are of obstacles, which do not move while bodies are held.
     """
 
     def __init__(self, system: System, vertices: Ints):
@@ -33,18 +35,19 @@ class Compliance:
         self._blocks = [np.zeros((len(vertices), len(vertices))) for _ in system.groups]
 
     def push(self, forces: Floats) -> Floats:
-        """Return the motion [mm] of all contact vertices under forces (k, 3) [mN] on some."""
-        pushed = np.flatnonzero(np.any(forces != 0.0, axis=1))
+        """Return the motion [mm] of all contact points under forces (k + o, 3) [mN] on some."""
+        count = len(self._vertices)
+        pushed = np.flatnonzero(np.any(forces[:count] != 0.0, axis=1))
         motion = np.zeros_like(forces)
         for components, block in self._find(pushed):
-            motion[:, components] = block[pushed].T @ forces[np.ix_(pushed, components)]
+            motion[:count, components] = block[pushed].T @ forces[np.ix_(pushed, components)]
         return motion
 
     def between(self, rows: Rows) -> Floats:
         """Return how much the force of each row widens each gap [mm/mN], shape (r, r)."""
-        count = len(rows.ids)
-        vertices, local = np.unique(rows.ids, return_inverse=True)
-        entries = rows.weights.ravel(), (np.repeat(np.arange(count), 4), local.ravel())
+        count, is_vertex = len(rows.ids), rows.ids < len(self._vertices)
+        vertices, local = np.unique(rows.ids[is_vertex], return_inverse=True)
+        entries = rows.weights[is_vertex], (np.nonzero(is_vertex)[0], local)
         weights = csr_matrix(entries, shape=(count, len(vertices)))
         total = np.zeros((count, count))
         for components, block in self._find(vertices):
@@ -90,22 +93,37 @@ class Model:
         solve_start: Callable[[Floats], Floats],
         coordinates: Coordinates,
         compliance: Compliance,
-        vertices: Ints,
+        points: ContactPoints,
         rotations: Floats,
     ):
         self.solve_start, self._compliance = solve_start, compliance
+        self._coordinates, self._points = coordinates, points
         size, free = coordinates.size, len(coordinates.index)
-        self._restriction = restrict(coordinates, vertices, rotations)
+        self._restriction = restrict(coordinates, points.vertices, rotations)
+        self._carrying = points.carry(coordinates, rotations)
         self._of_bodies: list[tuple[Floats, Floats]] = []
         if size > free:
-            solved = np.stack([self.solve_start(unit) for unit in np.eye(size - free, size, free)])
-            giving = solved[:, free:]
-            near = np.stack([self._restriction @ step for step in solved])
+            self._bodies_solved = np.stack([self.solve_start(unit) for unit in np.eye(size - free, size, free)])
+            giving = self._bodies_solved[:, free:]
+            near = np.stack([self._restrict(step) for step in self._bodies_solved])
             self._of_bodies.append((near, np.linalg.inv(0.5 * (giving + giving.T))))
         self._steps, self._changes, self._solved = (np.zeros((CAPACITY, size)) for _ in range(3))
-        self._near = np.zeros((2 * CAPACITY, 3 * len(vertices)))
+        self._near = np.zeros((2 * CAPACITY, 3 * len(points)))
         self._products, self._own = np.zeros((CAPACITY, CAPACITY)), np.zeros((CAPACITY, CAPACITY))
         self.clear()
+
+    def turn(self, rotations: Floats):
+        """Carry obstacles by bodies that have these rotations; A and the vertices' part of P stay."""
+        self._carrying = self._points.carry(self._coordinates, rotations)
+        own, free = self._restriction.shape[0], len(self._coordinates.index)
+        for near, _ in self._of_bodies:
+            near[:, own:] = self._bodies_solved[:, free:] @ self._carrying.T
+        remembered = np.vstack([self._steps[:, free:], self._solved[:, free:]])
+        self._near[:, own:] = remembered @ self._carrying.T
+
+    def _restrict(self, step: Floats) -> Floats:
+        """Return P times a step (size,)."""
+        return np.concatenate([self._restriction @ step, self._carrying @ step[len(self._coordinates.index) :]])
 
     def solve(self, vector: Floats, solved: Floats) -> Floats:
         """Return B⁻¹ times a vector (size,), given A⁻¹ times it."""
@@ -118,11 +136,14 @@ class Model:
     def restrict_solution(self, vector: Floats, solved: Floats) -> Floats:
         """Return P B⁻¹ times a vector (size,), given A⁻¹ times it: the contact vertices' motion (k, 3)."""
         seen = np.concatenate([self._steps @ vector, self._solved @ vector])
-        return (self._restriction @ solved + (self._small @ seen) @ self._near).reshape(-1, 3)
+        return (self._restrict(solved) + (self._small @ seen) @ self._near).reshape(-1, 3)
 
     def spread(self, forces: Floats) -> Floats:
         """Return forces (k, 3) on the contact vertices as a vector over the unknowns (size,)."""
-        return self._restriction.T @ forces.ravel()
+        own = len(self._points.vertices)
+        spread = self._restriction.T @ forces[:own].ravel()
+        spread[len(self._coordinates.index) :] += self._carrying.T @ forces[own:].ravel()
+        return spread
 
     def push(self, forces: Floats) -> Floats:
         """Return P B⁻¹ Pᵀ times forces (k, 3) [mN]: the motion [mm], shape (k, 3)."""
@@ -157,7 +178,7 @@ class Model:
         slot = self._order.pop(0) if len(self._order) == CAPACITY else len(self._order)
         self._order.append(slot)
         self._steps[slot], self._changes[slot], self._solved[slot] = step, change, solved
-        self._near[slot], self._near[CAPACITY + slot] = self._restriction @ step, self._restriction @ solved
+        self._near[slot], self._near[CAPACITY + slot] = self._restrict(step), self._restrict(solved)
         self._products[slot], self._products[:, slot] = self._changes @ step, self._steps @ change
         self._own[slot] = self._own[:, slot] = self._solved @ change
         order = np.array(self._order)
@@ -168,27 +189,3 @@ class Model:
         both = np.concatenate([order, CAPACITY + order])
         self._small = np.zeros((2 * CAPACITY, 2 * CAPACITY))
         self._small[np.ix_(both, both)] = np.block([[corner, -upper.T], [-upper, np.zeros_like(corner)]])
-
-
-def restrict(coordinates: Coordinates, vertices: Ints, rotations: Floats) -> csr_matrix:
-    """Return P, shape (3 k, size): the motion of vertices (k,) by a small step, where bodies have these rotations."""
-    parts = 3 * vertices[:, None] + np.arange(3)
-    unknown = np.full(3 * len(coordinates.held), -1)
-    unknown[coordinates.index] = np.arange(len(coordinates.index))
-    column = unknown[parts.ravel()]
-    rows = np.flatnonzero(column >= 0)
-    columns, values = [column[rows]], [np.ones(len(rows))]
-    at = [rows]
-    for b, (body, rotation) in enumerate(zip(coordinates.bodies, rotations, strict=True)):
-        place = np.full(len(coordinates.held), -1)
-        place[body.vertices] = np.arange(len(body.vertices))
-        of_body = np.flatnonzero(place[vertices] >= 0)
-        arms = body.arms[place[vertices[of_body]]] @ rotation.T
-        motion = np.concatenate([np.tile(np.eye(3), (len(arms), 1, 1)), np.einsum("imj,km->kij", CROSS, arms)], axis=2)
-        first = len(coordinates.index) + 6 * b
-        rows, places = np.broadcast_arrays((3 * of_body[:, None] + np.arange(3))[:, :, None], first + np.arange(6))
-        at.append(rows.ravel())
-        columns.append(places.ravel())
-        values.append(motion.ravel())
-    entries = np.concatenate(values), (np.concatenate(at), np.concatenate(columns))
-    return csr_matrix(entries, shape=(3 * len(vertices), coordinates.size))

@@ -1,58 +1,93 @@
-"""Surfaces that must not cross themselves, the rows of what is near on them, and how far a step may go."""
+"""Surfaces that must not cross themselves or obstacles, the rows of what is near, and how far a step may go."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ....lhm.base.geometry.bvh import BoxTree
+from ....lhm.base.geometry.bvh import BoxTree, TriangleTree
 from ....lhm.base.geometry.topology import unique_edges
 from ....lhm.base.mesh import Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
 from ..policy import ContactPolicy
 from .pairs import find_free_share, measure_near
+from .points import ContactPoints
+from .rows import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Triangles (m, 3), edges (e, 2) and vertices (v,) of a surface, by numbers of contact points, and their trees."""
+
+    triangles: Ints
+    edges: Ints
+    vertices: Ints
+    of_triangles: BoxTree
+    of_edges: BoxTree
+
+    @classmethod
+    def from_triangles(cls, triangles: Ints, rest: Floats) -> Elements:
+        """Take the elements of triangles; rest [mm], shape (k, 3), are all contact points."""
+        edges = unique_edges(triangles)
+        trees = (BoxTree(enclose(each, rest, rest), each) for each in (triangles, edges))
+        return cls(triangles, edges, np.unique(triangles), *trees)
+
+    def moved(self, low: Floats, high: Floats) -> Elements:
+        """Return the same elements with trees of boxes about points in boxes low to high (k, 3) [mm]."""
+        trees = (tree.moved(enclose(tree.ids, low, high)) for tree in (self.of_triangles, self.of_edges))
+        return Elements(self.triangles, self.edges, self.vertices, *trees)
+
+    def meet_vertices(self, other: Elements, low: Floats, high: Floats) -> Ints:
+        """Pair vertices of another surface, in their boxes, with triangles, shape (r, 4)."""
+        vertices = other.vertices[:, None]
+        ends = self.of_triangles.overlaps(enclose(vertices, low, high), vertices)
+        return np.hstack([vertices[ends[:, 0]], self.triangles[ends[:, 1]]])
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """The surface of a Contact term: triangles (m, 3) and edges (e, 2) over the vertices that all terms have together.
+    """The surface of a Contact term, which meets itself and its obstacles: their elements, None where it has none.
 
-    rest (k, 3) [mm] are those vertices at rest, areas (k,) [mm²] this surface's share about each; offset [mm] is the
-    distance below which it pushes, unless a pair is nearer at rest; stiffness [kPa/mm].
+    rest (k, 3) [mm] are all contact points at rest, areas (k,) [mm²] its own about each, 0 at obstacles; offset [mm] is
+    the distance below which it pushes, unless a pair is nearer at rest; stiffness [kPa/mm].
     """
 
-    triangles: Ints
-    edges: Ints
+    own: Elements
+    others: Elements | None
     rest: Floats
     areas: Floats
     offset: float
     stiffness: float
-    trees: tuple[BoxTree, BoxTree]
 
     @classmethod
-    def from_scene(cls, scene: Scene, policy: ContactPolicy) -> tuple[Ints, tuple[ContactSurface, ...]]:
-        """Make the surfaces of a scene, and the numbers in it of their vertices, shape (k,)."""
-        contacts = scene.of(Contact)
-        ids = np.unique(np.concatenate([term.triangles.ravel() for term in contacts]))
-        rest = scene.vertices[ids]
+    def from_scene(cls, scene: Scene, points: ContactPoints, policy: ContactPolicy) -> tuple[ContactSurface, ...]:
+        """Make the surfaces of a scene over its contact points."""
+        rest, first = points.find_places(scene.vertices), len(points.vertices)
         surfaces = []
-        for term in contacts:
-            triangles = np.searchsorted(ids, term.triangles)
-            areas = Surface(rest, triangles).vertex_areas
-            offset = term.thickness + policy.offset
-            edges = unique_edges(triangles)
-            of_triangles, of_edges = (BoxTree(enclose(each, rest, rest), each) for each in (triangles, edges))
-            surfaces.append(cls(triangles, edges, rest, areas, offset, term.stiffness, (of_triangles, of_edges)))
-        return ids, tuple(surfaces)
+        for term in scene.of(Contact):
+            triangles = [np.searchsorted(points.vertices, term.triangles)]
+            for obstacle in term.obstacles:
+                triangles.append(first + obstacle.surface.triangles)
+                first += len(obstacle.surface.vertices)
+            own, others = Elements.from_triangles(triangles[0], rest), None
+            if term.obstacles:
+                others = Elements.from_triangles(np.vstack(triangles[1:]), rest)
+            areas = Surface(rest, triangles[0]).vertex_areas
+            surfaces.append(cls(own, others, rest, areas, term.thickness + policy.offset, term.stiffness))
+        return tuple(surfaces)
 
-    @cached_property
-    def vertices(self) -> Ints:
-        """Its own among the contact vertices, shape (v,)."""
-        return np.unique(self.triangles)
+    def weigh(self, ids: Ints, between_edges: np.ndarray) -> Floats:
+        """Return the area [mm²] that each pair (r, 4) stands for, (r,): its vertex' or, of own corners, the mean.
+
+        Obstacles have none, so that their points weigh as much as the surface that they meet.
+        """
+        areas = self.areas[ids]
+        means = areas.sum(axis=1) / np.count_nonzero(areas, axis=1)
+        return np.where(between_edges | (areas[:, 0] == 0.0), means, areas[:, 0])
 
     @cached_property
     def has_close_pairs(self) -> bool:
@@ -60,75 +95,36 @@ class ContactSurface:
         pairs, of_vertices = self.find_candidates(self.rest, self.rest, self.offset)
         return bool(len(measure_near(self.rest, pairs, of_vertices, self.offset)[0]))
 
+    def count_crossings(self, x: Floats) -> int:
+        """Count the pairs of triangles that cross with contact points at x (k, 3) [mm]."""
+        tree = TriangleTree(x, self.own.triangles)
+        crossings = len(tree.self_crossings())
+        if self.others is not None:
+            crossings += len(tree.crossings(TriangleTree(x, self.others.triangles)))
+        return crossings
+
     def find_candidates(self, low: Floats, high: Floats, reach: float) -> tuple[Ints, int]:
-        """Find the pairs (r, 4) that may come within `reach` [mm] while each vertex stays in its box.
+        """Find the pairs (r, 4) that may come within `reach` [mm] while each point stays in its box.
 
         low, high (k, 3): the boxes' ends [mm]. Also returns how many pairs, the first, are of vertices and triangles.
         """
         low, high = low - 0.5 * reach, high + 0.5 * reach
-        of_triangles, of_edges = (tree.moved(enclose(tree.ids, low, high)) for tree in self.trees)
-        vertices = self.vertices[:, None]
-        ends = of_triangles.overlaps(enclose(vertices, low, high), vertices)
-        sides = of_edges.self_overlaps()
-        of_vertices = np.hstack([vertices[ends[:, 0]], self.triangles[ends[:, 1]]])
-        between_edges = np.hstack([self.edges[sides[:, 0]], self.edges[sides[:, 1]]])
-        return np.vstack([of_vertices, between_edges]), len(of_vertices)
+        own = self.own.moved(low, high)
+        of_vertices = [own.meet_vertices(own, low, high)]
+        sides = own.of_edges.self_overlaps()
+        between_edges = [np.hstack([own.edges[sides[:, 0]], own.edges[sides[:, 1]]])]
+        if self.others is not None:
+            others = self.others.moved(low, high)
+            of_vertices += [own.meet_vertices(others, low, high), others.meet_vertices(own, low, high)]
+            sides = others.of_edges.overlaps(own.of_edges.boxes, own.edges)
+            between_edges.append(np.hstack([own.edges[sides[:, 0]], others.edges[sides[:, 1]]]))
+        pairs = np.vstack([*of_vertices, *between_edges])
+        return pairs, sum(map(len, of_vertices))
 
 
 def enclose(elements: Ints, low: Floats, high: Floats) -> Floats:
     """Return boxes (m, 6) about elements (m, any) of vertices in boxes low to high (k, 3)."""
     return np.hstack([low[elements].min(axis=1), high[elements].max(axis=1)])
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Pairs near one another, r of them, and the energy ½ Σ stiffness max(depth, 0)² [µJ] of what is too near.
-
-    ids (r, 4) of the contact vertices and between_edges (r,): the pairs, as of `terms.Gaps`; weights (r, 4) and
-    normals (r, 3) of their gaps, see `terms.gaps.measure_pair`; distance and offset (r,) [mm]; stiffness (r,) [mN/mm].
-    """
-
-    ids: Ints
-    between_edges: np.ndarray
-    weights: Floats
-    normals: Floats
-    distance: Floats
-    offset: Floats
-    stiffness: Floats
-
-    @cached_property
-    def depth(self) -> Floats:
-        """The offset less the distance [mm], shape (r,)."""
-        return self.offset - self.distance
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[Rows]) -> Rows:
-        """Concatenate the rows of several surfaces."""
-        return cls(*(np.concatenate([getattr(rows, field.name) for rows in parts]) for field in fields(cls)))
-
-    def select(self, which: Ints) -> Rows:
-        """Select some rows."""
-        return Rows(*(getattr(self, field.name)[which] for field in fields(self)))
-
-    @property
-    def energy(self) -> float:
-        """The energy [µJ]."""
-        return float(0.5 * np.sum(self.stiffness * np.maximum(self.depth, 0.0) ** 2))
-
-    @property
-    def forces(self) -> Floats:
-        """The forces [mN], shape (r,), that push each pair apart."""
-        return self.stiffness * np.maximum(self.depth, 0.0)
-
-    def spread(self, forces: Floats, count: int) -> Floats:
-        """Spread forces (r,) along the gaps over the contact vertices, shape (count, 3)."""
-        pushes = (forces[:, None] * self.weights)[:, :, None] * self.normals[:, None, :]
-        ids = self.ids.ravel()
-        return np.stack([np.bincount(ids, pushes[..., c].ravel(), count) for c in range(3)], axis=1)
-
-    def widen(self, motion: Floats) -> Floats:
-        """Tell by how much a motion (k, 3) [mm] widens each gap, shape (r,)."""
-        return np.einsum("rj,rjc,rc->r", self.weights, motion[self.ids], self.normals)
 
 
 class Nearby:
@@ -164,7 +160,7 @@ class _Candidates:
         which, weights, normals, distance = measure_near(x, self._pairs, self._of_vertices, self._policy.reach)
         self._at, self._least = x, distance.min(initial=self._policy.reach)
         ids, between_edges = self._pairs[which], which >= self._of_vertices
-        areas = np.where(between_edges, surface.areas[ids].mean(axis=1), surface.areas[ids[:, 0]])
+        areas = surface.weigh(ids, between_edges)
         offset = np.full(len(ids), surface.offset)
         if surface.has_close_pairs:
             at_rest = measure_near(surface.rest, ids, int(np.count_nonzero(~between_edges)), np.inf)[3]

@@ -16,60 +16,69 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Gaps
 from ..unknowns.sparsity import add_block
-from .lanes import COMPILED
 from .part import Part
 
-CORNERS = tuple((i, j) for i in range(4) for j in range(i, 4))
 DIFFERENCE = 1e-6
 """[mm] by which corners are moved for a Hessian, the difference of two gradients."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs(Part):
-    """The pairs (r, 4) of a scene's Gaps, their stiffness [mN/mm] and offset [mm], both (r,); rest (n, 3) [mm]."""
+    """The pairs of a scene's Gaps, with the stiffness [mN/mm] and offset [mm] of each, (r,); rest (n, 3) [mm]."""
 
     is_bounded = False
 
     rest: Floats
-    ids: Ints
-    between_edges: np.ndarray
-    stiffness: Floats
-    offset: Floats
+    terms: tuple[Gaps, ...]
+    amounts: tuple[tuple[Floats, Floats], ...]
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Pairs | None:
         """See Part."""
-        terms = scene.of(Gaps)
-        if not terms:
-            return None
-        amounts = (
-            np.concatenate([np.broadcast_to(getattr(term, name), len(term.pairs)) for term in terms])
-            for name in ("stiffness", "offset")
-        )
-        ids = np.concatenate([term.pairs for term in terms])
-        return cls(scene.vertices, ids, np.concatenate([term.between_edges for term in terms]), *amounts)
+        terms = tuple(scene.of(Gaps))
+        amounts = []
+        for term in terms:
+            stiffness, offset = (np.array(np.broadcast_to(x, len(term.pairs))) for x in (term.stiffness, term.offset))
+            amounts.append((stiffness, offset))
+        return cls(scene.vertices, terms, tuple(amounts)) if terms else None
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
         """See Part."""
-        return total + _add_pairs(self.rest + u, self.ids, self.between_edges, self.stiffness, self.offset, gradient)
+        for term, amounts in zip(self.terms, self.amounts, strict=True):
+            energy, forces = _push(self._find_corners(term, u), term.between_edges, *amounts)
+            np.subtract.at(gradient, term.pairs, term.spread_forces(forces))
+            total += energy
+        return total
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
         """See Part."""
-        return (self.ids,)
+        return tuple(term.pairs for term in self.terms)
 
     def pairs(self, scene: Scene) -> Ints:
         """See Part."""
-        return self.ids[:, CORNERS].reshape(-1, 2)
+        return np.vstack([term.pairs[:, _find_couples(term.pairs.shape[1])].reshape(-1, 2) for term in self.terms])
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
         """See Part."""
-        if not len(self.ids):
-            return
-        local = _find_hessians(self.rest + u, self.ids, self.between_edges, self.stiffness, self.offset)
-        if least >= 0.0:
-            values, vectors = np.linalg.eigh(local)
-            local = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
-        _add_blocks(self.ids, local, slots.reshape(-1, len(CORNERS)), blocks)
+        begin = 0
+        for term, amounts in zip(self.terms, self.amounts, strict=True):
+            couples = _find_couples(term.pairs.shape[1])
+            end = begin + len(term.pairs) * len(couples)
+            local = _find_hessians(self._find_corners(term, u), term.between_edges, *amounts)
+            if least >= 0.0:
+                values, vectors = np.linalg.eigh(local)
+                local = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+            local = term.spread_hessians(local)
+            _add_blocks(term.pairs, local, couples, slots[begin:end].reshape(-1, len(couples)), blocks)
+            begin = end
+
+    def _find_corners(self, term: Gaps, u: Floats) -> Floats:
+        return term.find_corners((self.rest + u)[term.pairs])
+
+
+def _find_couples(count: int) -> Ints:
+    """Find the couples (i, j), i <= j, of so many vertices, shape (couples, 2)."""
+    return np.stack(np.triu_indices(count), axis=1)
 
 
 @njit(cache=True)
@@ -117,31 +126,28 @@ def measure_pair(corners, between_edges, weights, normal):
     return distance
 
 
-@njit(**COMPILED)
-def _add_pairs(x, ids, between_edges, stiffness, offset, gradient):
-    """Add the pairs' gradient in place; return their energy."""
-    corners, weights, normal = np.empty((4, 3)), np.empty(4), np.empty(3)
+@njit(cache=True)
+def _push(corners, between_edges, stiffness, offset):
+    """Return the energy [µJ] of pairs with corners (r, 4, 3), and the forces [mN] on these."""
+    forces, weights, normal = np.zeros(corners.shape), np.empty(4), np.empty(3)
     energy = 0.0
-    for r in range(len(ids)):
-        for j in range(4):
-            corners[j] = x[ids[r, j]]
-        depth = offset[r] - measure_pair(corners, between_edges[r], weights, normal)
+    for r in range(len(corners)):
+        depth = offset[r] - measure_pair(corners[r], between_edges[r], weights, normal)
         if depth > 0.0:
             energy += 0.5 * stiffness[r] * depth * depth
             for j in range(4):
                 for c in range(3):
-                    gradient[ids[r, j], c] -= stiffness[r] * depth * weights[j] * normal[c]
-    return energy
+                    forces[r, j, c] = stiffness[r] * depth * weights[j] * normal[c]
+    return energy, forces
 
 
 @njit(cache=True)
-def _find_hessians(x, ids, between_edges, stiffness, offset):
-    """Find the pairs' Hessians [mN/mm], shape (r, 12, 12), by central differences of their gradients."""
-    hessians = np.zeros((len(ids), 12, 12))
+def _find_hessians(at, between_edges, stiffness, offset):
+    """Find the Hessians [mN/mm] of pairs with corners (r, 4, 3), (r, 12, 12), by central differences of gradients."""
+    hessians = np.zeros((len(at), 12, 12))
     corners, weights, normal = np.empty((4, 3)), np.empty(4), np.empty(3)
-    for r in range(len(ids)):
-        for j in range(4):
-            corners[j] = x[ids[r, j]]
+    for r in range(len(at)):
+        corners[:] = at[r]
         if measure_pair(corners, between_edges[r], weights, normal) >= offset[r]:
             continue
         for column in range(12):
@@ -158,11 +164,13 @@ def _find_hessians(x, ids, between_edges, stiffness, offset):
 
 
 @njit(cache=True)
-def _add_blocks(ids, local, slots, blocks):
-    """Add Hessians (r, 12, 12) to blocks (pairs, 3, 3), in place."""
+def _add_blocks(ids, local, couples, slots, blocks):
+    """Add Hessians (r, 3 m, 3 m) to blocks (pairs, 3, 3), in place; couples (k, 2) and slots (r, k) of each."""
     block = np.empty((3, 3))
     for r in range(len(ids)):
-        for number in range(len(CORNERS)):
-            i, j = CORNERS[number]
+        for number in range(len(couples)):
+            i, j = couples[number]
             block[:] = local[r, 3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
+            if i != j and ids[r, i] == ids[r, j]:
+                block[:] = block + block.T  # one vertex twice: both sides fall on its own block
             add_block(blocks, slots[r, number], block, ids[r, i] < ids[r, j])
