@@ -15,7 +15,7 @@ from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .features import Features, Inputs
-from .gradient_training import still_vertices, transfer_delta
+from .gradient_training import SparseTransfer, still_vertices
 from .layers import elu, perceptron, perceptron_layers
 from .ridge import find_components
 from .softsmpl import LARGE
@@ -94,8 +94,8 @@ class SoftSMPLInMotion(Lesson):
         person = table.person(int(row["identity"]))
         blended = (person.skin.vertices + np.tensordot(row["weights"], person.shapes, axes=1)).astype(np.float32)
         gradients = gradients.reshape(len(states), -1, 9)
-        return transfer_delta(gradients, torch.from_numpy(blended), self._transfer)
+        return self._transfer(gradients, torch.from_numpy(blended))
 
 
-def _open_transfer(mean: Surface, motion: Floats32) -> DeformationTransfer:
-    return DeformationTransfer(mean, still_vertices(mean, motion), dtype=np.float32)
+def _open_transfer(mean: Surface, motion: Floats32) -> SparseTransfer:
+    return SparseTransfer(DeformationTransfer(mean, still_vertices(mean, motion), dtype=np.float32))

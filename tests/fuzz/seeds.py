@@ -97,7 +97,7 @@ def rough_weights(kind: str) -> Weights:
         config = ModalConfig(3, 3, 3, 3, 2, 4, 4, 4)
         shapes = modal_shapes(config, features, code_size)
     else:
-        config = Widths(2, 2, 2, 2, 2)
+        config = Widths(2, 2, 2, 2)
         shapes = FORMS[kind].shapes(Sizes(config, n, faces, code_size, len(STATIC)))
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}

@@ -106,7 +106,7 @@ def test_plans_from_files(tmp_path):
         ("frames = 1.0", "frames: expected a whole number, got 1.0"),
         ("seed = -1", "seed: -1 as a seed; expected 0 to 9,223"),
         ("colour = 3", "unknown option 'colour'"),
-        ('preset = "huge"', "there are tiny, study, fresh, small, neutral, paper"),
+        ('preset = "huge"', "there are tiny, study, fresh, small, faces, paper"),
         ("[kinds]\nzombies = 1.0", "kinds: expected shares in"),
         ("[sources]\nspeech = 0.0", "all shares are zero"),
         ("responses = 1.5", "responses: expected a share"),

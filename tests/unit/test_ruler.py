@@ -14,7 +14,7 @@ from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_skin
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
-from softdeca.surrogate.corpus.mixture import STATIC, ParameterSet, select_static
+from softdeca.surrogate.corpus.mixture import STATIC, select_static
 from softdeca.surrogate.corpus.people import people_from_text
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
@@ -137,14 +137,12 @@ def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces)
     assert linear.bind_ms == costs[DERIVATIVES].bind_ms > costs[CARRIED].bind_ms and linear.head_ms > 0.0
 
 
-def test_a_face_with_scaled_bones_and_no_head_is_refused_by_name(faces):
+def test_a_corpus_keeps_how_bones_carry_and_a_face_without_a_head_is_refused_by_name(faces):
     scaled = next(face for k in range(len(faces)) if (face := faces.face(k)).carried.any())
+    np.testing.assert_allclose(scaled.carried, scaled.live.carried, atol=0.02)
     for heads in (None, Heads.from_corpus(faces.folder)):
         with pytest.raises(InputError, match="a head .*is needed, but .*(nobody fits it|made from Python)"):
-            _ = replace(scaled, heads=heads).carried
-    p = scaled.parameters
-    none = ParameterSet(p.kind, np.zeros_like(p.varied), p.coefficients)
-    assert not replace(scaled, parameters=none, heads=None).carried.any()
+            _ = replace(scaled, heads=heads).live
 
 
 def test_a_kept_face_is_the_live_one_to_what_a_corpus_rounds(faces):
