@@ -137,8 +137,6 @@ class GradientLesson(Lesson):
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
-        if config.sampled_steps and not self.form.takes_faces:
-            raise InputError(f"training: a {config.form} network has its faces together; sampled_steps: expected 0")
         self.device = open_device(config.device)
         people = np.unique(faces.groups[:, 0])
         if len(people) < 2:
@@ -206,8 +204,7 @@ class GradientLesson(Lesson):
         if step < config.sampled_steps:
             count = len(self.triangles)
             chosen = torch.from_numpy(np.sort(rng.permutation(count)[: config.sampled_faces])).to(self.device)
-            parameters = parameters if parameters.shape[1] == 1 else parameters[:, chosen]
-            gradients = self.form.gradients(self.network, weights, codes, parameters, chosen)
+            gradients = self.form.gradients_at(self.network, weights, codes, parameters, chosen)
             return self._miss_gradients(gradients.flatten(0, 1), blended, simulated, chosen)
         gradients = self.form.gradients(self.network, weights, codes, parameters).flatten(0, 1)
         delta = self.transfer(gradients, blended)

@@ -69,8 +69,6 @@ class GradientForm(ABC):
     """Arrays that begin so many times smaller than usual."""
     follows_fields: ClassVar[bool] = True
     """Whether p may vary over the face."""
-    takes_faces: ClassVar[bool] = False
-    """Whether `gradients` can be asked for some faces of the mesh alone."""
 
     @abstractmethod
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
@@ -99,6 +97,10 @@ class GradientForm(ABC):
 
         Where fields are followed, parameters may be (g, faces, k).
         """
+
+    def gradients_at(self, network: Arrays, weights: Any, code: Any, parameters: Any, faces: Any) -> Any:
+        """Return `gradients` at some faces of the mesh, by their numbers."""
+        return self.gradients(network, weights, code, parameters)[:, :, faces]
 
     @abstractmethod
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:

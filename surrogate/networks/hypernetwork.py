@@ -66,7 +66,6 @@ class Hypernetwork(GradientForm):
     kind = "hypernetwork"
     without_bias = ("expression_linear", "from_position", "from_code", "last")
     quiet = {"expression.4.weight": 0.1, "last.weight": 0.0, "gain.weight": 0.1, "gain.bias": 0.0}
-    takes_faces = True
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
         """See `GradientForm`. Most of what tissue does is linear in the weights."""
@@ -88,11 +87,14 @@ class Hypernetwork(GradientForm):
         """See `GradientForm`. scale: the table's size, by which Adam steps all weights alike."""
         return {"table": (sizes.widths.latent, sizes.faces, 9), **super().tables(sizes), "scale": (1,)}
 
-    def gradients(self, network: Arrays, weights, code, parameters, faces=EVERY):
-        """See `GradientForm`, of some faces."""
-        latent = _latent(network, weights)
-        local = _local(network, code[:, None], parameters, faces)
-        return einsum("gml,gflc->gmfc", latent, local)
+    def gradients(self, network: Arrays, weights, code, parameters):
+        """See `GradientForm`."""
+        return self.gradients_at(network, weights, code, parameters, EVERY)
+
+    def gradients_at(self, network: Arrays, weights, code, parameters, faces):
+        """See `GradientForm`: no other face is evaluated."""
+        there = parameters if parameters.shape[1] == 1 else parameters[:, faces]
+        return einsum("gml,gflc->gmfc", _latent(network, weights), _local(network, code[:, None], there, faces))
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
         """See `GradientForm`: L is all of it."""

@@ -59,7 +59,7 @@ def draw_network(
     numbers = rng.permutation(data.training)[:sampled]
     kept = data.faces(numbers)
     faces = data.draw_sides(kept, rng)
-    more = [] if data.more is None else rng.permutation(len(data.more))[: policy.more * sampled]
+    more = rng.permutation(len(data.more or ()))[: policy.more * sampled]
     both = [side for face in [*kept, *data.more_faces(more)] for side in data.both_sides(face)]
     motions = [face.settling for face in both], [face.relaxing for face in both]
     effects = np.stack([fit_effects(part, features, policy) for part in motions])

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from typing import NamedTuple
@@ -286,7 +286,7 @@ def measure_errors(network: dict[str, np.ndarray], tables: Floats32, data: Lesso
 def export_weights(lesson: ModalLesson, trainer: Trainer, start: Weights | None) -> Weights:
     """Return the trained network with tables over all faces, and with what it was made from."""
     data, corpus = lesson.data, lesson.data.corpus
-    seen = [seen_ranges(corpus, data.training, data.features)]
+    seen: list[Mapping[str, tuple[float, float]]] = [seen_ranges(corpus, data.training, data.features)]
     if data.more is not None:
         seen.append(seen_ranges(data.more, np.arange(len(data.more)), data.features))
     if start is not None:

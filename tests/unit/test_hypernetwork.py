@@ -166,7 +166,11 @@ def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, 
     test = FrameSource(faces["test"]).sample(2, np.random.default_rng(0))
     codes = np.array([surrogate.inputs.code(code) for code in test.codes]).astype(np.float32)
     parts = test.weights[:, None], codes, np.clip(test.coefficients[:, None, followed, 0], -1.0, 1.0)
-    gradients = FORMS[weights.kind].gradients(network, *map(torch.from_numpy, parts)).flatten(0, 1).double().numpy()
+    form, given = FORMS[weights.kind], [*map(torch.from_numpy, parts)]
+    every = form.gradients(network, *given)
+    some = form.gradients_at(network, *given, torch.tensor([3, 7]))
+    np.testing.assert_allclose(some.numpy(), every[:, :, [3, 7]].numpy(), atol=1e-6)
+    gradients = every.flatten(0, 1).double().numpy()
     transfer = DeformationTransfer(weights.mean, np.flatnonzero(weights.network["anchored"]))
     expected = test.blended + transfer.delta(gradients, test.blended.astype(np.float64))
     assert np.abs(expected - test.blended).max() > 1e-3

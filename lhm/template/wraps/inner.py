@@ -15,6 +15,7 @@ from ...base.geometry.topology import graph_laplacian
 from ...base.mesh import Floats, Ints
 from ...head.columns import Columns, unit
 from . import climb
+from .climb import ClimbPolicy
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,8 @@ class LayersPolicy:
     least_cosine: float = 0.3  # between a direction inward and the normals around it
     crease_rounds: int = 40  # of smoothing
     rounds: int = 24  # of climbing and shortening
-    climb: climb.ClimbPolicy = climb.POLICY
-    finish: climb.ClimbPolicy | None = None  # one more climb where all is valid
+    climb: ClimbPolicy = climb.POLICY
+    finish: ClimbPolicy | None = None  # one more climb where all is valid
 
 
 POLICY = LayersPolicy()
