@@ -52,7 +52,7 @@ class Described(NamedTuple):
     at_vertices: Floats
     shapes: Floats32
     swing: Swings | None
-    carry: Callable[[], Floats]
+    carry: Callable[[], Floats | Floats32]
 
 
 class Surrogate:

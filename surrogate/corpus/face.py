@@ -45,15 +45,15 @@ class Derivatives:
 class KeptFace:
     """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
-    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; carried (n, 3) [mm]: how
-    far scaled bones carry it. derivatives: None where they are asked for anew, of `live`.
+    displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; kept_carried (n, 3) [mm]:
+    how far scaled bones carry it. What is None is asked for anew, of `live`.
     """
 
     identity: int
     person: Person
     parameters: ParameterSet
     displacement: np.ndarray
-    carried: np.ndarray
+    kept_carried: np.ndarray | None
     derivatives: Derivatives | None = None
     heads: Heads | None = None
 
@@ -91,9 +91,16 @@ class KeptFace:
         return Face(head, np.asarray(self.shapes, dtype=np.float64), parameters, per="wraps", code=self.code)
 
     def anew(self) -> KeptFace:
-        """Return the same face without what the corpus keeps of its simulation."""
+        """Return the face without what a corpus keeps of its simulation, and of its head where bones are scaled."""
         heads = None if self.heads is None else replace(self.heads)
-        return replace(self, derivatives=None, heads=heads)
+        unscaled = self.kept_carried is not None and not self.kept_carried.any()
+        return replace(self, derivatives=None, kept_carried=self.kept_carried if unscaled else None, heads=heads)
+
+    @cached_property
+    def carried(self) -> Floats32:
+        """Displacement of the neutral skin with scaled bones [mm], shape (n, 3)."""
+        carried = self.live.carried if self.kept_carried is None else self.kept_carried
+        return carried.astype(np.float32)
 
     @property
     def offset(self) -> np.ndarray:

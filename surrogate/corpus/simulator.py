@@ -11,7 +11,7 @@ from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
-from ...reference import Parameters, SettledFace, Solution
+from ...reference import Parameters, Solution
 from ...reference.face.by_parameters import skin_by_parameters
 from ...reference.face.derivatives import Analysis, spring_norm
 from ...reference.face.face import Face
@@ -52,21 +52,15 @@ def make_face(
     return face.in_contact() if contact else face
 
 
-def settle_neutral(face: Face) -> SettledFace:
-    """Settle the neutral face; SceneError where it does not come to rest."""
+def prepare_face(people: People, face: Face) -> None:
+    """Settle and differentiate a face before its frames; SceneError where it does not come to rest."""
     neutral = face.settled()
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     if reason := reject_moved(neutral.displacement):
         raise SceneError(reason)
-    return neutral
-
-
-def prepare_face(people: People, face: Face) -> None:
-    """Settle and differentiate a face before its frames; SceneError where it does not come to rest."""
-    settle_neutral(face)
-    if people.name != next((name for name, _ in _last), people.name):
-        _last.clear()
+    for kind in [kind for kind in _last if kind[0] != people.name]:
+        del _last[kind]
     _last[_kind(people, face.on_wraps)] = face.derivatives.analysis
     _ = face.first_order
 

@@ -157,9 +157,10 @@ class GradientLesson(Lesson):
         sample = self.source.sample(SAMPLED, rng)
         anchors = still_vertices(faces.mean, sample.simulated - sample.blended)
         self.network = self._start(sample, anchors)
-        self.transfer = open_differentiable(DeformationTransfer(faces.mean, anchors, dtype=np.float32), self.device)
+        transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
+        self.transfer = open_differentiable(transfer, self.device)
         self.triangles = torch.from_numpy(faces.mean.triangles.copy()).to(self.device)
-        stiffness = self.transfer.stiffness / faces.mean.areas.sum()
+        stiffness = transfer.stiffness / faces.mean.areas.sum()
         self.stiffness = torch.from_numpy(np.asarray(stiffness, dtype=np.float32)).to(self.device)
         held = FrameSource(faces, np.flatnonzero(is_held), fields=config.fields)
         self.judged = self._tensors(held.sample(JUDGED, rng), 1)
@@ -302,11 +303,6 @@ class SparseTransfer:
 
     transfer: DeformationTransfer
 
-    @property
-    def stiffness(self) -> np.ndarray:
-        """See `DeformationTransfer`."""
-        return self.transfer.stiffness
-
     def __call__(self, gradients: torch.Tensor, blended: torch.Tensor) -> torch.Tensor:
         """Return x - S [mm], shape (batch, n, 3), of J - I (batch, m, 9) and S (batch, n, 3)."""
         return _Transfer.apply(gradients, blended, self.transfer)
@@ -319,15 +315,10 @@ class DenseTransfer:
     transfer: DeformationTransfer
     device: torch.device
 
-    @property
-    def stiffness(self) -> np.ndarray:
-        """See `DeformationTransfer`."""
-        return self.transfer.stiffness
-
     @cached_property
     def _parts(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """K's factor, the triangles, and their stiffness as (m, 2, 2)."""
-        c11, c12, c22 = torch.from_numpy(self.stiffness.copy()).to(self.device).unbind(-1)
+        c11, c12, c22 = torch.from_numpy(self.transfer.stiffness.copy()).to(self.device).unbind(-1)
         both = torch.stack([torch.stack([c11, c12], -1), torch.stack([c12, c22], -1)], -2)
         factor = torch.linalg.cholesky(torch.from_numpy(self.transfer.matrix.toarray()).to(self.device))
         return factor, torch.from_numpy(self.transfer.triangles.astype(np.int64)).to(self.device), both

@@ -33,6 +33,18 @@ def bar(cells, size, origin, *, kept=None):
     return X[used] + origin, tets.reshape(-1, 4)
 
 
+def solve_with_pairs(scene, solver):
+    """PD's answer; its frozen pairs, a start a little beside the answer, and what finite elements answer to them."""
+    pytest.importorskip("ipctk" if solver == "skfem" else "dolfinx")
+    prepared = prepare(scene)
+    by_pd = prepared.solve(tolerance=1e-10)
+    frozen = prepared.freeze_contact(by_pd.positions)
+    start = by_pd.positions + np.random.default_rng(0).normal(scale=1e-5, size=scene.vertices.shape)
+    solution = solve(frozen, solver=solver, start=start, tolerance=1e-8)
+    assert solution.converged, solution.reason
+    return by_pd, frozen, start, solution
+
+
 def stacked(*parts):
     """Vertices and tets of several meshes, and the slice of vertices of each."""
     ends = np.cumsum([0, *(len(X) for X, _ in parts)])

@@ -18,7 +18,7 @@ from softdeca.reference.problems import meshes
 from softdeca.reference.projective.contact.model import Model
 from softdeca.reference.projective.policy import ContactPolicy
 
-from .test_contact import bar, stacked
+from .test_contact import bar, solve_with_pairs, stacked
 
 OFFSET = ContactPolicy().offset
 SPACE = identities.Anny()
@@ -192,14 +192,8 @@ def test_the_model_turns_an_obstacle_with_its_body():
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
 def test_finite_elements_answer_alike_with_an_obstacle(solver):
-    pytest.importorskip("ipctk" if solver == "skfem" else "dolfinx")
     scene, body = ball_between_blocks()
-    prepared = prepare(scene)
-    by_pd = prepared.solve(tolerance=1e-10)
-    frozen = prepared.freeze_contact(by_pd.positions)
-    start = by_pd.positions + np.random.default_rng(0).normal(scale=1e-5, size=scene.vertices.shape)
-    solution = solve(frozen, solver=solver, start=start, tolerance=1e-8)
-    assert solution.converged, solution.reason
+    by_pd, _, _, solution = solve_with_pairs(scene, solver)
     assert np.linalg.norm(solution.positions - by_pd.positions, axis=1).max() <= 1e-5
 
 

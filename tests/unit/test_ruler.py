@@ -143,6 +143,11 @@ def test_a_corpus_keeps_how_bones_carry_and_a_face_without_a_head_is_refused_by_
     for heads in (None, Heads.from_corpus(faces.folder)):
         with pytest.raises(InputError, match="a head .*is needed, but .*(nobody fits it|made from Python)"):
             _ = replace(scaled, heads=heads).live
+        with pytest.raises(InputError, match="a head .*is needed"):
+            _ = replace(scaled, heads=heads).anew().carried
+    np.testing.assert_array_equal(scaled.anew().carried, scaled.live.carried.astype(np.float32))
+    unscaled = next(face for k in range(len(faces)) if not (face := faces.face(k)).carried.any())
+    assert not replace(unscaled, heads=None).anew().carried.any()
 
 
 def test_a_kept_face_is_the_live_one_to_what_a_corpus_rounds(faces):

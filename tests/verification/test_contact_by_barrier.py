@@ -10,7 +10,7 @@ from softdeca.lhm.base.errors import MissingDependencyError, SceneError
 from softdeca.reference import Scene, prepare, solve, terms
 from softdeca.reference.problems import meshes
 
-from ..unit.test_contact import bar, stacked, two_bars
+from ..unit.test_contact import bar, solve_with_pairs, stacked, two_bars
 
 APART = 0.01
 """[mm] The barrier's reach, within which surfaces in contact come to rest."""
@@ -49,15 +49,9 @@ def test_both_codes_part_surfaces_alike_in_mm_and_force(make):
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
 def test_finite_elements_answer_alike_with_the_pairs_that_pd_found(solver):
     """Their distances, gradients and Hessians are each solver's own; from a little beside PD's answer."""
-    pytest.importorskip("ipctk" if solver == "skfem" else "dolfinx")
     scene, _ = stamp_on_block()
-    prepared = prepare(scene)
-    by_pd = prepared.solve(tolerance=1e-10)
-    frozen = prepared.freeze_contact(by_pd.positions)
-    start = by_pd.positions + np.random.default_rng(0).normal(scale=1e-5, size=scene.vertices.shape)
+    by_pd, frozen, start, solution = solve_with_pairs(scene, solver)
     size = np.linalg.norm(by_pd.positions - scene.vertices, axis=1).max()
-    solution = solve(frozen, solver=solver, start=start, tolerance=1e-8)
-    assert solution.converged, solution.reason
     assert np.linalg.norm(solution.positions - by_pd.positions, axis=1).max() <= 1e-6 * size
     away = solve(replace(frozen, terms=frozen.terms[:-1]), solver=solver, start=start, tolerance=1e-8)
     assert np.linalg.norm(away.positions - by_pd.positions, axis=1).max() > 1e-2 * size
