@@ -1,8 +1,8 @@
 """Fill pages from results: `{{ expression : format }}` on a page becomes the number that benchmarks/results says.
 
 An expression asks for values of lines of a results file by case, method and other keys (`one`, `every`), for a value of
-the file (`of`), or for that of a study's gate (`gate`); `shares`, `errors` and `costs` are whole tables of the
-surrogate's scores. `~` before a format leaves the zero before a point out. Sphinx fills the pages of docs when it builds
+the file (`of`), or for that of a study's gate (`gate`); `table` is one of a study's own, and `shares`, `errors` and
+`costs` are whole tables of the surrogate's scores. `~` before a format leaves the zero before a point out. Sphinx fills the pages of docs when it builds
 them. README.md is read where nothing fills it, so `python docs/results.py` writes it from docs/readme.in.
 """
 
@@ -18,6 +18,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from softdeca.benchmarks.harness.report import read_part
+from softdeca.benchmarks.studies import load_study
 from softdeca.benchmarks.studies.surrogate.gates import ADDED, BOUNDS
 from softdeca.surrogate.methods import (
     CARRIED,
@@ -202,6 +204,14 @@ def costs(file: str, /) -> str:
     return "\n".join(rows)
 
 
+def table(file: str, number: int, /) -> str:
+    """Lay out the study's own table of that number, as its page has it."""
+    part = read_part(RESULTS / f"{file}.json", load_study)
+    shown = part.study.tables(part.results.rows)[number]
+    lines = [_row(shown.head), _row(["---"] * len(shown.head))]
+    return "\n".join([*lines, *map(_row, shown.rows)])
+
+
 def share(method: str, kind: str = "all", file: str = "surrogate/fresh") -> float:
     """Return a method's share [%] on a kind of frames."""
     return 100.0 * _score(file, method, kind)["share"]
@@ -230,7 +240,7 @@ def bounds(file: str, /) -> str:
 
 KNOWN = {
     "one": one, "every": every, "of": of, "gate": gate, "bound": bound, "bounds": bounds, "verdict": verdict, "share": share, "shares": shares,
-    "errors": errors, "costs": costs, "dict": dict, "min": min, "max": max, "sum": sum, "len": len, "zip": zip,
+    "errors": errors, "costs": costs, "table": table, "dict": dict, "min": min, "max": max, "sum": sum, "len": len, "zip": zip,
     "mean": statistics.fmean, "median": statistics.median, "sqrt": math.sqrt,
 }  # fmt: skip
 

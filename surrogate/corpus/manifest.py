@@ -74,11 +74,12 @@ def _check(said: Any) -> CorpusPlan:
     text("takes", said.get("takes", ""))
     # The plan's own fields: the folder of takes stands beside them, and the digest covers what is in it.
     expected = {item.name for item in fields(CorpusPlan)} - {"takes"}
-    missing, unknown = expected - set(content) - {"contact"}, set(content) - expected - {"recordings", "takes"}
+    given = {"contact": False} | content
+    missing, unknown = expected - set(given), set(given) - expected - {"recordings", "takes"}
     if missing or unknown:
         wrong = min(missing or unknown)
         raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
-    plan = CorpusPlan(**{name: content[name] for name in expected & set(content)})
+    plan = CorpusPlan(**{name: given[name] for name in expected})
     if said.get("tested") != plan.tested:
         raise InputError(f"tested: {quote(said.get('tested'))}, expected {plan.tested}")
     if said.get("parameters") != list(NAMES):

@@ -161,7 +161,7 @@ class EnergyTrained(Lesson):
         self._still = amplitudes[WEIGHTS * len(rest) :].mean(axis=0)
         return scenes
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean energy of random expressions over that of B w, in each face's unit."""
         picked = rng.integers(len(self._scenes), size=self._config.batch)
         scenes = [self._scenes[k] for k in picked]

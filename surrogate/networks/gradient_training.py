@@ -67,7 +67,7 @@ class GradientTraining(TrainerConfig):
     steps: int = 4000
     batch: int = 24  # frames per step; a larger one takes proportionally longer on a CPU
     frames: int = 6  # of one face among these, for which p and h are evaluated once
-    sampled_steps: int = 3200  # of all, in gradients of sampled faces: a tenth of the price of a solved one
+    sampled: float = 0.8  # of the steps, first, in gradients of sampled faces: a tenth of the price of a solved one
     sampled_faces: int = 1200
     fields: bool = True  # faces under p that vary over them teach, too
     in_own_size: bool = True  # errors count in shares of how far a frame is from carried blendshapes
@@ -87,7 +87,7 @@ def follow_paper(form: str, widths: Widths) -> GradientTraining:
     The loss is Eq. 16 alone. Sixteen faces with eight frames each make a batch, since p and h are dear.
     """
     return GradientTraining(
-        form=form, network=widths, steps=200_000, batch=128, frames=8, sampled_steps=0, fields=False,
+        form=form, network=widths, steps=200_000, batch=128, frames=8, sampled=0.0, fields=False,
         in_own_size=False, learning_rate=1e-4, final_rate=5e-5, falls="line", warm_up=1, weight_decay=0.0, clip=None,
         best_by="network",
     )  # fmt: skip
@@ -164,7 +164,7 @@ class GradientLesson(Lesson):
         self.stiffness = torch.from_numpy(np.asarray(stiffness, dtype=np.float32)).to(self.device)
         held = FrameSource(faces, np.flatnonzero(is_held), fields=config.fields)
         self.judged = self._tensors(held.sample(JUDGED, rng), 1)
-        self.about = [f"{len(faces)} faces"]
+        self.about, self.stages = [f"{len(faces)} faces"], (0.0, config.sampled)
 
     def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
         network = draw_form(self.form, self.config, self.faces.mean, sample.codes.shape[1], self.followed)
@@ -194,7 +194,7 @@ class GradientLesson(Lesson):
         rows = [features.at_vertices(each)[:, self.followed][triangles].mean(axis=1) for each in coefficients]
         return np.stack(rows).astype(np.float32)
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean error of a batch: of gradients at sampled faces at first, then of vertices (Eq. 16) [mm].
 
         In shares of each frame's own size where the config says so.
@@ -202,7 +202,7 @@ class GradientLesson(Lesson):
         config = self.config
         batch = self.source.draw(config.batch // config.frames, config.frames, rng)
         weights, codes, parameters, blended, simulated = self._tensors(batch, config.frames)
-        if step < config.sampled_steps:
+        if done < config.sampled:
             count = len(self.triangles)
             chosen = torch.from_numpy(np.sort(rng.permutation(count)[: config.sampled_faces])).to(self.device)
             gradients = self.form.gradients_at(self.network, weights, codes, parameters, chosen)

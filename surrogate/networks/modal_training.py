@@ -117,7 +117,7 @@ class ModalLesson(Lesson):
         device: torch.device | str = "cpu",
         policy: LessonPolicy = POLICY,
     ):
-        self.config, self.policy = config, policy
+        self.config, self.policy, self.renewed = config, policy, config.solve_every
         self.learns_neutral = start is None or more is not None
         rng = np.random.default_rng([config.seed, 0])
         self.data = LessonFaces.divide(
@@ -136,14 +136,13 @@ class ModalLesson(Lesson):
         after = "" if start is None else f"begun after {start.note.steps} steps"
         self.about = [f"{len(faces)} faces", f"{len(more or ())} more", after]
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
-        """Return mean distances of neutral faces, responses, and frames after exact derivatives, in each face's scale.
+    def renew(self, step: int) -> None:
+        """Solve for the tables of responses; see `response_tables`."""
+        self.network["tables"].copy_(torch.from_numpy(self.solve_tables(self._draw_faces(step))))
 
-        The tables of responses are solved for now and then; see `response_tables`.
-        """
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
+        """Return mean distances of neutral faces, responses and frames after derivatives, in each face's scale."""
         config, data = self.config, self.data
-        if step % config.solve_every == 0:
-            self.network["tables"].copy_(torch.from_numpy(self.solve_tables(self._draw_faces(step))))
         numbers = rng.choice(data.training, min(config.faces, len(data.training)), replace=False)
         n = data.vertex_count
         return self.loss_of(numbers, rng, np.sort(rng.choice(n, min(config.vertices, n), replace=False)))

@@ -103,7 +103,7 @@ class RecurrenceLesson(Lesson):
         for value in self.network.values():
             value.requires_grad_()
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance [mm] over all frames of some sequences."""
         rows = rng.choice(self.training, size=min(self.config.batch, len(self.training)), replace=False)
         return torch.stack([self._error(self._motion(int(row))) for row in rows]).mean()

@@ -16,9 +16,9 @@ from .features import Features, Inputs
 from .layers import perceptron, perceptron_layers
 from .ridge import find_components
 from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
-from .vertex_network import SEED, STEPS
 
-MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
+MODES, WIDTH, BATCH = 128, 512, 16
+TRAINING = TrainerConfig(seed=7, steps=1500, learning_rate=1e-3, clip=1.0)
 SEQUENCES = 256
 """At most: 1 MB each on the default head."""
 
@@ -28,13 +28,13 @@ class SubspacePhysics(Lesson):
 
     needs: Needs = "nothing"
 
-    def __init__(self, steps: int = STEPS):
-        self.steps = steps
+    def __init__(self, config: TrainerConfig = TRAINING):
+        self._config = config
 
     def fit(self, table: Table) -> None:
         """Train on a corpus' sequences, SEQUENCES of them at most: its subspace is made of all at once."""
-        rng = np.random.default_rng(SEED)
-        torch.manual_seed(SEED)
+        rng = np.random.default_rng(self._config.seed)
+        torch.manual_seed(self._config.seed)
         rows = [table[int(k)] for k in np.sort(rng.permutation(len(table))[:SEQUENCES])]
         codes = np.array([row["code"] for row in rows], dtype=np.float64)
         scale = np.maximum(codes.std(axis=0), 1e-6)
@@ -56,11 +56,12 @@ class SubspacePhysics(Lesson):
         for value in self.network.values():
             value.requires_grad_()
         self._z, self._frames = torch.from_numpy(z.astype(np.float32)), torch.from_numpy(inputs)
-        config = TrainerConfig(SEED, self.steps, RATE, clip=1.0, validate_every=self.steps)
-        Trainer(self, config).train()
+        trainer = Trainer(self, self._config)
+        trainer.train()
+        self.steps = trainer.step
         del self._z, self._frames
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance over the steps of some sequences."""
         rows = torch.from_numpy(rng.integers(len(self._z), size=min(BATCH, len(self._z))))
         z = self._z[rows]

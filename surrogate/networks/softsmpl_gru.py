@@ -64,7 +64,7 @@ class SoftSMPLInMotion(Lesson):
         trainer.train()
         self.steps, self.curve = trainer.step, trainer.curve
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance [mm] over all frames of some sequences."""
         errors = []
         for k in rng.choice(len(self._table), size=min(self._batch, len(self._table)), replace=False):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -54,7 +55,7 @@ class TrainerConfig:
     clip: float | None = None  # norm of the gradient beyond which it is shortened
     validate_every: int = 400  # steps between two points of the curve
     best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
-    seconds: float | None = None  # stop after these, for slow machines
+    hours: float | None = None  # of a processor that the steps take, in place of `steps`: a few tell how long one takes
     device: str = "cpu"
 
 
@@ -66,10 +67,18 @@ class Lesson(ABC):
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
     about: Sequence[str] = ()
     """What a kept state has to be of."""
+    stages: Sequence[float] = (0.0,)
+    """Shares of all steps with which stages begin, whose steps take longer, or less long."""
+    renewed: int = 0
+    """Steps from one `renew` to the next; 0: there is none."""
 
     @abstractmethod
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
-        """Return the loss of a step's batch."""
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
+        """Return the loss of a step's batch; `done`: the share of all steps that lies behind."""
+
+    def renew(self, step: int) -> None:
+        """Solve before a step for what does not descend, in lessons that are `renewed`."""
+        raise NotImplementedError
 
     def errors(self) -> Mapping[str, float]:
         """Return mean vertex errors [mm] on held-out people; by default nobody is held out."""
@@ -80,7 +89,8 @@ class Trainer:
     """A training between two steps, which depend on seed and number alone; `curve` has a point per validation."""
 
     def __init__(self, lesson: Lesson, config: TrainerConfig):
-        self.lesson, self.config = lesson, config
+        self.lesson, self._about = lesson, [repr(config), *lesson.about]
+        self.config, self.steps = config, config.steps if config.hours is None else count_steps(lesson, config.hours)
         learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
         slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
         rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
@@ -91,7 +101,7 @@ class Trainer:
         self.schedule: torch.optim.lr_scheduler.LRScheduler
         if config.one_cycle:
             self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-                self.optimiser, [rate, 0.3 * rate][: len(groups)], total_steps=config.steps + 1, pct_start=0.05
+                self.optimiser, [rate, 0.3 * rate][: len(groups)], total_steps=self.steps + 1, pct_start=0.05
             )
         else:
             self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, self._share_of_rate)
@@ -105,25 +115,25 @@ class Trainer:
         config = self.config
         if state is not None and Path(state).is_file():
             self.restore(state)
-        while self.step < config.steps and not (config.seconds is not None and self.seconds >= config.seconds):
-            self.run(min(config.validate_every - self.step % config.validate_every, config.steps - self.step))
+        while self.step < self.steps:
+            self.run(min(config.validate_every - self.step % config.validate_every, self.steps - self.step))
             if state is not None:
                 self.keep(state)
             errors = {name: value for name, value in self.curve[-1].items() if name not in ("step", "seconds", "loss")}
             on_progress(
                 "training: held-out people, mm: " + ", ".join(f"{name} {value:.4f}" for name, value in errors.items()),
-                self.step / config.steps,
+                self.step / self.steps,
             )
 
     def run(self, steps: int) -> None:
-        """Make some steps, fewer where the time is over, then add a point to the curve.
-
-        Raises InputError for a loss that is not finite.
-        """
+        """Make some steps, then add a point to the curve; InputError for a loss that is not finite."""
         begin, total = time.perf_counter(), 0.0
         first = self.step
         for _ in range(steps):
-            loss = self.lesson.loss(self.step, np.random.default_rng([self.config.seed, 1, self.step]))
+            rng = np.random.default_rng([self.config.seed, 1, self.step])
+            if self.lesson.renewed and self.step % self.lesson.renewed == 0:
+                self.lesson.renew(self.step)
+            loss = self.lesson.loss(self.step / self.steps, rng)
             self.optimiser.zero_grad()
             loss.backward()
             if self.config.clip is not None:
@@ -134,9 +144,6 @@ class Trainer:
             total += float(loss.detach())
             if not np.isfinite(total):
                 raise InputError(f"training: the loss is not finite at step {self.step}; take a lower learning rate")
-            spent = self.seconds + time.perf_counter() - begin
-            if self.config.seconds is not None and spent >= self.config.seconds:
-                break
         self.seconds += time.perf_counter() - begin
         errors = {name: float(value) for name, value in self.lesson.errors().items()}
         if self.config.best_by and errors[self.config.best_by] < self.least:
@@ -154,7 +161,7 @@ class Trainer:
         parts = {name: getattr(self, name) for name in _VALUES}
         torch.save(
             {
-                "of": self._of,
+                "of": self._about,
                 "network": self._copy(),
                 "optimiser": self.optimiser.state_dict(),
                 "schedule": self.schedule.state_dict(),
@@ -168,7 +175,7 @@ class Trainer:
         """Go on where `keep` was called last; InputError for a damaged file, and for one of another training."""
         try:
             state: dict[str, Any] = torch.load(path, weights_only=True)
-            is_same = state["of"] == self._of
+            is_same = state["of"] == self._about
         except Exception as error:
             raise InputError(f"{path}: damaged, or no state of a training ({type(error).__name__})") from None
         if not is_same:
@@ -181,23 +188,38 @@ class Trainer:
         for name in _VALUES:
             setattr(self, name, state[name])
 
-    @property
-    def _of(self) -> list[str]:
-        # A training that a time limit has stopped goes on with another limit.
-        return [repr(replace(self.config, seconds=None)), *self.lesson.about]
-
     def _copy(self) -> Tensors:
         return {name: value.detach().clone() for name, value in self.lesson.network.items()}
 
     def _share_of_rate(self, step: int) -> float:
         last = self.config.final_rate / self.config.learning_rate
-        done = step / self.config.steps
+        done = step / self.steps
         left = 1.0 - done if self.config.falls == "line" else 0.5 * (1.0 + np.cos(np.pi * done))
         return float((last + (1.0 - last) * left) * min(1.0, (step + 1) / self.config.warm_up))
 
 
-_VALUES = ("step", "seconds", "curve", "best", "least")
+_VALUES = ("steps", "step", "seconds", "curve", "best", "least")
 """Attributes of a trainer that its state has as they are."""
+TRIED = range(5)
+"""Steps by which it is found how long one takes."""
+
+
+def count_steps(lesson: Lesson, hours: float) -> int:
+    """Count the steps that fit into processor hours, validation aside, by how long some of each stage take."""
+    seconds = 0.0
+    for begin, end in pairwise([*lesson.stages, 1.0]):
+        if end > begin:
+            times = [_time(lambda begin=begin: lesson.loss(begin, np.random.default_rng(0)).backward()) for _ in TRIED]
+            seconds += (end - begin) * float(np.median(times))
+    if lesson.renewed:
+        seconds += _time(lambda: lesson.renew(0)) / lesson.renewed
+    return max(1, int(3600.0 * hours / seconds))
+
+
+def _time(call: Callable[[], object]) -> float:
+    begin = time.process_time()
+    call()
+    return time.process_time() - begin
 
 
 def hold_out_people(people: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:

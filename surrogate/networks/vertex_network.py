@@ -16,8 +16,8 @@ from .layers import EVERY, Arrays
 from .ridge import sample_frames
 from .trainer import Lesson, Tensors, Trainer, TrainerConfig, torch
 
-FRAMES, STEPS, BATCH, VERTICES, RATE = 6000, 1500, 32, 512, 2e-3
-SEED = 7
+FRAMES, BATCH, VERTICES = 6000, 32, 512
+TRAINING = TrainerConfig(seed=7, steps=1500, learning_rate=2e-3)
 
 
 class VertexNetwork(Lesson):
@@ -28,8 +28,8 @@ class VertexNetwork(Lesson):
 
     needs: Needs = "nothing"
 
-    def __init__(self, steps: int = STEPS):
-        self._steps = steps
+    def __init__(self, config: TrainerConfig = TRAINING):
+        self._config = config
 
     @abstractmethod
     def draw(self, vertices: int, summary: int) -> Tensors:
@@ -46,9 +46,9 @@ class VertexNetwork(Lesson):
     def fit(self, faces: Faces) -> None:
         """Train on at most FRAMES frames."""
         self._inputs = Inputs.from_faces(faces)
-        torch.manual_seed(SEED)
+        torch.manual_seed(self._config.seed)
         weights, summaries, motions = [], [], []
-        for face, frames in sample_frames(faces, FRAMES, np.random.default_rng(SEED)):
+        for face, frames in sample_frames(faces, FRAMES, np.random.default_rng(self._config.seed)):
             weights.append(frames.weights)
             summaries.append(np.repeat(self._inputs.summary_of(face)[None], len(frames.weights), axis=0))
             motions.append(frames.corrected)
@@ -61,13 +61,12 @@ class VertexNetwork(Lesson):
         self.network = self.draw(self._motion.shape[1], summary.shape[1])
         for value in self.network.values():
             value.requires_grad_()
-        config = TrainerConfig(SEED, self._steps, RATE, validate_every=self._steps)
-        trainer = Trainer(self, config)
+        trainer = Trainer(self, self._config)
         trainer.train()
-        self.arrays = trainer.arrays()
+        self.steps, self.arrays = trainer.step, trainer.arrays()
         del self._motion, self._weights, self._summaries, self.network
 
-    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance over some frames and vertices."""
         rows = rng.integers(len(self._weights), size=BATCH)
         vertices = rng.permutation(self._motion.shape[1])[:VERTICES]

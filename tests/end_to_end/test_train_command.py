@@ -92,26 +92,25 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
     weights = tmp_path / "paper.safetensors"
     assert ended.status == 0 and weights.is_file()
     config = Surrogate.load(weights).weights.note.config
-    assert (config["batch"], config["frames"], config["learning_rate"], config["seconds"]) == (6, 1, 1e-4, None)
+    assert (config["batch"], config["frames"], config["learning_rate"], config["hours"]) == (6, 1, 1e-4, None)
     # There is no offset that the simulator could replace, so that method is not among those scored.
     ended = command("evaluate", corpus, "--surrogate", weights, "--out", tmp_path / "scores", "--json")
     methods = [row["method"] for row in json.loads(ended.out)["rows"]]
     assert ended.status == 0 and "network" in methods and "network + derivatives" not in methods
 
 
-def test_table_1_trains_what_is_missing_and_loads_the_rest(command, corpus, tmp_path):
+def test_table_1_trains_each_method_for_the_same_time(command, corpus, tmp_path):
     assert command("train", corpus, "--steps", "2", "--out", tmp_path).status == 0
-    given = ("bench", "table-1", "--corpus", corpus, "SoftDECA as printed", "--json")
-    given += ("--surrogate", tmp_path / "modal.safetensors", "--trained", tmp_path / "kept")
-    ended = command(*given, "--steps", "3", "--out", tmp_path / "once")
+    given = ("bench", "table-1", "--corpus", corpus, "--surrogate", tmp_path / "modal.safetensors")
+    ended = command(*given, "--hours", "1e-4", "SoftDECA as printed", "--json", "--out", tmp_path / "table")
     (row,) = json.loads(ended.out)["rows"]
-    assert ended.status == 0 and row["values"]["steps"] == 3 and row["values"]["people"] == {"train": 11, "test": 1}
-    assert [line["kind"] for line in row["values"]["rows"]] == ["static"]
-    (loaded,) = json.loads(command(*given, "--steps", "9", "--out", tmp_path / "again").out)["rows"]
-    own, kept = (each["values"]["rows"][0]["everywhere"] for each in (row, loaded))
-    assert loaded["values"]["steps"] == 3 and kept == pytest.approx(own, rel=1e-2)  # kept to half precision
-    assert "numbers beside ours" in (tmp_path / "once" / "index.html").read_text()
+    assert ended.status == 0 and row["values"]["steps"] >= 1 and row["values"]["people"] == {"train": 11, "test": 1}
+    assert [line["kind"] for line in row["values"]["rows"]][:1] == ["static"]
+    assert row["values"]["rows"][-1]["kind"] == "after a quarter of the time"
+    assert 0.0 < row["values"]["floor"] < 1.0
+    assert "numbers beside ours" in (tmp_path / "table" / "index.html").read_text()
     assert "--corpus" in command("bench", "table-1", "--out", tmp_path / "none").refusal()
+    assert "hours: expected more than 0" in command(*given, "--hours", "0", "--out", tmp_path / "none").refusal()
 
 
 def test_what_cannot_be_is_one_line(command, corpus, tmp_path):

@@ -110,8 +110,7 @@ def test_frames_with_contact_do_not_cross_and_finite_elements_answer_alike():
     person = people.person(np.random.default_rng(1))
     free = Face(people.head(person), person.shapes, Parameters(gravity=2.0))
     weights = weights_of({"mouthShrugLower": 1.0})
-    plain = replace(PLAN, contact=False)
-    assert plain.to_json() == PLAN.to_json() and replace(PLAN, contact=True).digest != PLAN.digest
+    assert PLAN.contact and replace(PLAN, contact=False).digest != PLAN.digest
     pairs = {}
     for contact in (False, True):
         plan = replace(PLAN, contact=contact)

@@ -54,13 +54,13 @@ def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
 
 def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
-    from softdeca.surrogate.networks.snp import SubspacePhysics
+    from softdeca.surrogate.networks.snp import TRAINING, SubspacePhysics
 
-    score = evaluate_played("SNP", SubspacePhysics(steps=5), CorpusTrials(corpus, heads=HEADS))
+    score = evaluate_played("SNP", SubspacePhysics(replace(TRAINING, steps=5)), CorpusTrials(corpus, heads=HEADS))
     assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
     # Nine people tell little of a tenth; what it was shown it has learned.
     train = Table(corpus, "sequences", "train")
-    method = SubspacePhysics(steps=150)
+    method = SubspacePhysics(replace(TRAINING, steps=150))
     method.fit(train)
     row = dict(train[0])
     assert np.abs(method.play(row, train) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()

@@ -297,7 +297,7 @@ GIVEN = {
     "bench agreement --level 1 --seed 0 --case zombie": {"level": 1, "seed": 0, "cases": ("zombie",)},
     "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
     "bench dial --faces 6": {"seed": 7000, "faces": 6},
-    "bench table-1 --steps 0 --external ''": {"steps": 0, "external": "", "energy_steps": 1000},
+    "bench table-1 --external ''": {"external": "", "hours": 1.0},
     "bench work-precision --slow": {"slow": True, "repeats": 5, "seed": 0},
     "bench dial --faces 20 --faces 30": {"faces": 30},
     "evaluate corpus --external ''": {"corpus": "corpus", "external": ""},

@@ -1,5 +1,6 @@
 """Networks of deformation gradients: torch solve, training, weights and run time, on a small corpus of spheres."""
 
+import time
 import tracemalloc
 from dataclasses import replace
 
@@ -49,7 +50,7 @@ PLAN = CorpusPlan(
 )  # fmt: skip
 SMALL = Widths(latent=24, expression=64, position=16, hidden=32)
 CONFIG = GradientTraining(
-    network=SMALL, steps=600, sampled_steps=200, sampled_faces=40, batch=8, frames=2, weight_decay=0.3,
+    network=SMALL, steps=600, sampled=1 / 3, sampled_faces=40, batch=8, frames=2, weight_decay=0.3,
     validate_every=100,
 )  # fmt: skip
 QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate": 2e-3, "validate_every": 30}
@@ -106,8 +107,8 @@ def test_a_training_on_another_device_takes_torch_s_own_solver(faces, monkeypatc
     for dense in (False, True):
         if dense:
             monkeypatch.setattr(gradient_training, "open_differentiable", DenseTransfer)
-        lesson = GradientLesson(faces["train"], replace(CONFIG, sampled_steps=0))
-        losses.append(float(lesson.loss(0, np.random.default_rng(0)).detach()))
+        lesson = GradientLesson(faces["train"], replace(CONFIG, sampled=0.0))
+        losses.append(float(lesson.loss(0.0, np.random.default_rng(0)).detach()))
     assert losses[0] == pytest.approx(losses[1], rel=1e-4)
 
 
@@ -156,7 +157,7 @@ def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weigh
 
 @pytest.mark.parametrize("name", [*NETWORKS])
 def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, tmp_path):
-    weights = train_gradients(faces["train"], replace(NETWORKS[name], sampled_steps=0, **QUICK))
+    weights = train_gradients(faces["train"], replace(NETWORKS[name], sampled=0.0, **QUICK))
     losses = [point["loss"] for point in weights.note.curve]
     assert losses[-1] < 0.95 * losses[0] and weights.note.steps == 90
     weights.save(tmp_path / "weights.safetensors")
@@ -245,7 +246,7 @@ def test_frames_are_read_as_batches_need_them():
     lesson = GradientLesson(faces, replace(NETWORKS["paper"], **QUICK))
     before = faces.read
     for step in range(5):
-        lesson.loss(step, np.random.default_rng(step)).backward()
+        lesson.loss(0.1 * step, np.random.default_rng(step)).backward()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert faces.read - before == 5 * QUICK["batch"] and len(lesson.source) > 30_000
@@ -258,13 +259,44 @@ class Diverges(Lesson):
     def __init__(self):
         self.network = {"x": torch.ones(1, requires_grad=True)}
 
-    def loss(self, step, rng):
-        return (self.network["x"] / (2.0 - step)).sum()
+    def loss(self, done, rng):
+        return (self.network["x"] / (2.0 - round(9 * done))).sum()
 
 
 def test_a_loss_that_is_not_finite_ends_a_training():
     with pytest.raises(InputError, match="the loss is not finite at step 3; take a lower learning rate"):
         Trainer(Diverges(), TrainerConfig(steps=9)).train()
+
+
+class Works(Lesson):
+    """A lesson whose steps take 2 ms of the processor up to a third of them, then 8; solving takes 40 ms every 20."""
+
+    stages, renewed = (0.0, 1 / 3), 20
+
+    def __init__(self):
+        self.network = {"x": torch.ones(1, requires_grad=True)}
+
+    def loss(self, done, rng):
+        self.work(0.002 if done < 1 / 3 else 0.008)
+        return self.network["x"].square().sum()
+
+    def renew(self, step):
+        self.work(0.04)
+
+    @staticmethod
+    def work(seconds):
+        end = time.process_time() + seconds
+        while time.process_time() < end:
+            pass
+
+
+def test_as_many_steps_are_made_as_fit_into_processor_hours():
+    """A step takes 2 / 3 + 16 / 3 + 2 = 8 ms in the mean, and .1 or so of torch's."""
+    trainer = Trainer(Works(), TrainerConfig(hours=0.8 / 3600.0, validate_every=1000))
+    begin = time.process_time()
+    trainer.train()
+    assert 80 <= trainer.step <= 102 and trainer.step == trainer.steps
+    assert 0.5 < time.process_time() - begin < 1.1
 
 
 def test_positions_start_smooth_and_normalised():
