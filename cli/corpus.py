@@ -193,18 +193,23 @@ class ShowStatus:
 class Verify:
     """Read every shard of a corpus and check it; the first that is missing, damaged, swapped or implausible is named.
 
+    Some frames are simulated again, to see that they come out as they are kept, and that lids and lips do not cross.
+
     FOLDER is a corpus, or the folder of a `softdeca study`.
     """
 
     folder: Path = argument("FOLDER", type=CorpusFolder())
 
     def run(self) -> int:
-        """Read all."""
+        """Read all, and simulate some."""
+        from ..surrogate.corpus.again import simulate_again
         from ..surrogate.corpus.folder import Corpus
 
+        corpus = Corpus.open(self.folder)
         with show_progress() as progress:
-            people = Corpus.open(self.folder).verify(on_progress=progress)
-        click.echo(f"{self.folder}: {people} shards are whole")
+            people = corpus.verify(on_progress=progress)
+            frames = simulate_again(corpus, on_progress=progress)
+        click.echo(f"{self.folder}: {people} shards are whole; {frames} frames come out the same when simulated again")
         return 0
 
 

@@ -11,9 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
-from ...lhm.base.geometry.bvh import TriangleTree
-from ...lhm.base.geometry.triangles import parting_shifts
-from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats
 from ...reference import Scene, Solution, prepare, solve, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
@@ -50,17 +48,6 @@ def difference(a: Floats, b: Floats, rest: Floats, mask: np.ndarray | None = Non
         max=float(d.max()),
         relative=float(d.max() / largest) if largest > 0 else float(d.max() > 0),
     )
-
-
-def measure_overlap(vertices: Floats, triangles: Ints) -> tuple[int, float]:
-    """Count the pairs of triangles that cross, and measure the longest shift [mm] that one needs to be parted.
-
-    vertices (n, 3) [mm]; triangles (m, 3); pairs with a common vertex do not count.
-    """
-    tree = TriangleTree(vertices, triangles)
-    pairs = tree.self_crossings()
-    shifts = parting_shifts(*(tree.corners[pairs[:, side]] for side in range(2)))
-    return len(pairs), float(shifts.max(initial=0.0))
 
 
 TIGHT = 1e-10

@@ -114,7 +114,7 @@ def facial_scene(
     if contact:
         moving = bones != "soft" and MANDIBLE not in elsewhere
         obstacles = make_obstacles(head, parameters, organs, first, moving)
-        parts.append(terms.Contact(_contact_triangles(head, contact), thickness=GAP, obstacles=obstacles))
+        parts.append(terms.Contact(contact_triangles(head, contact), thickness=GAP, obstacles=obstacles))
     tets = np.vstack(tissue.tets)
     return Scene(vertices, tets, (*parts, *bodies), columns=stack.find_columns(tets))
 
@@ -247,7 +247,7 @@ def contact_regions(head: LayeredHead) -> tuple[str, ...]:
     return tuple(name for name in CONTACT_REGIONS if name in head.regions)
 
 
-def _contact_triangles(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
+def contact_triangles(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     """Return the skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
     touching = np.any([_region_mask(head, name) for name in names], axis=0)
     triangles = head.skin_wrap.triangles

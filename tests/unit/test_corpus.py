@@ -12,16 +12,18 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, InputError, fit_head, load_template
-from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.expressions import conversation_take, weights_of
 from softdeca.lhm.identities import Anny
 from softdeca.lhm.identities.space import LinearSpace
-from softdeca.reference import Face, Parameters, Sequence, terms
+from softdeca.reference import Face, Parameters, Sequence
 from softdeca.reference.face.correction import predict
 from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
+from softdeca.surrogate.corpus import again
+from softdeca.surrogate.corpus.again import count_crossings, simulate_again
 from softdeca.surrogate.corpus.card import licence_of, write_card
 from softdeca.surrogate.corpus.folder import Corpus, sum_seconds
+from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import NAMES, basis
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
@@ -82,6 +84,13 @@ def test_any_frame_can_be_had_again_alone(made):
         np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
 
 
+def test_some_frames_are_simulated_again_to_see_that_they_are_what_is_kept(made, monkeypatch):
+    assert simulate_again(made, Heads(lambda: PEOPLE)) == 3
+    monkeypatch.setattr(again, "SAME", -1.0)
+    with pytest.raises(InputError, match=r"person 0, a frame of face 0: .* accepted, and 0\.0.* mm from what is kept"):
+        simulate_again(made, Heads(lambda: PEOPLE))
+
+
 def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     """From what is kept of it, rotations in 24 bits, the sequence can be had again; without them it is another."""
     person = PEOPLE.person(PLAN.rng(0, 0))
@@ -116,8 +125,7 @@ def test_frames_with_contact_do_not_cross_and_finite_elements_answer_alike():
         plan = replace(PLAN, contact=contact)
         face = free.in_contact() if contact else free
         solution = solve_frame(plan, face, weights)
-        triangles = free.in_contact().neutral_scene().of(terms.Contact)[0].triangles
-        pairs[contact] = len(TriangleTree(solution.positions, triangles).self_crossings())
+        pairs[contact] = count_crossings(face.head, solution.positions)
     assert pairs[False] > 0 == pairs[True] and solution.detail["contact_pairs"] > 0
     answer = simulate_static(plan, face, weights)
     assert answer.status == "accepted"
@@ -683,4 +691,6 @@ def test_counts_of_a_manifest_are_bounded(copied):
 def test_a_corpus_made_from_python_has_a_status_and_is_verified(made, command):
     """As the one of `make study`, whose people no command needs for it."""
     assert command("corpus", "status", made.folder).status == 0
-    assert command("corpus", "verify", made.folder).out == f"{made.folder}: 3 shards are whole\n"
+    assert command("corpus", "verify", made.folder).out == (
+        f"{made.folder}: 3 shards are whole; 0 frames come out the same when simulated again\n"
+    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.limits import Bound
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
@@ -14,7 +15,7 @@ from ....lhm.head.head import LayeredHead
 from ....reference import Face, Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
 from ....surrogate.methods import PD
 from ...harness.study import Column, Row, Task, Values, at_most
-from ..measures import Stopwatch, distances, measure_overlap
+from ..measures import Stopwatch, distances
 from ..person import OfPerson, check_known
 
 LIPS, LIDS = ("lips", "mouth"), ("lids", "eyes")
@@ -206,13 +207,13 @@ def measure_frame(face: Face, skin: Floats) -> dict:
     free, touching = answers
     (contact,) = scene.of(terms.Contact)
     moved = distances(free.positions, touching.positions)
-    crossings, overlap = measure_overlap(free.positions, contact.triangles)
+    crossings, overlap = TriangleTree(free.positions, contact.triangles).measure_overlap()
     return {
         "done": touching.converged,
         "pairs": int(touching.detail["contact_pairs"]),
         "crossings_free": crossings,
         "overlap_mm": overlap,
-        "crossings": measure_overlap(touching.positions, contact.triangles)[0],
+        "crossings": len(TriangleTree(touching.positions, contact.triangles).self_crossings()),
         "moved_max_mm": float(moved.max()),
         "force_pd_mn": touching.detail["contact_force"],
         "iterations_pd": touching.iterations,
@@ -246,7 +247,7 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
         "done": by_pd.converged and by_barrier.converged and free.converged,
         "reasons": [str(by_pd.reason), str(by_barrier.reason)],
         "tets": len(scene.tets),
-        "overlap_mm": measure_overlap(free.positions, contact.triangles)[1],
+        "overlap_mm": TriangleTree(free.positions, contact.triangles).measure_overlap()[1],
         "crossings": int(by_pd.detail["contact_crossings"]),
         "moved_mean_mm": float(motion[counts].mean()),
         "moved_max_mm": float(motion.max()),

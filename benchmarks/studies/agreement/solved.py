@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.mesh import Floats
 from ....reference import Face, Scene, SettledFace, Solution, prepare, projective, settle, solve, terms
 from ....reference.face.facial import FaceLaw, apply_law
@@ -33,7 +34,6 @@ from ..measures import (
     Trace,
     difference,
     distances,
-    measure_overlap,
     trace_solve,
     trace_to_itself,
 )
@@ -281,7 +281,7 @@ class SolvedCase:
             assert self.without is not None
             free = self.without.answer(PD).solution
             for when, each in (("before", free), ("after", solution)):
-                pairs, depth = measure_overlap(each.positions, contact.triangles)
+                pairs, depth = TriangleTree(each.positions, contact.triangles).measure_overlap()
                 record |= {f"crossings_{when}": pairs, f"overlap_{when}_mm": depth}
         if pd.settled is not None:
             if not self.case.contact:  # the way without contact, until something is met, is in the history, too

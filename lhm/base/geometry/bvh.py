@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from ..mesh import Floats, Ints
-from .triangles import closest_on_triangle, triangles_cross
+from .triangles import closest_on_triangle, parting_shifts, triangles_cross
 
 LEAF = 4
 ALL = 2**62
@@ -215,6 +215,12 @@ class TriangleTree:
     def self_crossings(self, *, most: int = ALL) -> Ints:
         """Return pairs of triangles without a common vertex that cross, (k, 2); the search ends after `most`."""
         return self._pairs(self.corners, self.triangles, True, most)
+
+    def measure_overlap(self) -> tuple[int, float]:
+        """Count `self_crossings`, and measure the longest shift [mm] that one of these pairs needs to be parted."""
+        pairs = self.self_crossings()
+        shifts = parting_shifts(*(self.corners[pairs[:, side]] for side in range(2)))
+        return len(pairs), float(shifts.max(initial=0.0))
 
     def crossings(self, other: TriangleTree, *, most: int = ALL) -> Ints:
         """Return pairs (triangle of `other`, triangle of this) that cross, (k, 2); the search ends after `most`."""
