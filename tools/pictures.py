@@ -139,6 +139,37 @@ def collisions(scan: Path) -> bytes:
     return draw_lips(head, {caption: answer.solution.positions for caption, answer in answers.items()})
 
 
+def effects(scan: Path) -> bytes:
+    """Draw the effects that change a face's bones, volumes and halves, and the head outside the space."""
+    return draw_effects(("bells-palsy", "weight-20", "weight-40", "jaw", "stylised"))
+
+
+def more_effects(scan: Path) -> bytes:
+    """Draw the others: skin, gravity, wrinkles and contact."""
+    return draw_effects(("zombie", "gravity-3", "lying", "wrinkles", "collisions"))
+
+
+def draw_effects(names: Iterable[str]) -> bytes:
+    """Draw PD's answers to some cases of the mean person."""
+    from softdeca.animation.pictures import Panel, draw_strip
+    from softdeca.benchmarks.studies.agreement.solved import SolvedCase
+    from softdeca.benchmarks.studies.cases import CASES
+    from softdeca.benchmarks.studies.person import Person
+    from softdeca.surrogate.methods import PD
+
+    head, space, code = face()
+    person, panels = Person(space, code, head), []
+    for case in map(CASES.__getitem__, names):
+        changed = person if case.changed is None else person.change(case.changed(head), 2)
+        answer = SolvedCase(changed, case).answer(PD)
+        if not answer.converged:
+            raise SystemExit(f"{case.name}: {answer.solution.reason}")
+        figure = case.shown.partition(":")[0]
+        shown = changed.head.skin.with_vertices(answer.skin)
+        panels.append(Panel(f"{figure}: {case.name}", shown, weights=case.weights))
+    return draw_strip(panels, size=260, rest=head.skin)
+
+
 def own_head(scan: Path) -> bytes:
     """Draw the fitted scan of Lee Perry-Smith at rest and simulated in three expressions."""
     from softdeca.animation.head_pictures import FRONT
@@ -303,6 +334,8 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "collisions.png": (collisions, (*HEAD, *CUT)),
+    "effects.png": (effects, (*HEAD, *DRAWING, *CUT[:2])),
+    "more-effects.png": (more_effects, (*HEAD, *DRAWING, *CUT[:2])),
     "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/template/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),

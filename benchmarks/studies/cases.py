@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, quote
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.flesh import cheek_share, flesh_share, mean_on_triangles
 from ...lhm.head.head import LayeredHead
 from ...reference import Parameters, Scene, open_jaw_scene, push_cheek_scene
@@ -26,8 +28,9 @@ class Case:
 
     name, shown: how the report names the case, and what it is. expression: ARKit weights by name. parameters: p of a
     head, local values one per triangle of the wraps. without: the p that an effect is held against; None if the case
-    is no effect. contact: regions that are kept apart. scene: the whole scene of a head, where no target holds the
-    skin; expression and p have no part in it.
+    is no effect. contact: regions that are kept apart. changed: makes another neutral skin of a head, in whose place a
+    head is fitted to it. scene: the whole scene of a head, where no target holds the skin; expression and p have no
+    part in it.
     """
 
     name: str
@@ -36,12 +39,18 @@ class Case:
     parameters: MakeParameters = keep_defaults
     without: MakeParameters | None = None
     contact: tuple[str, ...] = ()
+    changed: Callable[[LayeredHead], Surface] | None = None
     scene: Callable[[LayeredHead], Scene] | None = None
 
     @property
     def weights(self) -> Floats:
         """The expression's weights, shape (52,)."""
         return expressions.weights_of(dict(self.expression))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is the person's own head, drawn to an expression, and no effect."""
+        return self.without is None and self.changed is None and self.scene is None
 
 
 LEAN = 1.6
@@ -78,6 +87,31 @@ def stiffen_cheeks(head: LayeredHead) -> Parameters:
     return replace(loosen_cheeks(head), skin_stiffness=20.0 * 15.0**share, skin_bending=3.0 * share)
 
 
+def stylise(head: LayeredHead) -> Surface:
+    """Make a neutral skin that is nobody's: skull half again as high above the eyes, large eyes, a small chin."""
+    skin = head.skin.vertices
+    lids, lips = (skin[_list_on_skin(head, region)] for region in ("lids", "lips"))
+    eyes, mouth = [lids[lids[:, 0] * side > 0.0].mean(axis=0) for side in (-1.0, 1.0)], lips.mean(axis=0)
+    moved = skin.copy()
+    above = np.maximum(skin[:, 1] - lids[:, 1].mean(), 0.0)
+    moved[:, 1] += 0.5 * above * np.minimum(2.0 * above / above.max(), 1.0)
+    for eye in eyes:
+        moved += 0.5 * _fade(skin, eye, 22.0) * (skin - eye)
+    in_middle = (np.abs(skin[:, 0]) < 5.0) & (np.abs(skin[:, 1] - mouth[1] + 37.0) < 22.0)
+    chin = skin[in_middle][skin[in_middle, 2].argmax()] * [0.0, 1.0, 1.0]
+    moved += 0.35 * _fade(skin, chin, 38.0) * [0.6, 1.0, 1.0] * (mouth - [0.0, 0.0, 15.0] - skin)
+    return head.skin.with_vertices(moved)
+
+
+def _list_on_skin(head: LayeredHead, region: str) -> np.ndarray:
+    return head.skin_from_wrap @ np.asarray(head.regions[region], dtype=np.float64) > 0.5
+
+
+def _fade(skin: Floats, centre: Floats, reach: float) -> Floats:
+    """Fall from 1 at a centre (3,) to nothing some `reach` [mm] away, shape (n, 1)."""
+    return np.exp(-np.sum((skin - centre) ** 2, axis=1, keepdims=True) / reach**2)
+
+
 EXPRESSIONS = ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker", "cheekPuff", "browInnerUp")
 WEIGHTS_AND_LOADS = (
     Case("rest-3-g", "no expression, 3 g", parameters=lambda head: Parameters(gravity=3.0)),
@@ -110,6 +144,7 @@ EFFECTS = (
         lambda head: Parameters(mandible_scale_y=1.15),
         keep_defaults,
     ),
+    Case("stylised", "Figure 7 e: a head outside the space, with shapes by transfer", SMILE, changed=stylise),
     Case("zombie", "Figure 7 f: the area of the skin grows", SMILE, grow_skin, keep_defaults),
     Case(
         "gravity-3",

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...lhm import expressions, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.template.template import DEFAULT_LEVEL, LEVELS
@@ -53,15 +53,24 @@ def check_person(seed: int | None, level: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """A head, the space that it is of, and its code there."""
+    """A head, the space whose triangles it has, and its code there; None where it is none of that space's people."""
 
     space: LinearSpace
-    code: Floats
+    code: Floats | None
     head: LayeredHead
 
     def face(self, parameters: Parameters) -> Face:
         """Give the face under p, local values one per triangle of the wraps."""
-        return Face(self.head, self.space.expression_deltas(self.code), parameters, per="wraps", code=self.code)
+        return Face(self.head, self.shapes, parameters, per="wraps", code=self.code)
+
+    @property
+    def shapes(self) -> Floats:
+        """What the 52 weights add to the skin [mm], shape (52, n, 3)."""
+        return self.space.shapes_on(self.head.skin) if self.code is not None else self.space.transfer_to(self.head.skin)
+
+    def change(self, skin: Surface, level: int) -> Person:
+        """Fit a head of a level to another skin of the same triangles."""
+        return Person(self.space, None, fit_head(load_template(self.space, level=level), skin))
 
     def shape(self, text: str) -> Floats:
         """Give the skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
@@ -69,7 +78,7 @@ class Person:
 
     def blend(self, weights: Floats) -> Floats:
         """Give the skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
-        return expressions.blend(self.space, self.code, weights)
+        return self.head.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
 
 
 WHOSE = "'anny' (the default head), ict:FILE or flame:FILE"

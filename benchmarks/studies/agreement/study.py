@@ -142,7 +142,7 @@ class Agreement(OfPerson):
         rigs = [] if network is None else [Rig.baked(NETWORK, network.bind_face(at_rest))]
         poses = []
         for case in self._chosen:
-            if case.scene is None and case.without is None and case.expression:
+            if case.is_plain and case.expression:
                 solved = solve_case(self, case.name)
                 skins = {solver: solved.answer(solver).skin for solver in (PD, FENICSX_NEO_HOOKEAN)}
                 poses.append(Pose(case.name, case.weights, skins))
@@ -332,14 +332,17 @@ def list_methods(case: Case, rivals: Sequence[str]) -> Sequence[str]:
     if case.contact:
         solvers: Sequence[str] = (PD, FENICSX)
     else:
-        solvers = FEWER_SOLVERS if case.scene is not None or case.without is not None else ALL_SOLVERS
+        solvers = ALL_SOLVERS if case.is_plain else FEWER_SOLVERS
     return (*solvers, *(rivals if case.scene is None else ()), BESIDE)
 
 
 @lru_cache(maxsize=len(CASES) + 8)
 def solve_case(study: Agreement, name: str) -> SolvedCase:
     """Return a case on the study's person; what is solved of it is kept for the tasks that follow."""
-    return SolvedCase(study.person(), get_case(name), study.network())
+    case, person = get_case(name), study.person()
+    if case.changed is not None:
+        person = person.change(case.changed(person.head), study.level)
+    return SolvedCase(person, case, study.network())
 
 
 def _spread(lips: Sequence[float] | None) -> dict[str, float]:
