@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,6 +170,54 @@ def compare_results(before: Path, after: Path, kind: type[Study]) -> Comparison:
             if isinstance(a, str) and isinstance(b, str) and a != b:
                 comparison.other.append(f"{task}, {column.title}: {a} before, {b} after")
     return comparison
+
+
+UNSEEN = 1e-6
+"""Of the largest value of an answer's column over all kept rows: what moves by less is rounding."""
+
+
+def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Study]) -> list[str]:
+    """Name the answers of rows measured anew that differ from the kept ones by more than the study allows, in words.
+
+    Both are contents of results files. A row that is not done anew has moved; one that `kept` lacks says nothing.
+    """
+    moved: list[str] = []
+    rows = {(row["case"], row["method"]): row for row in kept["rows"] if row["status"] == "done"}
+    answers = [column for column in kind.columns if not column.cost]
+    with refuse_other_versions(f"results of {kind.name}"):
+        lines = [line for row in rows.values() for line in kind.lines(row["values"])]
+        scale = {column.key: _find_largest([line.get(column.key) for line in lines]) for column in answers}
+        for row in anew["rows"]:
+            task = f"{row['case']}, {row['method']}"
+            before = rows.get((row["case"], row["method"]))
+            if before is None:
+                continue
+            if row["status"] != "done":
+                moved.append(f"{task}: {row['status']}, {row['reason']}")
+                continue
+            pairs = list(zip(kind.lines(before["values"]), kind.lines(row["values"]), strict=False))
+            for column in answers:
+                for old, new in pairs:
+                    a, b = old.get(column.key), new.get(column.key)
+                    if not _is_same(a, b, kind.within, UNSEEN * scale[column.key]):
+                        moved.append(f"{task}, {column.title}: {_shorten(a)} -> {_shorten(b)}")
+    return moved
+
+
+def _find_largest(values: Sequence[Any]) -> float:
+    return max((abs(_find_middle(value)[0]) for value in values if _is_number(value)), default=0.0)
+
+
+def _is_same(a: Any, b: Any, share: float, least: float) -> bool:
+    """Whether two values of an answer are one but for `share` of them, or `least`."""
+    if _is_number(a) and _is_number(b):
+        middle, middle_after = _find_middle(a)[0], _find_middle(b)[0]
+        return abs(middle_after - middle) <= max(share * abs(middle), least)
+    return bool(a == b)
+
+
+def _shorten(value: Any) -> str:
+    return f"{_find_middle(value)[0]:.6g}" if _is_number(value) else str(value)
 
 
 def _is_number(value: Any) -> bool:

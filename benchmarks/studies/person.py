@@ -80,6 +80,8 @@ WHOSE = "'anny' (the default head), ict:FILE or flame:FILE"
 class OfPerson(Study):
     """A study of one head, by default the default space's of seed 0; a subclass may make options of whose it is."""
 
+    needs = ("people", "heads")
+
     identities: str = "anny"
     seed: int = 0
     level: int = DEFAULT_LEVEL

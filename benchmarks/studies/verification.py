@@ -35,6 +35,8 @@ class Verification(Study):
     name = "verification"
     heading = "Do the solvers give the answers that are known?"
     question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
+    needs = ("people", "heads")
+    cheap = "two layers in series, 1:100, "
     columns = (
         Column("problem", "problem"),
         Column("source", "source"),
@@ -122,6 +124,7 @@ class Hard(Study):
     name = "hard"
     heading = "Do the solvers survive hard cases?"
     question = "Are hard-pushed solvers right, do they say why they stop, or are they silently wrong?"
+    cheap = "layers of stiffness 1:100 (H9)"
     columns = (
         Column("criterion", "what is compared"),
         Column("outcome", "outcome"),

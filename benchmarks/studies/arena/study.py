@@ -52,6 +52,8 @@ class Arena(Study):
     question = (
         "How near to the answer of its own law is each solver after a given processor time, and where does it end?"
     )
+    needs = ("people", "heads")
+    cheap = "bar, FEniCSx; default; from rest"
     columns = (
         Column("law", "law"),
         Column("law_mm", "law to neo-Hookean [mm]"),
