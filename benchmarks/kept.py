@@ -165,6 +165,12 @@ def order_for_keeping(commit: str) -> list[State]:
     return stale + [state for state in states if not state.stale and state.commits != (commit,)]
 
 
+def estimate_seconds(states: Sequence[State]) -> float:
+    """Estimate the time [s] on this machine by what rows took last; rows of studies that compare none share it."""
+    shares = {state.name: 1 if _find(state.name).make_study().timed else count_processors() for state in states}
+    return sum((state.seconds or 0.0) / shares[state.name] for state in states)
+
+
 def read_clean_commit() -> str:
     """Read the commit of the code. InputError where no commit holds all of it, since no result of it is kept."""
     commit = provenance.read_commit()
@@ -198,11 +204,11 @@ def keep(name: str, work: Path, progress: OnProgress = silent) -> Results:
 
 @dataclass(frozen=True)
 class Check:
-    """What measuring a cheap part of a kept result anew gave: what moved, in words; `measured` where it has one."""
+    """What measuring a cheap part of a kept result anew gave: what moved, in words, or why nothing was measured."""
 
     state: State
-    measured: bool
     moved: tuple[str, ...] = ()
+    unmeasured: str = ""
 
     @property
     def holds(self) -> bool:
@@ -213,20 +219,23 @@ class Check:
 def check(name: str, progress: OnProgress = silent) -> Check:
     """Measure the cheap part of a kept result anew, if it has one, and compare its answers; no seconds.
 
-    Raises InputError for a name that there is not, and for a file that DATA lacks.
+    Raises InputError for a name that there is not.
     """
     state = judge(name)
-    if name in SINGLE:
-        return Check(state, measured=False)
+    if state.single or state.seconds is None:
+        return Check(state, unmeasured=state.single or ", ".join(state.stale))
     kept = _find(name)
     study = kept.make_study()
-    if not study.cheap or kept.part or kept.corpora or state.seconds is None:
-        return Check(state, measured=False)
+    if kept.part or not study.cheap:
+        return Check(state, unmeasured="no part of it is cheap")
     with TemporaryDirectory() as folder, _inside(Path(folder)):
-        _link_files(name, kept)
+        try:
+            _link_files(name, kept)
+        except InputError as error:
+            return Check(state, unmeasured=str(error))
         run(study, Path("anew"), workers=1, match=study.cheap, progress=progress)
         moved = find_moved(read_results(find_path(name)), read_results(Path("anew")), type(study))
-    return Check(state, measured=True, moved=tuple(moved))
+    return Check(state, tuple(moved))
 
 
 def _find(name: str) -> Kept:

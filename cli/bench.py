@@ -93,8 +93,12 @@ class KeepResults:
         from ..benchmarks import kept
 
         if self.list:
-            for name in self.names or (*kept.KEPT, *kept.SINGLE):
-                click.echo(describe_state(kept.judge(name)))
+            states = [kept.judge(name) for name in self.names or (*kept.KEPT, *kept.SINGLE)]
+            for state in states:
+                click.echo(describe_state(state))
+            stale = [state for state in states if state.stale]
+            cost = describe_seconds(kept.estimate_seconds(stale))
+            click.echo(f"{len(stale)} of {len(states)} are stale; they took {cost} last, without corpora")
             return 0
         if len(self.names) == 1:
             with show_progress() as progress:
@@ -164,8 +168,8 @@ class CheckResults:
             with show_progress() as progress:
                 checked = kept.check(name, progress)
             click.echo(describe_state(checked.state))
-            if not checked.state.single and not checked.measured:
-                click.echo("         judged by digests alone")
+            if checked.unmeasured and not checked.state.single:
+                click.echo(f"         judged by digests alone: {checked.unmeasured}")
             for line in checked.moved:
                 click.echo(f"MOVED    {line}")
             faults += not checked.holds

@@ -81,7 +81,7 @@ class Contact(OfPerson):
     name = "contact"
     heading = "Are lips and lids parted as another code parts them?"
     question = "How far is PD's contact from ipctk's barrier, and what does it do on hard frames?"
-    cheap = "jaw of 0.3, rolls, PD"
+    cheap = "press, soft, PD"
     columns = (
         Column("overlap_mm", "overlap without contact [mm]"),
         Column("crossings", "pairs that cross with it"),
