@@ -179,7 +179,8 @@ UNSEEN = 1e-6
 def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Study]) -> list[str]:
     """Name the answers of rows measured anew that differ from the kept ones by more than the study allows, in words.
 
-    Both are contents of results files. A row that is not done anew has moved; one that `kept` lacks says nothing.
+    Both are contents of results files. Of a row's many lines the first that moved is told, and how many more did. A row
+    that is not done anew has moved; one that `kept` lacks says nothing.
     """
     moved: list[str] = []
     rows = {(row["case"], row["method"]): row for row in kept["rows"] if row["status"] == "done"}
@@ -197,10 +198,11 @@ def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Stud
                 continue
             pairs = list(zip(kind.lines(before["values"]), kind.lines(row["values"]), strict=False))
             for column in answers:
-                for old, new in pairs:
-                    a, b = old.get(column.key), new.get(column.key)
-                    if not _is_same(a, b, kind.within, UNSEEN * scale[column.key]):
-                        moved.append(f"{task}, {column.title}: {_shorten(a)} -> {_shorten(b)}")
+                values = [(old.get(column.key), new.get(column.key)) for old, new in pairs]
+                apart = [(a, b) for a, b in values if not _is_same(a, b, kind.within, UNSEEN * scale[column.key])]
+                if apart:
+                    (a, b), more = apart[0], f", and {len(apart) - 1} more lines" if len(apart) > 1 else ""
+                    moved.append(f"{task}, {column.title}: {_shorten(a)} -> {_shorten(b)}{more}")
     return moved
 
 

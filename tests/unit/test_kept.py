@@ -124,6 +124,16 @@ def test_answers_that_differ_by_rounding_and_seconds_have_not_moved(small):
     assert find_moved(content, anew, kind) == ["nu = 0.45, one axis, neo-Hookean: failed, no more"]
 
 
+def test_of_many_lines_that_moved_one_is_told():
+    content = read_results(kept.find_path("shapes"))
+    anew = json.loads(json.dumps(content))
+    anew["rows"] = anew["rows"][:1]
+    for line in anew["rows"][0]["values"]["rows"][:3]:
+        line["least_j"] -= 0.1
+    (moved,) = find_moved(content, anew, load_study("shapes"))
+    assert moved.endswith(", and 2 more lines") and "smallest volume ratio" in moved
+
+
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
