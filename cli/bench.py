@@ -81,8 +81,8 @@ class KeepResults:
     """Make the kept results of benchmarks/results again, at the commit of this code: what is stale first.
 
     NAMES are results by name, by default all that are stale or of other code. Each has a process of its own, and is
-    written when it is done. An interrupted run resumes: rows lie in out/keep/COMMIT. The tree has to be clean.
-    Exit status 1 if a result could not be made.
+    written when it is done, whatever its gates say. An interrupted run resumes: rows lie in out/keep/COMMIT. The tree
+    has to be clean. Exit status 1 if a result could not be made.
     """
 
     names: tuple[str, ...] = argument("[NAMES]...", (), type=str)
