@@ -116,12 +116,17 @@ def test_answers_that_differ_by_rounding_and_seconds_have_not_moved(small):
     anew = json.loads(small.read_text())
     for row in anew["rows"]:
         row["seconds"] *= 7.0
-        row["values"]["large"] *= 1.0 + 1e-5
+        row["values"]["large"] *= 1.0 + 1e-4
+        row["values"]["tiny"] += 1e-6
     kind = load_study("material")
     assert find_moved(content, anew, kind) == []
     anew["rows"][0] |= {"status": "failed", "reason": "no more"}
     anew["rows"].append(anew["rows"][1] | {"method": "of today alone"})
-    assert find_moved(content, anew, kind) == ["nu = 0.45, one axis, neo-Hookean: failed, no more"]
+    case = "nu = 0.45, one axis"
+    assert find_moved(content, anew, kind) == [
+        f"{case}, neo-Hookean: failed, no more",
+        f"{case}, of today alone: not among the kept rows",
+    ]
 
 
 def test_of_many_lines_that_moved_one_is_told():
@@ -132,6 +137,9 @@ def test_of_many_lines_that_moved_one_is_told():
         line["least_j"] -= 0.1
     (moved,) = find_moved(content, anew, load_study("shapes"))
     assert moved.endswith(", and 2 more lines") and "smallest volume ratio" in moved
+    count = len(content["rows"][0]["values"]["rows"])
+    del anew["rows"][0]["values"]["rows"][3:]
+    assert f"{anew['rows'][0]['case']}, PD: {count} -> 3 lines" in find_moved(content, anew, load_study("shapes"))
 
 
 @pytest.mark.parametrize(
