@@ -149,9 +149,10 @@ def judge(name: str) -> State:
         return State(name, ("it is of a form that is no more",))
     asked, said, today = _write_options(study), content.get("decided_by"), find_inputs(study)
     stale = [key for key in asked if content["options"].get(key) != asked[key]]
-    stale += (
-        ["it does not say what decided it"] if said is None else [key for key in today if said.get(key) != today[key]]
-    )
+    if said is None:
+        stale.append("it does not say what decided it")
+    else:
+        stale += [key for key in today if said.get(key) != today[key]]
     stale += provenance.list_missing(content)
     seconds = sum(row.get("seconds", 0.0) for row in content["rows"])
     commits = provenance.list_commits(content["machine"], content["rows"])

@@ -20,7 +20,7 @@ HUNDREDTHS = 100.0
 
 def find_inputs(study: Study) -> dict[str, str]:
     """Name what decides a study's figures: its version and tolerance, and today's digest of each of its `needs`."""
-    own = f"version {study.version}, answers within {study.within:g}"
+    own = f"version {study.version}, answers within {study.allowed:g}"
     return {"study": own} | {name: INPUTS[name]() for name in study.needs}
 
 

@@ -201,7 +201,7 @@ def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Stud
             pairs = list(zip(old_lines, new_lines, strict=False))
             for column in answers:
                 values = [(old.get(column.key), new.get(column.key)) for old, new in pairs]
-                apart = [(a, b) for a, b in values if not _is_same(a, b, kind.within)]
+                apart = [(a, b) for a, b in values if not _is_same(a, b, kind.allowed)]
                 if apart:
                     (a, b), more = apart[0], f", and {len(apart) - 1} more lines" if len(apart) > 1 else ""
                     moved.append(f"{task}, {column.title}: {_shorten(a)} -> {_shorten(b)}{more}")

@@ -138,7 +138,7 @@ class Study(ABC):
     """Names of INPUTS (`inputs.py`) that decide its figures; rows of others are measured anew."""
     cheap: ClassVar[str] = ""
     """PART whose rows are measured anew to see whether kept results still hold; empty where all take minutes."""
-    within: ClassVar[float] = 1e-3
+    allowed: ClassVar[float] = 1e-3
     """Share of itself by which an answer that is measured anew may differ from the kept one."""
 
     @abstractmethod

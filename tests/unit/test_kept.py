@@ -15,6 +15,8 @@ from softdeca.benchmarks.kept import KEPT, RESULTS, SINGLE, Kept, check, judge, 
 from softdeca.benchmarks.studies import load_study
 from softdeca.lhm import InputError
 from softdeca.lhm.base import provenance
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.plan import PRESETS
 
 from ..conftest import measure_here
 
@@ -75,7 +77,7 @@ def test_every_file_is_a_kept_result_and_the_other_way_round():
 @pytest.mark.parametrize("name", KEPT)
 def test_a_study_can_be_made_and_needs_what_there_is(name):
     study = KEPT[name].make_study()
-    assert set(study.needs) <= set(inputs.INPUTS)
+    assert set(study.needs) <= set(inputs.INPUTS) and study.allowed <= 0.01
     assert set(KEPT[name].corpora) <= set(kept.CORPORA)
     if study.cheap and not KEPT[name].files and not KEPT[name].part:
         assert 1 <= sum(study.cheap.lower() in str(task).lower() for task in study.tasks()) <= 3
@@ -159,7 +161,7 @@ def test_a_stale_result_says_why(small, edit, words):
 
 def test_another_tolerance_or_digest_makes_a_result_stale(small, monkeypatch):
     kind = load_study("material")
-    monkeypatch.setattr(kind, "within", 0.5)
+    monkeypatch.setattr(kind, "allowed", 0.5)
     assert judge("material").stale == ("study",)
     monkeypatch.undo()
 
@@ -203,6 +205,14 @@ def test_what_is_stale_is_made_first_and_what_is_of_this_code_not_again(small, t
     assert kept.order_for_keeping(COMMIT) == []
     change(small, lambda content: content["options"].update(modes=[]))
     assert [state.name for state in kept.order_for_keeping("of-other-code")] == ["material", "another"]
+
+
+def test_corpora_are_simulated_before_the_study_that_reads_them(small, tmp_path, monkeypatch):
+    plan = replace(PRESETS["tiny"], identities=2, references=0, sequences=0, parameter_responses=0.0)
+    monkeypatch.setattr(kept, "CORPORA", {"spheres": kept.KeptCorpus(plan, "spheres:1")})
+    monkeypatch.setitem(kept.KEPT, "another", replace(kept.KEPT["another"], corpora=("spheres",)))
+    keep("another", tmp_path / "work")
+    assert Corpus.open(tmp_path / "work" / COMMIT / "spheres").verify() == 2
 
 
 @pytest.mark.parametrize("commit", ["0123456789ab-dirty", "not known: no git checkout"])
