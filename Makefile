@@ -1,10 +1,11 @@
 # make study   the whole chain on the default head -> out/study/index.html
 # make test    every test, one for each core      make check   ruff, mypy, import-linter, the pages
+# make check-results  a cheap part of every kept result measured anew: names what is stale and what moved; ten minutes
 # make fuzz    an hour of damaged files for every reader, or SECONDS=... -> out/fuzz; goes on from what it found before
 # make docs    the pages, their programs run -> out/docs/index.html; installs Sphinx and its themes besides (extra "docs")
 # Each does first all set-up that is missing (tools/set-up), which says what it will install before it does, and
 # starts at once when nothing is missing.
-.PHONY: study test check fuzz docs setup clean
+.PHONY: study test check check-results fuzz docs setup clean
 PYTHON := .venv/bin/python
 SECONDS ?= 3600
 
@@ -22,6 +23,9 @@ check: setup
 	.venv/bin/lint-imports
 	@tools/set-up docs
 	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=off -D suppress_warnings=myst-nb.lexer docs build/docs
+
+check-results: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/softdeca bench check
 
 fuzz: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.fuzz --seconds $(SECONDS)

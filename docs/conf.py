@@ -7,7 +7,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from results import RESULTS, fill  # noqa: E402
+from results import RESULTS, fill_page  # noqa: E402
 
 project = "softdeca"
 author = "The softdeca authors"
@@ -172,7 +172,7 @@ def _by_alias(app, what, name, obj, options, signature, returned):
 
 def _fill(app, docname, source):
     """Fill a page from the results; what no result has ends the build."""
-    source[0] = fill(source[0], f"docs/{docname}.md")
+    source[0] = fill_page(source[0], f"docs/{docname}.md")
     for path in RESULTS.rglob("*.json"):
         app.env.note_dependency(str(path))
 

@@ -2,8 +2,9 @@
 
 An expression asks for values of lines of a results file by case, method and other keys (`one`, `every`), for a value of
 the file (`of`), or for that of a study's gate (`gate`); `table` is one of a study's own, and `shares`, `errors` and
-`costs` are whole tables of the surrogate's scores. `~` before a format leaves the zero before a point out. Sphinx fills the pages of docs when it builds
-them. README.md is read where nothing fills it, so `python docs/results.py` writes it from docs/readme.in.
+`costs` are whole tables of the surrogate's scores. `~` before a format leaves the zero before a point out. Sphinx fills
+the pages of docs when it builds them, and each says which of its results are stale. README.md is read where nothing
+fills it, so `python docs/results.py` writes it from docs/readme.in.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from softdeca.benchmarks.harness.report import read_part
+from softdeca.benchmarks.kept import judge
 from softdeca.benchmarks.studies import load_study
 from softdeca.benchmarks.studies.surrogate.gates import ADDED, BOUNDS
 from softdeca.surrogate.methods import (
@@ -37,13 +39,22 @@ BRACES = re.compile(r"\{\{ (.+?) \}\}")
 Line = Mapping[str, Any]
 
 
+_asked: set[str] = set()
+"""Results files that were read since a page began."""
+
+
 class MissingResultError(Exception):
     """A page asks for what no result has."""
 
 
-@cache
 def read(file: str) -> Any:
     """Read a results file; MissingResultError where there is none."""
+    _asked.add(file)
+    return _read_once(file)
+
+
+@cache
+def _read_once(file: str) -> Any:
     path = RESULTS / f"{file}.json"
     if not path.is_file():
         raise MissingResultError(f"{file}.json: no such file in benchmarks/results")
@@ -52,14 +63,8 @@ def read(file: str) -> Any:
 
 def list_lines(file: str) -> Iterator[Line]:
     """List the lines of a results file: each row of a study with its values, and each entry of its lists."""
-    content = read(file)
-    if isinstance(content, list):
-        yield from content
-    elif "scores" in content:
-        yield from content["scores"]
-    else:
-        for row in content.get("rows", []):
-            yield from _lines_of(row)
+    for row in read(file).get("rows", []):
+        yield from _lines_of(row)
 
 
 def _lines_of(row: Line) -> Iterator[Line]:
@@ -148,7 +153,7 @@ def _score(file: str, method: str, kind: str) -> Line:
     matching = [
         line
         for line in list_lines(file)
-        if line["method"] == method and line["kind"] == kind
+        if line["method"] == method and line.get("kind") == kind
     ]
     if len(matching) != 1:
         raise MissingResultError(
@@ -270,6 +275,34 @@ def fill(text: str, page: str) -> str:
         )
 
     return BRACES.sub(number, text)
+
+
+def fill_page(text: str, page: str) -> str:
+    """Fill a page, and say below its title which of the results that it shows are stale."""
+    _asked.clear()
+    filled = fill(text, page)
+    title, newline, rest = filled.partition("\n")
+    note = describe_stale(sorted(_asked))
+    return f"{title}\n\n{note}\n{rest}" if note else title + newline + rest
+
+
+def describe_stale(names: Sequence[str]) -> str:
+    """Write a note on those of some results that are stale or stay with their own commit; nothing where none is."""
+    states = [judge(name) for name in names]
+    lines = [
+        f"- `{state.name}` is stale: {', '.join(state.stale)}."
+        for state in states
+        if state.stale
+    ]
+    lines += [
+        f"- `{state.name}` stays with its commit: {state.single}."
+        for state in states
+        if state.single
+    ]
+    if not lines:
+        return ""
+    said = "Some results of this page are older than the code, as `softdeca bench keep --list` says."
+    return "\n".join([":::{note}", said, "", *lines, ":::"])
 
 
 if __name__ == "__main__":

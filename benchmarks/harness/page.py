@@ -49,7 +49,11 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
         "rows": tabulate_rows(study, done),
         "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
         "options": list(results.options.items()),
-        "machine": [*tabulate_machine(results.machine), ("commits of the rows", ", ".join(results.commits))],
+        "machine": [
+            *tabulate_machine(results.machine),
+            ("commits of the rows", ", ".join(results.commits)),
+            *((f"decided by: {name}", digest) for name, digest in results.decided_by.items()),
+        ],
     }
 
 

@@ -22,6 +22,7 @@ from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.corpus.schedule import count_processors
+from .inputs import find_inputs
 from .page import render_study
 from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
@@ -49,10 +50,9 @@ def run(
 ) -> Results:
     """Do the tasks of a study that are not done yet, or failed; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, study version and package versions are kept. `match` chooses tasks by a part of their
-    names. `workers` processes side by side, by default
-    all processors, and one where seconds are compared. Raises InputError where nothing matches and where the folder is
-    in use.
+    Rows of the same options, study version, inputs and package versions are kept. `match` chooses tasks by a part of
+    their names. `workers` processes side by side, by default all processors, and one where seconds are compared. Raises
+    InputError where nothing matches and where the folder is in use.
     """
     (results,) = run_together([RunRequest(study, out, match)], workers=workers, progress=progress)
     if isinstance(results, SoftdecaError):
@@ -107,7 +107,9 @@ class _Run:
             raise InputError(f"{self.study.name}: no case and method matches {request.match!r}")
         folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
         self._machine = provenance.describe_machine()
-        self._store, self._digest = RowStore(self._out, file="rows.jsonl"), _digest(self.study, self._machine)
+        self._inputs = find_inputs(self.study)
+        self._store = RowStore(self._out, file="rows.jsonl")
+        self._digest = _digest(self.study, self._machine, self._inputs)
         names = {field.name for field in fields(Row)}
         self._rows: dict[Task, Row] = {
             Task(record["case"], record["method"]): Row(**record)
@@ -149,7 +151,7 @@ class _Run:
         gates = (failed, *(study.gates(done) if done else ()))
         options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # a dataclass
         words = study.words(done) if done else "Nothing could be measured."
-        results = Results(study.name, study.question, options, self._machine, tuple(rows), gates, words)
+        results = Results(study.name, study.question, options, self._machine, tuple(rows), gates, words, self._inputs)
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
         write_whole(self._out / "index.html", render_study(study, results, self._out).encode())
         return results
@@ -181,12 +183,12 @@ def _as_json(values: Values) -> tuple[dict[str, Any], list[str]]:
     return convert(values, ""), sorted(set(wrong))
 
 
-def _digest(study: Study, machine: Mapping[str, Any]) -> str:
-    """Name what is measured, so that rows of two meanings never mix: options, version, package versions, files.
+def _digest(study: Study, machine: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+    """Name what is measured, so that rows of two meanings never mix: options, inputs, package versions, files.
 
     Files are those that options name, as FILE or ict:FILE.
     """
-    digest = hashlib.sha256(json.dumps([repr(study), study.version, machine["versions"]]).encode())
+    digest = hashlib.sha256(json.dumps([repr(study), inputs, machine["versions"]]).encode())
     values = [getattr(study, field.name) for field in fields(study)]  # type: ignore[arg-type]  # a dataclass
     texts = [text for value in values for text in (value if isinstance(value, tuple) else (value,))]
     paths = [Path(text.rpartition(":")[2]) for text in texts if isinstance(text, str) and text]

@@ -79,7 +79,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Results:
-    """A study's rows in the order of its tasks, its gates and its conclusion."""
+    """A study's rows in the order of its tasks, its gates and its conclusion.
+
+    decided_by: digests of what decides its figures beside its options, by name; empty in results of older versions.
+    """
 
     study: str
     question: str
@@ -88,6 +91,7 @@ class Results:
     rows: tuple[Row, ...]
     gates: tuple[dict, ...]
     words: str
+    decided_by: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -130,6 +134,12 @@ class Study(ABC):
     limit: ClassVar[float] = 3600.0
     version: ClassVar[int] = 1
     """Raise it when the same options would mean other figures; rows of other versions are measured anew."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of INPUTS (`inputs.py`) that decide its figures; rows of others are measured anew."""
+    cheap: ClassVar[str] = ""
+    """PART whose rows are measured anew to see whether kept results still hold; empty where all take minutes."""
+    allowed: ClassVar[float] = 1e-3
+    """Share of itself by which an answer that is measured anew may differ from the kept one."""
 
     @abstractmethod
     def tasks(self) -> Sequence[Task]:

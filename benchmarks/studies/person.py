@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -88,6 +89,8 @@ WHOSE = "'anny' (the default head), ict:FILE or flame:FILE"
 @dataclass(frozen=True)
 class OfPerson(Study):
     """A study of one head, by default the default space's of seed 0; a subclass may make options of whose it is."""
+
+    needs: ClassVar[tuple[str, ...]] = ("people", "heads")
 
     identities: str = "anny"
     seed: int = 0

@@ -35,6 +35,8 @@ class Verification(Study):
     name = "verification"
     heading = "Do the solvers give the answers that are known?"
     question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
+    needs = ("people", "heads")
+    cheap = "Cook's membrane, nu=.3, P2, 8 cells"
     columns = (
         Column("problem", "problem"),
         Column("source", "source"),
@@ -122,6 +124,7 @@ class Hard(Study):
     name = "hard"
     heading = "Do the solvers survive hard cases?"
     question = "Are hard-pushed solvers right, do they say why they stop, or are they silently wrong?"
+    cheap = "bar twisted by 360° at nu = .49: volume (H6)"
     columns = (
         Column("criterion", "what is compared"),
         Column("outcome", "outcome"),

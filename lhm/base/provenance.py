@@ -61,7 +61,10 @@ def _version(name: str) -> str:
 
 @cache
 def read_commit() -> str:
-    """The commit of the code when this process first asked, with DIRTY after it where files were changed or new."""
+    """The last commit that changed code, when this process first asked; with DIRTY after it where files differ from it.
+
+    Commits of texts and results alone do not count, so that results of one code have one commit.
+    """
     if shutil.which("git") is None:
         return "not known: git is not installed"
     here = Path(__file__).resolve().parents[2]
@@ -70,9 +73,9 @@ def read_commit() -> str:
         return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        commit = git("rev-parse", "--short=12", "HEAD")
-        without = [f":(exclude){name}" for name in _TEXTS]
-        lines = git("status", "--porcelain", "--untracked-files=all", "--", ".", *without).splitlines()
+        code = [".", *(f":(exclude){name}" for name in _TEXTS)]
+        commit = git("log", "-1", "--format=%h", "--abbrev=12", "--", *code)
+        lines = git("status", "--porcelain", "--untracked-files=all", "--", *code).splitlines()
         changed = [line for line in lines if not line.startswith("??") or line[3:].startswith(_CODE)]
         return commit + (DIRTY if changed else "")
     except subprocess.CalledProcessError:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from softdeca.benchmarks.kept import State
 from softdeca.surrogate.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
@@ -74,14 +75,24 @@ def test_a_figure_follows_its_results(tmp_path, monkeypatch):
     for gate in content["gates"]:
         gate |= {"value": 0.987, "passed": False}
     path.write_text(json.dumps(content))
-    results.read.cache_clear()
+    results._read_once.cache_clear()
     try:
         asked = ['gate("agreement", "smallest*") : .2f', 'gate("agreement", "smallest*") : ~.2f']
         asked.append('verdict("agreement", "smallest*")')
         page = " ".join(f"{{{{ {expression} }}}}" for expression in asked)
         assert results.fill(page, "docs/page.md") == "0.99 .99 missed"
     finally:
-        results.read.cache_clear()
+        results._read_once.cache_clear()
+
+
+def test_a_page_says_which_of_its_results_are_stale(monkeypatch):
+    found = {"split": State("split", ("heads", "network")), "mesh": State("mesh"), "hard": State("hard", single="old")}
+    monkeypatch.setattr(results, "judge", found.__getitem__)
+    page = '# Title\n\n{{ of("%s", "study") }}\n'
+    noted = results.fill_page(page % "split", "docs/page.md")
+    assert noted.startswith("# Title\n\n:::{note}\n") and "- `split` is stale: heads, network.\n:::\n" in noted
+    assert results.fill_page(page % "mesh", "docs/page.md") == "# Title\n\nmesh\n"
+    assert "- `hard` stays with its commit: old." in results.fill_page(page % "hard", "docs/page.md")
 
 
 DRAWN_ELSEWHERE = {"surrogate-cost.png", "surrogate-frames.png"}

@@ -82,6 +82,7 @@ class Contact(OfPerson):
     name = "contact"
     heading = "Are lips and lids parted as another code parts them?"
     question = "How far is PD's contact from ipctk's barrier, and what does it do on hard frames?"
+    cheap = "press, soft, PD"
     columns = (
         Column("overlap_mm", "overlap without contact [mm]"),
         Column("crossings", "pairs that cross with it"),
@@ -92,9 +93,9 @@ class Contact(OfPerson):
         Column("where", "where"),
         Column("force_pd_mn", "contact force by PD [mN]"),
         Column("force_barrier_mn", "by the barrier [mN]"),
-        Column("iterations_pd", "PD's iterations"),
-        Column("iterations_free", "without contact"),
-        Column("iterations_barrier", "Newton's iterations"),
+        Column("iterations_pd", "PD's iterations", cost=True),
+        Column("iterations_free", "without contact", cost=True),
+        Column("iterations_barrier", "Newton's iterations", cost=True),
         Column("times", "time over that without contact", cost=True),
     )
     note = (

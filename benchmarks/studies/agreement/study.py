@@ -60,6 +60,8 @@ class Agreement(OfPerson):
         "Do projective dynamics, FEniCSx and scikit-fem find the same face, how far are a hyperelastic law, the "
         "network and its rivals from it, and what do the paper's effects do to it?"
     )
+    needs = ("people", "heads", "network")
+    cheap = "collisions, network"
     columns = (
         Column("to", "to"),
         Column("over", "over"),

@@ -52,6 +52,8 @@ class Arena(Study):
     question = (
         "How near to the answer of its own law is each solver after a given processor time, and where does it end?"
     )
+    needs = ("people", "heads")
+    cheap = "face posed by Eq. 15, 14.5 k tets, PD; default; from rest"
     columns = (
         Column("law", "law"),
         Column("law_mm", "law to neo-Hookean [mm]"),

@@ -84,6 +84,8 @@ class WorkPrecision(OfPerson):
     name = "work-precision"
     heading = "How long does each method take to be right?"
     question = "How near to the answer is each method after a given time, and after a given number of iterations?"
+    needs = ("people", "heads", "network")
+    cheap = "mouthPucker, the face's energy (Eq. 15), network"
     columns = (
         Column("set_up_s", "prepare or bind [s]", cost=True),
         Column("solve_s", "solve or frame [s]", cost=True),

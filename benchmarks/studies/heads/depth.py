@@ -49,6 +49,7 @@ class Depth(Study):
     name = "depth"
     heading = "Does the predicted skull match a real one?"
     question = "How far are predicted depths, and the fitted skull wrap, from the skull of one real head?"
+    needs = ("people", "heads")
     columns = (
         Column("region", "region"),
         Column("vertices", "vertices compared"),

@@ -91,6 +91,7 @@ class Heads(OfPerson):
     name = "heads"
     heading = "Does every person get a valid head?"
     question = "Does every identity get a valid head, in how long, and what does it look like when it moves?"
+    cheap = "seed 187, fit and check"
     columns = (
         Column("error", "could not be fitted because"),
         Column("problems", "gates missed"),

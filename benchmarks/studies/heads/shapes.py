@@ -32,6 +32,7 @@ class Shapes(OfPerson):
     name = "shapes"
     heading = "Which expressions turn tetrahedra inside out?"
     question = "Which ARKit shapes at full weight invert tets of soft tissue, and how far do lids and lips stay off?"
+    cheap = "identity 1, PD"
     columns = (
         Column("shape", "shape"),
         Column("soft", "inverted tets, soft tissue"),

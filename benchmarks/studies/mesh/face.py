@@ -77,6 +77,8 @@ class FaceBenchmark(Study):
     question = (
         "Where do gravity, an opened jaw, growth and a pushed cheek converge to on one head, and how sure is that?"
     )
+    needs = ("people", "heads")
+    cheap = "growth, FEniCSx, linear, coarse"
     columns = (
         Column("tets", "tets"),
         Column("mean_mm", "skin, mean [mm]"),

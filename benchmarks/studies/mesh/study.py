@@ -50,6 +50,7 @@ class MeshError(OfPerson):
         "How far are linear tets on a head from ever finer meshes, how far from quadratic tets as tissue nears "
         "incompressibility, and what does the split of prisms add?"
     )
+    cheap = "level 1, mean head, mirrored loads"
     columns = (
         Column("what", "mesh"),
         Column("tets", "tets"),

@@ -44,6 +44,7 @@ class Minimal(OfPerson):
     name = "minimal"
     heading = "What can a scene leave out?"
     question = "What does each term, layer, region and contact cost, and how wrong is the face without it?"
+    cheap = "mouthPucker+cheekPuff*0.5, without membrane of the skin"
     columns = (
         Column("tets", "tets"),
         Column("settle_s", "settle, processor time [s]", cost=True),

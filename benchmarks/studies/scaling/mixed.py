@@ -40,6 +40,7 @@ class Mixed(OfPerson):
     question = (
         "What does an incompressible head cost, by quadratic tets with a pressure (FEniCSx, P2-P1)? Minutes each."
     )
+    cheap = "mouthPucker, 0.499"
     columns = (
         Column("tets", "tets"),
         Column("reason", "ended"),

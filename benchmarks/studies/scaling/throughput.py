@@ -50,6 +50,7 @@ class Throughput(OfPerson):
     question = (
         "How many frames an hour does a core simulate to 0.01 mm, in how much memory, and how far is it from its floor?"
     )
+    needs = ("people", "heads", "generator")
     columns = (
         Column("what", "what"),
         *TIMES,

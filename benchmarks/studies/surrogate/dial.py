@@ -56,6 +56,8 @@ class Dial(Study):
     name = "dial"
     heading = "Does a face know its error, and what does an accuracy cost?"
     question = "Is the error that a frame tells the true one, and what does a frame cost at each accuracy?"
+    needs = ("people", "heads", "network")
+    cheap = "held-out, person 1, dial"
     columns = (
         Column("accuracy", "asked for [mm]"),
         Column("told", "told, mean [mm]"),

@@ -81,6 +81,8 @@ class Split(OfPerson):
         "Which part of the surrogate's error to a refined hyperelastic reference comes from the network, the training "
         "tolerance, PD's energy and the mesh?"
     )
+    needs = ("people", "heads", "network")
+    cheap = "defaults, cheekPuff"
     columns = (
         Column("moved", "|T - carried(S)|, mean [mm]"),
         *(Column(key, f"{title}, mean [mm]") for key, title in PARTS.items()),

@@ -45,6 +45,7 @@ class SurrogateOnCorpus(Study):
     question = (
         "How far is the surrogate from the simulator on people and parameters it has not seen, beside its rivals?"
     )
+    needs = ("people", "heads", "network", "generator")
     columns = (
         Column("kind", "frames of"),
         Column("faces", "faces"),

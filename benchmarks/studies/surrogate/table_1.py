@@ -80,6 +80,7 @@ class Table1(Study):
     name = "table-1"
     heading = "The paper's Table 1 on this corpus"
     question = "How do SoftDECA's network, its rivals and its ablations compare on one corpus, in the same time?"
+    needs = ("people", "heads", "network", "generator")
     columns = (
         Column("kind", "frames of"),
         Column("faces", "faces"),

@@ -1,0 +1,285 @@
+"""The results that benchmarks/results keeps: how each is made again, whether it is stale, and whether it holds."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ..lhm.base import provenance
+from ..lhm.base.errors import InputError, quote
+from ..lhm.base.files.atomic import write_whole
+from ..lhm.base.progress import OnProgress, silent
+from ..surrogate.corpus.folder import Corpus
+from ..surrogate.corpus.people import people_from_text
+from ..surrogate.corpus.plan import PRESETS, CorpusPlan
+from ..surrogate.corpus.schedule import count_processors, make_schedule
+from .harness import Results, run
+from .harness.inputs import find_inputs
+from .harness.results import find_moved, read_results
+from .harness.study import Study
+from .studies import load_study
+
+RESULTS = Path(__file__).parent / "results"
+DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+"""Folder of other people's heads."""
+ICT = "ict_facekit.npz"
+LEVEL = 2
+"""Of the template of corpora's people."""
+
+
+@dataclass(frozen=True)
+class KeptCorpus:
+    """A corpus that kept results are measured on: its plan, and whose people (`people_from_text`)."""
+
+    plan: CorpusPlan
+    identities: str = "anny"
+
+    def generate(self, folder: Path, progress: OnProgress) -> None:
+        """Simulate what a folder lacks of it."""
+        people = people_from_text(self.identities, level=LEVEL, on_progress=progress)
+        corpus = Corpus.from_plan(folder, self.plan, people, {"identities": self.identities, "level": LEVEL})
+        corpus.generate(on=make_schedule(count_processors()), on_progress=progress)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A kept result: a study by its name, options that are not its defaults, and PART of its rows where not all.
+
+    Options name corpora (`CORPORA`) and files (of DATA) as they lie in the folder of the run.
+    """
+
+    study: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    part: str = ""
+    corpora: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    def make_study(self) -> Study:
+        """Make the study."""
+        return load_study(self.study)(**self.options)
+
+
+_FRESH = PRESETS["fresh"]
+CORPORA: Mapping[str, KeptCorpus] = {
+    "study": KeptCorpus(PRESETS["study"]),
+    "fresh": KeptCorpus(_FRESH),
+    "moving": KeptCorpus(replace(_FRESH, seed=4712, identities=12, groups=2, sequences=1, references=12)),
+    "external": KeptCorpus(replace(_FRESH, seed=4713, identities=6, groups=2, sequences=1), f"external:ict:{ICT}"),
+}
+KEPT: Mapping[str, Kept] = {
+    "agreement": Kept("agreement"),
+    "arena": Kept("arena", {"whole": True, "seeds": 5}),
+    "contact": Kept("contact"),
+    "dial": Kept("dial", {"faces": 4, "external": f"ict:{ICT}"}, files=(ICT,)),
+    "dynamics": Kept("dynamics"),
+    "face-benchmark": Kept("face-benchmark"),
+    "hard": Kept("hard"),
+    "heads": Kept("heads", {"count": 200}),
+    "material": Kept("material"),
+    "mesh": Kept("mesh"),
+    "minimal": Kept("minimal"),
+    "mixed": Kept("mixed", {"level": 1}),
+    "ranks": Kept("ranks", {"processes": ("1", "2")}),
+    "shapes": Kept("shapes"),
+    "split": Kept("split"),
+    "throughput": Kept("throughput"),
+    "unknowns": Kept("unknowns"),
+    "verification": Kept("verification"),
+    "work-precision": Kept("work-precision"),
+    "further/mixed-58k": Kept(
+        "mixed", {"level": 2, "expressions": ("jawOpen*0.5",), "laws": ("incompressible",)}, part="jawOpen*0.5"
+    ),
+    "further/unknowns-640000": Kept("unknowns", {"up_to": 640_000}, part="level 3, 5 sub-layers, P1, FEniCSx, neo"),
+    "surrogate/study": Kept("surrogate", {"corpus": "study", "people": "all"}, corpora=("study",)),
+    "surrogate/fresh": Kept("surrogate", {"corpus": "fresh", "people": "all"}, corpora=("fresh",)),
+    "surrogate/moving": Kept(
+        "surrogate",
+        {"corpus": "moving", "people": "all", "external": "external"},
+        corpora=("moving", "external"),
+        files=(ICT,),
+    ),
+}
+"""Kept results that `keep` makes again, by the name of their file."""
+SINGLE: Mapping[str, str] = {
+    "surrogate/table-1": "its corpus and its trainings take hours",
+    "surrogate/corpus-small": "its corpus takes hours",
+    "further/corotated": "its study is no more",
+    "further/scaling": "its study is no more",
+    "further/timing": "its study is no more",
+}
+"""Kept results that stay with the commit that they name, and why."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A kept result as it lies there: why it is stale, the commits that measured it, and seconds of its rows.
+
+    `stale`: in words, what differs today; empty where nothing does. `single`: why it stays with its own commit, where
+    it does; such a one is not stale.
+    """
+
+    name: str
+    stale: tuple[str, ...] = ()
+    single: str = ""
+    commits: tuple[str, ...] = ()
+    seconds: float | None = None
+
+
+def find_path(name: str) -> Path:
+    """Give the file of a kept result."""
+    return RESULTS / f"{name}.json"
+
+
+def judge(name: str) -> State:
+    """Compare what decided a kept result with what decides it today. InputError for a name that there is not."""
+    if name in SINGLE:
+        return State(name, single=SINGLE[name])
+    study = _find(name).make_study()
+    if not find_path(name).is_file():
+        return State(name, ("it is not there",))
+    try:
+        content = read_results(find_path(name))
+    except InputError:
+        return State(name, ("it is of a form that is no more",))
+    asked, said, today = _write_options(study), content.get("decided_by"), find_inputs(study)
+    stale = [key for key in asked if content["options"].get(key) != asked[key]]
+    if said is None:
+        stale.append("it does not say what decided it")
+    else:
+        stale += [key for key in today if said.get(key) != today[key]]
+    stale += provenance.list_missing(content)
+    seconds = sum(row.get("seconds", 0.0) for row in content["rows"])
+    commits = provenance.list_commits(content["machine"], content["rows"])
+    return State(name, tuple(stale), "", tuple(commits), seconds)
+
+
+def order_for_keeping(commit: str) -> list[State]:
+    """List what `keep` has to make again at a commit: what is stale first, then what another commit measured."""
+    states = [judge(name) for name in KEPT]
+    stale = [state for state in states if state.stale]
+    return stale + [state for state in states if not state.stale and state.commits != (commit,)]
+
+
+def estimate_seconds(states: Sequence[State]) -> float:
+    """Estimate the time [s] on this machine by what rows took last; rows of studies that compare none share it."""
+    shares = {state.name: 1 if _find(state.name).make_study().timed else count_processors() for state in states}
+    return sum((state.seconds or 0.0) / shares[state.name] for state in states)
+
+
+def read_clean_commit() -> str:
+    """Read the commit of the code. InputError where no commit holds all of it, since no result of it is kept."""
+    commit = provenance.read_commit()
+    if " " in commit or provenance.is_dirty(commit):
+        raise InputError(f"results are kept of a clean tree, whose commit is known; this is {commit}")
+    return commit
+
+
+def keep(name: str, work: Path, progress: OnProgress = silent) -> Results:
+    """Run the study of a kept result in WORK/COMMIT, where rows and corpora are kept, and write the result's file.
+
+    Raises InputError for code that no commit holds, now or at the end, a file that DATA lacks, and a run that
+    would lose rows of the kept result for want of a package.
+    """
+    kept, commit = _find(name), read_clean_commit()
+    folder = work / commit
+    with _inside(folder):
+        _link_files(name, kept)
+        for corpus in kept.corpora:
+            CORPORA[corpus].generate(Path(corpus), progress)
+        out = Path(name)
+        results = run(kept.make_study(), out, match=kept.part, progress=progress)
+        content = (out / "results.json").read_bytes()
+    provenance.read_commit.cache_clear()
+    if read_clean_commit() != commit:
+        raise InputError(f"{name}: the code changed while it was measured; run it again")
+    _refuse_loss(name, results)
+    write_whole(find_path(name), content)
+    return results
+
+
+@dataclass(frozen=True)
+class Check:
+    """What measuring a cheap part of a kept result anew gave: what moved, in words, or why nothing was measured."""
+
+    state: State
+    moved: tuple[str, ...] = ()
+    unmeasured: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing that decides it differs, and no answer moved."""
+        return not self.state.stale and not self.moved
+
+
+def check(name: str, progress: OnProgress = silent) -> Check:
+    """Measure the cheap part of a kept result anew, if it has one, and compare its answers; no seconds.
+
+    Raises InputError for a name that there is not.
+    """
+    state = judge(name)
+    if state.single or state.seconds is None:
+        return Check(state, unmeasured=state.single or ", ".join(state.stale))
+    kept = _find(name)
+    study = kept.make_study()
+    if kept.part or not study.cheap:
+        return Check(state, unmeasured="no part of it is cheap")
+    with TemporaryDirectory() as folder, _inside(Path(folder)):
+        try:
+            _link_files(name, kept)
+        except InputError as error:
+            return Check(state, unmeasured=str(error))
+        run(study, Path("anew"), workers=1, match=study.cheap, progress=progress)
+        moved = find_moved(read_results(find_path(name)), read_results(Path("anew")), type(study))
+    return Check(state, tuple(moved))
+
+
+def _find(name: str) -> Kept:
+    if not RESULTS.is_dir():
+        raise InputError("kept results lie in a checkout of softdeca, which this is not")
+    if name not in KEPT:
+        raise InputError(f"kept result {quote(name)!r}: there are {', '.join(KEPT)}")
+    return KEPT[name]
+
+
+def _write_options(study: Study) -> dict[str, Any]:
+    """A study's options as a results file has them."""
+    options: dict[str, Any] = json.loads(json.dumps(asdict(study)))  # type: ignore[call-overload]  # a dataclass
+    return options
+
+
+def _refuse_loss(name: str, results: Results) -> None:
+    """Refuse results that skip rows which the kept file has."""
+    if not find_path(name).is_file():
+        return
+    rows: Sequence[Mapping[str, Any]] = json.loads(find_path(name).read_text()).get("rows", [])
+    done = {(row["case"], row["method"]) for row in rows if row["status"] == "done"}
+    lost = [row for row in results.rows if row.status == "skipped" and (row.case, row.method) in done]
+    if lost:
+        raise InputError(f"{name}: not kept, since {len(lost)} rows that it has were skipped: {lost[0].reason}")
+
+
+def _link_files(name: str, kept: Kept) -> None:
+    """Let files of DATA lie in this folder."""
+    for file in kept.files:
+        if not (DATA / file).is_file():
+            raise InputError(f"{name}: {file} is not in {DATA}, nor does $SOFTDECA_DATA name a folder with it")
+        if not Path(file).exists():
+            Path(file).symlink_to((DATA / file).resolve())
+
+
+@contextmanager
+def _inside(folder: Path) -> Iterator[None]:
+    """Work in a folder, where options name files and corpora by their bare names, so that results are portable."""
+    before = Path.cwd()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
