@@ -36,7 +36,7 @@ ALL: tuple[Problem, ...] = (
     *(problem for module in PUBLISHED for problem in module.PROBLEMS),
 )
 FINE: tuple[Problem, ...] = tuple(problem for module in PUBLISHED for problem in module.FINE)
-"""The published problems on finer meshes, half a minute each; the finest beam takes two."""
+"""The published problems on finer meshes, half a minute each; the finest beam takes minutes."""
 HARD: tuple[HardCase, ...] = (
     *recovery.CASES,
     *homogeneous.CASES,
