@@ -1,9 +1,9 @@
-"""The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
+"""The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.11).
 
-What differs: names of spaces and of quadrature elements, options of `form`, and the type of dofmaps. A mesh lives on
-all ranks of its communicator, and all of them make the same calls. `ALL` are those that PETSc was begun with: all that
-mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first because its ranks solve each on
-their own.
+What differs: names of spaces and of quadrature elements, arguments of `create_mesh`, options of `form`, and the type
+of dofmaps. A mesh lives on all ranks of its communicator, and all of them make the same calls. `ALL` are those that
+PETSc was begun with: all that mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first
+because its ranks solve each on their own.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ except ImportError as error:
 def parse_version(text: str) -> tuple[int, int]:
     """Major and minor of dolfinx's version; MissingDependencyError outside the range this module was written for."""
     major, minor = (int(part) for part in text.split(".")[:2])
-    if not (0, 5) <= (major, minor) <= (0, 9):
-        raise MissingDependencyError(f"dolfinx {text} is installed; softdeca knows 0.5 to 0.9 ({INSTALL})")
+    if not (0, 5) <= (major, minor) <= (0, 11):
+        raise MissingDependencyError(f"dolfinx {text} is installed; softdeca knows 0.5 to 0.11 ({INSTALL})")
     return major, minor
 
 
@@ -101,9 +101,10 @@ def tet_mesh(vertices: Floats, tets: Ints, comm) -> mesh.Mesh:
     shared: dict[str, Any] = {}
     if VERSION < (0, 6):
         shared["ghost_mode"] = mesh.GhostMode.none
-    elif comm.size > 1:
+    elif comm.size > 1 and VERSION < (0, 11):  # from then on by itself
         shared["partitioner"] = mesh.create_cell_partitioner(mesh.GhostMode.none)
-    return mesh.create_mesh(comm, cells, points, ufl.Mesh(coordinates), **shared)
+    given = (points, ufl.Mesh(coordinates)) if VERSION < (0, 10) else (ufl.Mesh(coordinates), points)
+    return mesh.create_mesh(comm, cells, *given, **shared)
 
 
 def _slice(rows: np.ndarray, comm) -> np.ndarray:
@@ -153,7 +154,9 @@ def global_dofs(space) -> Ints:
 
 def cell_vertices(domain) -> Ints:
     """The scene's vertices of each cell, in the order of its local dofs, shape (cells, 4)."""
-    return np.asarray(domain.geometry.input_global_indices)[_table(domain.geometry.dofmap, 4)].astype(np.int64)
+    geometry = domain.geometry
+    dofmap = geometry.dofmap if VERSION < (0, 11) else geometry.dofmaps[0]
+    return np.asarray(geometry.input_global_indices)[_table(dofmap, 4)].astype(np.int64)
 
 
 def cell_tets(domain) -> Ints:

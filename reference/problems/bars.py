@@ -22,7 +22,7 @@ from ..scene import Scene
 from ..solution import Solution
 from ..solve import solve
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, Term, Traction, Volume
-from .meshes import box, principal_stretches, triangles_at, vertices_at
+from .meshes import box, principal_stretches, triangles_at, twist, vertices_at
 from .problem import EVERY_SOLVER, Attempt, HardCase, Problem
 
 CELLS = (8, 2, 2)
@@ -218,31 +218,23 @@ TURN = 2.0 * np.pi
 TWISTED_YOUNG, TWISTED_POISSON = 10.0, 0.49
 
 
-def twist(X: Floats, turn: float = TURN) -> Floats:
-    """Sections of the bar along x turned about its middle line, the last by `turn` [rad]."""
-    angle = turn * X[:, 0] / TWISTED_LENGTH
-    y, z = X[:, 1] - 0.5, X[:, 2] - 0.5
-    across = np.cos(angle) * y - np.sin(angle) * z, np.sin(angle) * y + np.cos(angle) * z
-    return np.column_stack([X[:, 0], 0.5 + across[0], 0.5 + across[1]])
-
-
-def twisted_bar(energies: Sequence[Term], turn: float = TURN) -> Scene:
+def twisted_bar(energies: Sequence[Term]) -> Scene:
     """A bar of some energies, both ends held, the far one turned."""
     X, tets = box(TWISTED_CELLS, (TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, TWISTED_LENGTH)])
-    return Scene(X, tets, (*energies, Fixed(ends, twist(X, turn)[ends])))
+    return Scene(X, tets, (*energies, Fixed(ends, twist(X, TURN)[ends])))
 
 
 def _solve_twist(attempt: Attempt) -> tuple[Scene, Solution]:
     mu, lmbda = lame(TWISTED_YOUNG, TWISTED_POISSON)
     scene = twisted_bar((Strain(2 * mu), Volume(3 * lmbda)))
-    return scene, attempt.solve(attempt.prepare(scene), start=twist(scene.vertices))
+    return scene, attempt.solve(attempt.prepare(scene), start=twist(scene.vertices, TURN))
 
 
 def difference_to_newton(attempt: Attempt) -> float:
     """The largest distance from scikit-fem's minimiser of the same energy, relative to the largest displacement."""
     scene, solution = _solve_twist(attempt)
-    other = solve(scene, solver="skfem", start=twist(scene.vertices), tolerance=1e-10).positions
+    other = solve(scene, solver="skfem", start=twist(scene.vertices, TURN), tolerance=1e-10).positions
     moved = np.linalg.norm(other - scene.vertices, axis=1).max()
     return float(np.linalg.norm(solution.positions - other, axis=1).max() / moved)
 

@@ -60,6 +60,15 @@ def principal_stretches(X: Floats, x: Floats, tets: Ints) -> Floats:
     return np.linalg.svd(edges @ np.linalg.inv(rest), compute_uv=False)
 
 
+def twist(X: Floats, angle: float) -> Floats:
+    """Positions [mm] of a box from x = 0 on, its sections along x turned about its axis, the last by `angle` [rad]."""
+    turned = angle * X[:, 0] / X[:, 0].max()
+    middle = X[:, 1:].max(axis=0) / 2.0
+    y, z = (X[:, 1:] - middle).T
+    across = np.cos(turned) * y - np.sin(turned) * z, np.sin(turned) * y + np.cos(turned) * z
+    return np.column_stack([X[:, 0], middle[0] + across[0], middle[1] + across[1]])
+
+
 def positive(X: Floats, tets: Ints) -> Ints:
     """Tets (m, 4) with two corners exchanged where that makes the volume positive; changes them in place."""
     inverted = tet_volumes(X, tets) < 0

@@ -212,9 +212,9 @@ def test_unknown_versions_are_refused_in_one_line():
     pytest.importorskip("dolfinx")
     from softdeca.reference.fenicsx.dolfinx_version import parse_version
 
-    assert parse_version("0.5.2") == (0, 5) and parse_version("0.9.0.post1") == (0, 9)
-    for version in ("0.4.1", "0.10.0", "1.0.0"):
-        with pytest.raises(MissingDependencyError, match=f"dolfinx {version} is installed; softdeca knows 0.5 to 0.9"):
+    assert parse_version("0.5.2") == (0, 5) and parse_version("0.11.0.post0") == (0, 11)
+    for version in ("0.4.1", "0.12.0", "1.0.0"):
+        with pytest.raises(MissingDependencyError, match=f"dolfinx {version} is installed; softdeca knows 0.5 to 0.11"):
             parse_version(version)
 
 
