@@ -74,7 +74,7 @@ def _check(said: Any) -> CorpusPlan:
     text("takes", said.get("takes", ""))
     # The plan's own fields: the folder of takes stands beside them, and the digest covers what is in it.
     expected = {item.name for item in fields(CorpusPlan)} - {"takes"}
-    given = {"contact": False} | content
+    given: dict[str, Any] = {"contact": False} | content  # which plans without contact do not say
     missing, unknown = expected - set(given), set(given) - expected - {"recordings", "takes"}
     if missing or unknown:
         wrong = min(missing or unknown)

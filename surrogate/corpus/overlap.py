@@ -28,8 +28,9 @@ def sample_overlaps(corpus: Corpus) -> Floats:
     try:
         faces = Faces(corpus.folder, None, partial=True, heads=Heads.from_corpus(corpus.folder))
         with_frames = [k for k, rows in enumerate(faces.frames_of) if len(rows)]
-        spread = np.linspace(0, len(with_frames) - 1, SAMPLED).astype(int) if with_frames else []
-        rows = [row for k in sorted({with_frames[k] for k in spread}) for row in _measure(faces.face(k), faces, k)]
+        spread = {int(k) for k in np.linspace(0, len(with_frames) - 1, SAMPLED)} if with_frames else set()
+        chosen = [with_frames[k] for k in sorted(spread)]
+        rows = [row for k in chosen for row in _measure(faces.face(k), faces, k)]
     except InputError:
         rows = []
     return np.array(rows).reshape(-1, 2)

@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -209,11 +210,15 @@ def count_steps(lesson: Lesson, hours: float) -> int:
     seconds = 0.0
     for begin, end in pairwise([*lesson.stages, 1.0]):
         if end > begin:
-            times = [_time(lambda begin=begin: lesson.loss(begin, np.random.default_rng(0)).backward()) for _ in TRIED]
+            times = [_time(partial(_descend, lesson, begin)) for _ in TRIED]
             seconds += (end - begin) * float(np.median(times))
     if lesson.renewed:
         seconds += _time(lambda: lesson.renew(0)) / lesson.renewed
     return max(1, int(3600.0 * hours / seconds))
+
+
+def _descend(lesson: Lesson, done: float) -> None:
+    lesson.loss(done, np.random.default_rng(0)).backward()
 
 
 def _time(call: Callable[[], object]) -> float:

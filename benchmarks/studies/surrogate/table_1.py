@@ -131,7 +131,7 @@ class Table1(Study):
         """Train or load a method, then score it on all kinds of frames that it can answer."""
         contest, name = self._open(self.corpus, "test"), task.method
         tested, corpus = contest.tested, contest.tested.corpus
-        about = {
+        about: dict[str, Any] = {
             "corpus": {name: corpus.said[name] for name in OWNER} | {"seed": corpus.plan.seed},
             "people": {
                 "train": len(np.unique(tested.training.groups[:, 0])),
