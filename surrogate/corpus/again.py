@@ -12,9 +12,10 @@ from ...lhm.head.head import LayeredHead
 from ...reference.face.facial import contact_regions, contact_triangles
 from .folder import Corpus
 from .heads import Heads
+from .plan import IDENTITY
 from .reading import Faces
 from .shard import ACCEPTED
-from .simulator import describe_answer, prepare_face, solve_frame
+from .simulator import describe_answer, make_face, prepare_face, solve_frame
 
 AGAIN = 3
 """Frames, some five seconds each on the default head."""
@@ -42,7 +43,9 @@ def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnPr
         kept, frames = faces.face(k), faces.frames(k)
         row = int(np.argmax(np.abs(frames.corrected.astype(np.float32)).max(axis=(1, 2))))
         where = f"{corpus.folder}: person {kept.identity}, a frame of face {k}"
-        face = kept.live.in_contact() if corpus.plan.contact else kept.live
+        # As it was drawn: the kept person is rounded to 16 bits.
+        person = people.person(corpus.plan.rng(IDENTITY, kept.identity))
+        face = make_face(people, person, people.head(person), kept.parameters, contact=corpus.plan.contact)
         prepare_face(people, face)
         solution = solve_frame(corpus.plan, face, frames.weights[row])
         answer = describe_answer(corpus.plan, face, frames.weights[row], solution)
