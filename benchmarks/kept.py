@@ -184,7 +184,7 @@ def keep(name: str, work: Path, progress: OnProgress = silent) -> Results:
     """Run the study of a kept result in WORK/COMMIT, where rows and corpora are kept, and write the result's file.
 
     Raises InputError for code that no commit holds, now or at the end, a file that DATA lacks, and a run that
-    would lose rows of the kept result for want of a package.
+    would lose rows of the kept result.
     """
     kept, commit = _find(name), read_clean_commit()
     folder = work / commit
@@ -254,14 +254,15 @@ def _write_options(study: Study) -> dict[str, Any]:
 
 
 def _refuse_loss(name: str, results: Results) -> None:
-    """Refuse results that skip rows which the kept file has."""
+    """Refuse results that lack rows which the kept file has."""
     if not find_path(name).is_file():
         return
     rows: Sequence[Mapping[str, Any]] = json.loads(find_path(name).read_text()).get("rows", [])
     done = {(row["case"], row["method"]) for row in rows if row["status"] == "done"}
-    lost = [row for row in results.rows if row.status == "skipped" and (row.case, row.method) in done]
+    lost = [row for row in results.rows if row.status != "done" and (row.case, row.method) in done]
     if lost:
-        raise InputError(f"{name}: not kept, since {len(lost)} rows that it has were skipped: {lost[0].reason}")
+        first = lost[0]
+        raise InputError(f"{name}: not kept, since {len(lost)} rows that it has were {first.status}: {first.reason}")
 
 
 def _link_files(name: str, kept: Kept) -> None:

@@ -75,10 +75,10 @@ class Person:
 
     def shape(self, text: str) -> Floats:
         """Give the skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
-        return self.blend(expressions.parse_weights(text))[0]
+        return self.blend(expressions.parse_weights(text))
 
     def blend(self, weights: Floats) -> Floats:
-        """Give the skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
+        """Give the skins [mm], shape (..., n, 3), of weights (..., 52)."""
         return self.head.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
 
 

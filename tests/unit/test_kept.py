@@ -231,7 +231,8 @@ def test_nothing_is_kept_of_code_that_changes_meanwhile(small, tmp_path, monkeyp
     assert not (kept.RESULTS / "another.json").exists()
 
 
-def test_rows_that_are_there_are_not_lost_for_want_of_a_package(small, tmp_path):
+@pytest.mark.parametrize("status", ["skipped", "failed"])
+def test_rows_that_are_there_are_not_lost(small, tmp_path, status):
     method = "stable neo-Hookean"
     rows = tmp_path / "work" / COMMIT / "material" / "rows.jsonl"
     lines = [json.loads(line) for line in rows.read_text().splitlines()]
@@ -239,8 +240,8 @@ def test_rows_that_are_there_are_not_lost_for_want_of_a_package(small, tmp_path)
     skipped = next(row for row in results["rows"] if row["method"] == method)
     made = kept.keep("material", tmp_path / "work")
     assert len(lines) == len(made.rows)  # nothing was measured again
-    lost = [replace(row, status="skipped", reason="no package") if row.method == method else row for row in made.rows]
-    with pytest.raises(InputError, match="material: not kept, since 1 rows that it has were skipped: no package"):
+    lost = [replace(row, status=status, reason="no package") if row.method == method else row for row in made.rows]
+    with pytest.raises(InputError, match=f"material: not kept, since 1 rows that it has were {status}: no package"):
         kept._refuse_loss("material", replace(made, rows=tuple(lost)))
     assert skipped["status"] == "done"
 
