@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.base.mesh import Floats, Ints, Surface
+from ..lhm.identities.anny import has_default_triangles
 from ..lhm.identities.arkit import ARKIT
-from ..lhm.identities.organs import Organ, has_organs, make_organs
+from ..lhm.identities.organs import Organ, make_organs
 
 TURN = {"Up": -25.0, "Down": 30.0, "In": 35.0, "Out": 35.0}
 """Degrees of a gaze at full weight: up and down about x, to the nose and away from it about y."""
@@ -44,7 +45,7 @@ class EyesAndTeeth:
 
 def find_eyes_and_teeth(skin: Surface) -> EyesAndTeeth | None:
     """Find the organs of a skin of the default triangles; None in another, of which no eyes and teeth are known."""
-    return _default() if has_organs(skin) else None
+    return _default() if has_default_triangles(skin) else None
 
 
 def turn_eye(side: str, weights: Floats | None) -> Floats:

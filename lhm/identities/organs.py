@@ -7,13 +7,12 @@ of the mouth's lining that the jaw alone does: identity, jaw and effects carry t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from ..base.files.npz import read_arrays
 from ..base.mesh import Floats, Ints, Surface
-from .anny import ANNY_WITHIN, Anny
+from .anny import ANNY_WITHIN, load_default_people
 
 SMALLER, SHIFT = 0.8, (0.0, -1.4, 0.4)
 """Factor on the radius of MakeHuman's eyeball, and how far [mm] it is set aside, so that it fits its socket.
@@ -52,11 +51,6 @@ class Organ:
         return np.cbrt(stretch.prod()) * points @ left @ right + self.centre @ motion[:3] + motion[3]
 
 
-def has_organs(skin: Surface) -> bool:
-    """Tell whether a skin is of the default triangles, of which alone eyes and teeth are known."""
-    return np.array_equal(skin.triangles, _mean().triangles)
-
-
 def make_organs(ball: Surface, bud: Surface) -> tuple[Organ, Organ, Organ, Organ]:
     """Make left eye, right eye, upper teeth and lower teeth of the mean person, of two unit spheres.
 
@@ -66,7 +60,7 @@ def make_organs(ball: Surface, bud: Surface) -> tuple[Organ, Organ, Organ, Organ
     data = read_arrays(
         ANNY_WITHIN, "eyes", "radius", "teeth", "carriers", "counts", kind="the default head's eyes and teeth"
     )
-    skin = _mean().vertices
+    skin = load_default_people().mean.vertices
     groups = np.split(data["carriers"], np.cumsum(data["counts"])[:-1])
     fits = [np.linalg.pinv(np.hstack([skin[ids], np.ones((len(ids), 1))])) for ids in groups]
     radius, centres = SMALLER * float(data["radius"]), data["eyes"] + SHIFT
@@ -90,8 +84,3 @@ def _make_row(bud: Surface, teeth: Floats) -> tuple[Floats, Ints]:
         points.append(crown * tooth[3:6] @ turn + tooth[:3])
         triangles.append(bud.triangles + number * len(crown))
     return np.vstack(points), np.vstack(triangles)
-
-
-@cache
-def _mean() -> Surface:
-    return Anny().mean

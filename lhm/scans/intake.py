@@ -26,6 +26,7 @@ from ..template.fit import fit_head, has_triangles_of, is_upright
 from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..template.registration.registration import find_face, register
 from ..template.template import Template
+from .detail import lay_detail
 from .placing import Placement, find_placement, millimetres
 from .repair import repair_scan
 
@@ -76,7 +77,8 @@ def fit_scan(
 
     scan: a file (OBJ, PLY, STL, glTF, NPZ) or a surface of a head, of any topology, unit and orientation; `hints` and
     `repair` as in `place_scan`, `regressor` as in `fit_head`. The template's skin is laid onto the scan; a scan in the
-    template's triangles and order is taken vertex by vertex. The head's notes say what was found and changed.
+    template's triangles and order is taken vertex by vertex. What the scan has beyond the template's triangles is kept
+    as the head's `detail`, for drawing. The head's notes say what was found and changed.
 
     Raises InputError that names the file for what cannot be read, is no head, or needs a hint, and FitError as in
     `fit_head`.
@@ -85,7 +87,12 @@ def fit_scan(
     head = fit_head(
         template, placed.skin, regressor=regressor, landmarks=placed.landmarks, own=placed.own, progress=progress
     )
-    return replace(head, notes=(*placed.notes, *head.notes))
+    detail = None
+    if not has_triangles_of(template, placed.skin):
+        progress("detail", 0.0)
+        detail = lay_detail(template, head.skin, placed.skin)
+        progress("detail", 1.0)
+    return replace(head, detail=detail, notes=(*placed.notes, *head.notes))
 
 
 def place_scan(
