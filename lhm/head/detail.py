@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, identity
 
 from ..base.geometry.subdivision import subdivide_smoothly
@@ -22,10 +23,11 @@ LEVELS = 2
 class Detail:
     """What a scan has and a head's skin has not.
 
-    heights (k,) [mm] of the scan over the fine skin, along its normals.
+    heights (k,) [mm] of the scan over the fine skin, along its normals; colours (k, 3), 0 to 255, of its texture.
     """
 
     heights: Floats32
+    colours: NDArray[np.uint8] | None = None
 
 
 def count_fine_vertices(skin: Surface) -> int:
@@ -41,12 +43,14 @@ class FineSkin:
     """A map from a skin's vertices to a finer skin, for drawing.
 
     `steps` are sparse weights, applied one after another to the skin's n vertices; rows sum to one. The first ends the
-    neck. `triangles` (t, 3) are of the k vertices that come out, `heights` (k,) [mm] what is added along their normals.
+    neck. `triangles` (t, 3) are of the k vertices that come out, `heights` (k,) [mm] what is added along their normals,
+    `colours` (k, 3) those of a scan, 0 to 255.
     """
 
     steps: tuple[csr_matrix, ...]
     triangles: Ints
-    heights: Floats | Floats32
+    heights: Floats32
+    colours: NDArray[np.uint8] | None = None
 
     @classmethod
     def from_skin(cls, rest: Surface, detail: Detail | None = None) -> FineSkin:
@@ -61,8 +65,9 @@ class FineSkin:
         sharper = (2.0 * identity(n) - rounded).tocsr()
         is_known = has_default_triangles(rest)
         neck = cut_neck(rest, load_default_people().parts) if is_known else identity(n, format="csr")
-        heights = np.zeros(levels[-1].shape[0]) if detail is None else detail.heights
-        return cls((neck, sharper, *levels), triangles, heights)
+        if detail is None:
+            detail = Detail(np.zeros(levels[-1].shape[0], np.float32))
+        return cls((neck, sharper, *levels), triangles, detail.heights, detail.colours)
 
     def end_neck(self, skin: Floats) -> Floats:
         """Return a skin (n, 3) [mm] whose neck ends clean, where that is known."""

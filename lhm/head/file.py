@@ -69,6 +69,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     arrays |= _rig_to_arrays(head.rig)
     if head.detail is not None:
         arrays |= {"detail_heights": head.detail.heights}
+        arrays |= {} if head.detail.colours is None else {"detail_colours": head.detail.colours}
     arrays |= {"notes": np.array(json.dumps(head.notes))}
     with refusing_to_write(path):
         _head_from_arrays(arrays)
@@ -319,7 +320,10 @@ def _read_detail(arrays: Mapping[str, np.ndarray], extent: float) -> Detail | No
     if "detail_heights" not in arrays:
         return None
     heights = checks.real("detail_heights", arrays["detail_heights"], (None,), most=extent)
-    return Detail(heights.astype(np.float32))
+    colours = arrays.get("detail_colours")
+    if colours is not None:
+        colours = checks.integers("detail_colours", colours, 0, 255, (None, 3)).astype(np.uint8)
+    return Detail(heights.astype(np.float32), colours)
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:

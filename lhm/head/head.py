@@ -69,8 +69,11 @@ class LayeredHead:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
         if self.rig is not None and self.rig.deltas.shape[1] != len(self.skin.vertices):
             raise MeshError(f"rig: it has {self.rig.deltas.shape[1]} vertices, the skin {len(self.skin.vertices)}")
-        if self.detail is not None and len(self.detail.heights) != (count := count_fine_vertices(self.skin)):
-            raise MeshError(f"detail: {len(self.detail.heights)} heights, the fine skin has {count} vertices")
+        if self.detail is not None:
+            count = count_fine_vertices(self.skin)
+            for name, values in (("heights", self.detail.heights), ("colours", self.detail.colours)):
+                if values is not None and len(values) != count:
+                    raise MeshError(f"detail: {len(values)} {name}, the fine skin has {count} vertices")
         for name, mask in self.regions.items():
             if np.shape(mask) != (n,):
                 raise MeshError(f"regions: {name!r} has shape {np.shape(mask)}, expected ({n},)")

@@ -1,12 +1,14 @@
-"""What a scan has and a registered skin has not: heights over the fine skin, along its normals."""
+"""What a scan has and a registered skin has not: heights over the fine skin, along its normals, and colours."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags
 
+from ..base.files.texture import Texture
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.cholesky import factorise_definite
 from ..base.geometry.rays import first_hits, visible_sky
@@ -18,6 +20,14 @@ from ..identities.neck import cut_neck
 from ..identities.space import OUTSIDE
 from ..template.template import Template
 from ..template.wraps.landmarks import Mask, distance_to
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """A scan [mm] with its texture, as its file has both: before repair, whose triangles the texture does not know."""
+
+    surface: Surface
+    texture: Texture
 
 
 @dataclass(frozen=True)
@@ -69,6 +79,21 @@ def _unfold(smooth: Surface, heights: Floats, edges: csr_matrix, policy: DetailP
         hit[smooth.triangles[turned]] = 1.0
         heights = np.where(hit + edges @ hit > 0.0, 0.5 * heights, heights)
     return heights
+
+
+def find_colours(skin: Surface, detail: Detail, painted: Painted) -> NDArray[np.uint8] | None:
+    """Find the colours (k, 3) of a skin's fine vertices in a scan's texture, by the closest point of the scan.
+
+    What lies beyond the scan, or where it has no texture, takes the face's median. None where nothing has a colour.
+    """
+    drawn = FineSkin.from_skin(skin, detail).refine(skin.vertices)
+    scan = painted.surface
+    triangle, weights, distance = TriangleTree(scan.vertices, scan.triangles).closest(drawn.vertices)
+    colours = painted.texture.find_colours(triangle, weights)
+    known = np.isfinite(colours).all(axis=1) & (distance < POLICY.reach)
+    if not known.any():
+        return None
+    return np.round(np.where(known[:, None], colours, np.median(colours[known], axis=0))).astype(np.uint8)
 
 
 def measure_heights(smooth: Surface, scan: Surface, policy: DetailPolicy = POLICY) -> tuple[Floats, Mask]:
