@@ -15,6 +15,11 @@ from ..lhm.head.file import load_head
 from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
 
+DETAIL = (
+    "draw and write the skin 16 times as fine: smooth, its neck cut clean, with the detail of the scan that HEAD was "
+    "fitted to; default: in its own triangles"
+)
+
 
 @dataclass(frozen=True)
 class HeadChoice:
