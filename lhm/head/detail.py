@@ -16,7 +16,7 @@ from ..identities.anny import has_default_triangles, load_default_people
 from ..identities.neck import cut_neck
 
 LEVELS = 2
-"""Each splits a triangle into four: the default skin's 4,900 vertices become 78,000, some 1.5 mm apart."""
+"""Each splits a triangle into four: the default skin's 4,463 vertices become 71,378."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +55,10 @@ class FineSkin:
     @classmethod
     def from_skin(cls, rest: Surface, detail: Detail | None = None) -> FineSkin:
         """Make the map of a skin at rest: smooth, and with `detail`; default triangles have their neck cut clean."""
-        triangles, n = rest.triangles, len(rest.vertices)
-        levels = []
+        n, triangles, count, levels = len(rest.vertices), rest.triangles, len(rest.vertices), []
         for _ in range(LEVELS):
-            weights, triangles = subdivide_smoothly(triangles, n if not levels else levels[-1].shape[0])
+            weights, triangles = subdivide_smoothly(triangles, count)
+            count = weights.shape[0]
             levels.append(weights)
         # Subdivision rounds lips and lids off. Moved by as much to the other side first, vertices stay nearly in place.
         rounded = reduce(lambda before, weights: weights @ before, levels)[:n]
@@ -66,7 +66,7 @@ class FineSkin:
         is_known = has_default_triangles(rest)
         neck = cut_neck(rest, load_default_people().parts) if is_known else identity(n, format="csr")
         if detail is None:
-            detail = Detail(np.zeros(levels[-1].shape[0], np.float32))
+            detail = Detail(np.zeros(count, np.float32))
         return cls((neck, sharper, *levels), triangles, detail.heights, detail.colours)
 
     def end_neck(self, skin: Floats) -> Floats:

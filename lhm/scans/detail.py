@@ -16,7 +16,6 @@ from ..base.geometry.topology import graph_laplacian, neighbours, unique_edges
 from ..base.mesh import Floats, Surface
 from ..head.columns import unit
 from ..head.detail import Detail, FineSkin
-from ..identities.neck import cut_neck
 from ..identities.space import OUTSIDE
 from ..template.template import Template
 from ..template.wraps.landmarks import Mask, distance_to
@@ -65,7 +64,7 @@ def lay_detail(template: Template, skin: Surface, scan: Surface, policy: DetailP
         matrix = stiffness * graph_laplacian(edges) + diags(met + policy.fades)
         even = factorise_definite(matrix.tocsc())((met * heights)[:, None])[:, 0]
         met &= np.abs(heights - even) < policy.outlier
-    even *= np.clip(fine.spread(_shares(template, skin, policy)), 0.0, 1.0)
+    even *= np.clip(fine.spread(_shares(template, skin, fine, policy)), 0.0, 1.0)
     return Detail(_unfold(smooth, even, edges, policy).astype(np.float32))
 
 
@@ -109,10 +108,10 @@ def measure_heights(smooth: Surface, scan: Surface, policy: DetailPolicy = POLIC
     return heights, met
 
 
-def _shares(template: Template, skin: Surface, policy: DetailPolicy) -> Floats:
-    """The share (n,) of its detail that each vertex of the skin shows."""
+def _shares(template: Template, skin: Surface, fine: FineSkin, policy: DetailPolicy) -> Floats:
+    """The share (n,) of its detail that each vertex of the skin shows: none where the neck is cut."""
     x, marks = skin.vertices, template.marks
-    stays = (np.abs(cut_neck(skin, template.parts) @ x - x) < 1e-6).all(axis=1)
+    stays = (np.abs(fine.end_neck(x) - x) < 1e-6).all(axis=1)
     share = ((template.parts == OUTSIDE) & stays & (visible_sky(skin) > policy.seen)).astype(np.float64)
     for rim, (least, most) in ((marks.rim, policy.lips), (marks.lids, policy.lids)):
         share *= np.clip((distance_to(x, x[rim]) - least) / (most - least), 0.0, 1.0)
