@@ -151,6 +151,8 @@ class _Document:
 
     def picture(self) -> tuple[bytes, Floats] | None:
         """Return the bytes of the picture that most triangles have, and all their corners' places, shape (m, 3, 2)."""
+        if not self._json.get("images"):
+            return None
         instances = [(self._image(primitive.entry), primitive, corners) for primitive, corners, *_ in self._instances()]
         counts: Counter[int] = Counter()
         for image, _, corners in instances:

@@ -77,7 +77,10 @@ def _decode(content: bytes) -> NDArray[np.uint8]:
 
 def _read_obj(path: Path) -> tuple[bytes, Floats] | None:
     """Read the picture's bytes and the corners' places (m, 3, 2) of an OBJ that `read_obj` has found sound."""
-    content = read_bytes(path).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    content = read_bytes(path)
+    if b"vt " not in content or b"mtllib" not in content:
+        return None
+    content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     places: list[tuple[float, float]] = []
     corners: list[tuple[int, int, int]] = []
     material, of_triangle, library = b"", [], ""
