@@ -90,7 +90,8 @@ def animate(config: AnimateConfig, face: Face, take: Take, surrogate: Surrogate,
     progress("settling: neutral face", 1.0)
     bind_seconds = time.perf_counter() - begin
     # The wrap ends below the neck: of a bust it is the head.
-    stage = Stage(head.skin, face.shapes, find_pivot(head), head.skin_wrap.vertices, take)
+    fine = head.fine_skin if config.detail else None
+    stage = Stage(head.skin, face.shapes, find_pivot(head), head.skin_wrap.vertices, take, fine)
     played = play(frames, stage, config, f"within {config.accuracy:g} mm", progress)
     return _result(played, bind_seconds, reason.name)
 
@@ -115,7 +116,7 @@ def animate_rig(
     neutral = rig.skin
     pivot = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     framed = neutral.vertices[np.unique(neutral.triangles)]
-    stage = Stage(neutral, face.shapes, pivot, framed, take)
+    stage = Stage(neutral, face.shapes, pivot, framed, take, face.head.fine_skin if wanted.detail else None)
     sums = wanted.format in WRITERS and not (wanted.dynamic or wanted.turned)
     named = named_take(method, rig, take) if sums and isinstance(rig, BoundSurrogate) else None
     played = play(rig_frames(method, rig, take, wanted.dynamic), stage, wanted, method, progress, rig=named)

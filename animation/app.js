@@ -164,6 +164,7 @@ function start([content, arrays]) {
     pose(k) { buttons[k].click(); },
     show(name) { state.shown = name; update(); },
     positions() { return Array.from(positions); },
+    drawn() { return Array.from(stage.skin.geometry.attributes.position.array); },
     within() { return stage.organs ? Array.from(stage.organs.geometry.attributes.position.array) : []; },
     /** Milliseconds of a frame of sliders: rig, normals and upload, median of `repeats`. */
     frameTime(repeats) {

@@ -7,6 +7,7 @@ simulator by what is not linear. That error is measured, and stands in the file.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +19,7 @@ from ..lhm.base.files.usd import write_usd
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, sample_weights
+from ..lhm.head.detail import FineSkin
 from ..lhm.identities.arkit import ARKIT
 from ..reference import Face
 from ..surrogate import BoundSurrogate, CertifiedFace
@@ -30,7 +32,7 @@ RigFormat = Literal["glb", "usd"]
 WRITERS: Mapping[str, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
 EXPRESSIONS, ACCURACY = 8, 1e-3
 """Mixed expressions that the error is measured on, and the accuracy [mm] of the simulator's answers there."""
-ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth")
+ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth", "upper_gums", "lower_gums")
 
 
 def blended_rig(face: Face) -> MorphRig:
@@ -78,8 +80,18 @@ def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any
     return MorphRig(surfaces, ARKIT, {**notes, "eye_turns_degrees": tell_turns()})
 
 
+def refine_rig(rig: MorphRig, fine: FineSkin) -> MorphRig:
+    """Make the rig's first surface, its skin, as it is drawn finer. The others stay."""
+    skin, *others = rig.surfaces
+    rest = fine.refine(skin.rest.vertices)
+    targets = np.stack([fine.refine(skin.rest.vertices + target).vertices for target in skin.targets]) - rest.vertices
+    colour = skin.colour if fine.colours is None else to_linear_light(fine.colours)
+    finer = MorphedSurface.from_targets(skin.name, rest, targets.astype(np.float32), colour=colour)
+    return replace(rig, surfaces=[finer, *others])
+
+
 def _morph_organs(organs: EyesAndTeeth, rest: Surface, targets: Floats | Floats32) -> Iterator[MorphedSurface]:
-    """Give eyes, which stand still at their centres, and rows of teeth, whose place is linear in the skin's."""
+    """Give eyes, which stand still at their centres, and teeth and gums, whose place is linear in the skin's."""
     at_rest, colours = organs.place(rest.vertices), to_linear_light(organs.colours)
     moved = np.stack([organs.place(rest.vertices + target) for target in targets]) - at_rest
     ends = np.cumsum([len(organ.points) for organ in organs.organs]).tolist()

@@ -49,12 +49,18 @@ def pose_head(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Float
     return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))
 
 
-def draw_head(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
-    """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
+def draw_head(
+    head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None, detail: bool = False
+) -> Mapping[str, bytes]:
+    """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest.
+
+    With `detail` the first shows the head's fine skin.
+    """
+    fine = head.fine_skin if detail else None
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
         "skin": draw_views(
-            [(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin
+            [(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin, fine=fine
         ),
         "layers": draw_cut_away(head, positions=positions),
         "sections": draw_sections(head, positions, skin),

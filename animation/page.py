@@ -20,6 +20,7 @@ from jinja2 import Environment, StrictUndefined
 from ..lhm import expressions
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.head.detail import FineSkin
 from ..lhm.identities.arkit import ARKIT
 from ..reference import Face
 from ..surrogate import BoundRig
@@ -85,8 +86,9 @@ def render_page(
     *,
     poses: Sequence[Pose] = (),
     layers: Sequence[Layer] = (),
+    fine: FineSkin | None = None,
 ) -> str:
-    """The page as text; `words` stand beneath the title, the last rig is shown first.
+    """The page as text; `words` stand beneath the title, the last rig is shown first. `fine` draws skins finer.
 
     Raises InputError without a rig, and for skins that are not all of one size.
     """
@@ -99,7 +101,7 @@ def render_page(
         if shape != (n, 3):
             raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
     skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
-    content = pack_skin(packed, skin) | {
+    content = pack_skin(packed, skin, fine) | {
         "top": TOP,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
@@ -108,12 +110,15 @@ def render_page(
     return fill_page("page.html", packed, content, app="app.js", title=title, words=words)
 
 
-def pack_skin(packed: Packed, skin: Surface) -> dict[str, Any]:
+def pack_skin(packed: Packed, skin: Surface, fine: FineSkin | None = None) -> dict[str, Any]:
     """Pack what every page draws a skin with: triangles, where light reaches, eyes and teeth; the page's content."""
+    triangles = skin.triangles if fine is None else fine.triangles
+    ended = skin if fine is None else skin.with_vertices(fine.end_neck(skin.vertices))
     return {
         "expressions": list(ARKIT),
-        "triangles": packed.add("triangles", np.asarray(skin.triangles, dtype=np.uint32)),
-        "lit": packed.add("lit", light_share(skin).astype(np.float32)),
+        "triangles": packed.add("triangles", np.asarray(triangles, dtype=np.uint32)),
+        "fine": None if fine is None else _pack_fine(packed, fine),
+        "lit": packed.add("lit", light_share(ended).astype(np.float32)),
         "inside": to_linear_light(parse_colour(INSIDE)).tolist(),
         "within": _pack_inside(packed, skin),
     }
@@ -157,6 +162,24 @@ def _pose(packed: Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dic
         "name": pose.name,
         "weights": packed.add(f"pose {k}", np.asarray(pose.weights, dtype=np.float32)),
         "skins": {name: packed.small(f"pose {k} {name}", (skin - neutral)[None]) for name, skin in pose.skins.items()},
+    }
+
+
+def _pack_fine(packed: Packed, fine: FineSkin) -> dict[str, Any]:
+    """Pack the map from the skin that moves to the one that is drawn."""
+    steps = [
+        {
+            "starts": packed.add(f"fine {k} starts", step.indptr.astype(np.uint32)),
+            "columns": packed.add(f"fine {k} columns", step.indices.astype(np.uint32)),
+            "weights": packed.add(f"fine {k} weights", step.data.astype(np.float32)),
+        }
+        for k, step in enumerate(fine.steps)
+    ]
+    paint = None if fine.colours is None else to_linear_light(fine.colours).astype(np.float32)
+    return {
+        "steps": steps,
+        "heights": packed.add("heights", fine.heights),
+        "paint": None if paint is None else packed.add("paint", paint),
     }
 
 
@@ -231,10 +254,13 @@ def render_face_page(
     face: Face,
     rigs: Sequence[Rig] = (),
     poses: Sequence[Pose] = (),
+    *,
+    detail: bool = False,
 ) -> str:
     """The page of a face: its blendshapes, the simulator's derivatives (some seconds), and `rigs`.
 
-    `poses` replace the usual ones. Raises InputError for a face that does not settle, and what the simulator raises.
+    `poses` replace the usual ones. With `detail` the page draws the head's fine skin. Raises InputError for a face that
+    does not settle, and what the simulator raises.
     """
     head, shapes, motions, n = face.head, face.shapes, face.first_order, len(face.head.bone)
     simulated = Rig(DERIVATIVES, head.skin.vertices + face.offset, shapes + face.responses)
@@ -249,4 +275,5 @@ def render_face_page(
             Layer(name, head.skin_wrap.triangles, face.derivatives.answer.positions[rows], motions[:, rows], colour)
             for (name, colour), rows in zip(LAYERS, below, strict=True)
         ],
+        fine=head.fine_skin if detail else None,
     )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Ints, Surface
+from ..lhm.head.detail import FineSkin
 from ..lhm.head.head import LayeredHead
 from .eyes_and_teeth import find_eyes_and_teeth
 
@@ -117,10 +118,21 @@ def light_share(surface: Surface) -> Floats:
     return np.clip(visible_sky(surface) / LIGHT, 0.0, 1.0)
 
 
-def shade_skin(surface: Surface) -> NDArray[np.uint8]:
-    """Colours (n, 3) of a skin at rest: SKIN where it sees the sky, INSIDE where it does not."""
-    seen = light_share(surface)[:, None]
-    return np.round(seen * parse_colour(SKIN) + (1 - seen) * parse_colour(INSIDE)).astype(np.uint8)
+def drawn_surface(skin: Surface, fine: FineSkin | None) -> Surface:
+    """The surface that a skin is drawn as: itself, or finer."""
+    return skin if fine is None else fine.refine(skin.vertices)
+
+
+def shade_skin(rest: Surface, fine: FineSkin | None = None) -> NDArray[np.uint8]:
+    """Colours (n, 3) of a skin at rest as it is drawn: INSIDE where it sees no sky, else SKIN, or a scan's own."""
+    own: Floats | NDArray[np.uint8] = parse_colour(SKIN)
+    if fine is None:
+        seen = light_share(rest)[:, None]
+    else:
+        ended = rest.with_vertices(fine.end_neck(rest.vertices))
+        seen = np.clip(fine.spread(light_share(ended)), 0.0, 1.0)[:, None]
+        own = own if fine.colours is None else fine.colours
+    return np.round(seen * own + (1 - seen) * parse_colour(INSIDE)).astype(np.uint8)
 
 
 def parse_colour(text: str) -> Floats:
@@ -234,29 +246,32 @@ def draw_strip(
     size: int = 340,
     framed: Floats | None = None,
     rest: Surface | None = None,
+    fine: FineSkin | None = None,
 ) -> bytes:
     """Panels side by side at one scale, with a colour bar under each coloured one.
 
     The picture frames the points `framed` [mm], shape (k, 3), and the crown, by default all of the surfaces. Hidden
-    parts of `rest`, the head at rest, are drawn dark.
+    parts of `rest`, the head at rest, are drawn dark. `fine` draws skins finer.
     """
     pyvista = load_pyvista()
-    colours = None if rest is None else shade_skin(rest)
+    colours = None if rest is None else shade_skin(rest, fine)
     window = (size * len(panels), int(size * 1.2))
     plotter = pyvista.Plotter(off_screen=True, shape=(1, len(panels)), window_size=window, border=False)
     plotter.set_background("white", all_renderers=True)
     centre, height = frame_view([panel.surface.vertices for panel in panels], view, framed, 1.0 / 1.2)
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = to_polydata(pyvista, panel.surface.vertices, panel.surface.triangles)
+        drawn = drawn_surface(panel.surface, fine)
+        mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
         add_eyes_and_teeth(plotter, panel.surface, panel.weights)
         if panel.values is None:
             plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True, specular=0.15)
             if colours is not None:
-                add_back(plotter, panel.surface)
+                add_back(plotter, drawn)
         else:
             how = {"cmap": VALUES, "clim": (0.0, panel.top), "show_scalar_bar": False}
-            plotter.add_mesh(mesh, scalars=panel.values, smooth_shading=True, **how)
+            values = panel.values if fine is None else fine.spread(panel.values)
+            plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
         aim_camera(plotter, centre, height, view)
     bars = [None if panel.values is None else Bar(VALUES, 0.0, panel.top, "mm") for panel in panels]
     return _sheet(plotter, [panel.caption for panel in panels], bars)
@@ -306,24 +321,26 @@ def draw_views(
     size: int = 520,
     framed: Floats | None = None,
     rest: Surface | None = None,
+    fine: FineSkin | None = None,
 ) -> bytes:
     """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
 
-    `framed` and `rest` as in `draw_strip`.
+    `framed`, `rest` and `fine` as in `draw_strip`.
     """
     pyvista = load_pyvista()
-    colours = None if rest is None else shade_skin(rest)
+    colours = None if rest is None else shade_skin(rest, fine)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     surfaces = [surface.vertices for _, surface, _ in panels]
     for column, (_, surface, view) in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
-        mesh.point_data.active_normals = surface.vertex_normals
+        drawn = drawn_surface(surface, fine)
+        mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
+        mesh.point_data.active_normals = drawn.vertex_normals
         add_eyes_and_teeth(plotter, surface)
         actor = plotter.add_mesh(mesh, **skin_colours(colours), specular=0.1, specular_power=8, ambient=0.12)
         if colours is not None:
-            add_back(plotter, surface)
+            add_back(plotter, drawn)
         actor.prop.interpolation = "Phong"
         aim_camera(plotter, *frame_view(surfaces, view, framed), view)
     plotter.set_background("white", all_renderers=True)

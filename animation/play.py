@@ -20,10 +20,12 @@ from ..lhm.base.files.usd import check_usd
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
+from ..lhm.head.detail import FineSkin
 from ..reference.face.dynamics import turn_about
 from ..surrogate.methods import BLENDSHAPES
-from .export import WRITERS, RigFormat
+from .export import WRITERS, RigFormat, refine_rig
 from .frames import TakeFrame, blend_linearly
+from .pictures import drawn_surface
 from .preview import GIF_SECONDS, Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", RigFormat]
@@ -35,7 +37,8 @@ MORPHED = 0.05
 class Output:
     """Files of a take in the folder `out`.
 
-    `turned` shows the head turned as the take has it, about its neck, and not in its own frame.
+    `turned` shows the head turned as the take has it, about its neck, and not in its own frame. `detail` shows and
+    writes the head's fine skin.
     """
 
     out: Path
@@ -43,6 +46,7 @@ class Output:
     preview: Preview = "none"
     dynamic: bool = False
     turned: bool = False
+    detail: bool = False
 
     def __post_init__(self):
         for name, known in (("format", get_args(Format)), ("preview", get_args(Preview))):
@@ -57,7 +61,7 @@ class Stage:
     """The scene of a take.
 
     neutral: the skin without p [mm]; deltas (52, n, 3) [mm]: what the weights add to it; pivot (3,) [mm]: what the head
-    turns about; framed (k, 3) [mm]: the points that a preview has in view.
+    turns about; framed (k, 3) [mm]: the points that a preview has in view; fine: what draws the skin finer.
     """
 
     neutral: Surface
@@ -65,6 +69,7 @@ class Stage:
     pivot: Floats
     framed: Floats
     take: Take
+    fine: FineSkin | None = None
 
     def turn(self, skin: Floats, number: int) -> Floats:
         """A skin (n, 3) [mm] of the head's own frame, turned as the take has the head in a frame."""
@@ -122,9 +127,9 @@ def play(
 
     files, notes = [wanted.out / f"take.{wanted.format}"], []
     if wanted.format == "vtkhdf":
-        write_vtkhdf(
-            files[0], stage.neutral.triangles, take.times, (stage.neutral.vertices + one for one in make_motion())
-        )
+        skins = (stage.neutral.with_vertices(stage.neutral.vertices + one) for one in make_motion())
+        triangles = stage.neutral.triangles if stage.fine is None else stage.fine.triangles
+        write_vtkhdf(files[0], triangles, take.times, (drawn_surface(skin, stage.fine).vertices for skin in skins))
     else:
         motion = np.array(list(make_motion()))
         if rig is None:
@@ -133,6 +138,7 @@ def play(
             notes.append(describe_targets(files[0], len(morphs.targets), morphs.error))
         else:
             notes.append(f"{files[0].name}: ARKit's {len(rig.names)} morph targets")
+        rig = rig if stage.fine is None else refine_rig(rig, stage.fine)
         WRITERS[wanted.format](files[0], rig)
     if shown:
         files.append(wanted.out / f"preview.{wanted.preview}")
@@ -159,7 +165,8 @@ def _write_preview(
 
     take, numbers = stage.take, list(kept)
     weights = take.weights[numbers]
-    pictures = render_frames(stage.neutral, pairs(), (BLENDSHAPES, caption), framed=stage.framed, weights=weights)
+    shown: dict[str, Any] = {"framed": stage.framed, "weights": weights, "fine": stage.fine}
+    pictures = render_frames(stage.neutral, pairs(), (BLENDSHAPES, caption), **shown)
     write_preview(path, wanted.preview, pictures, take.times[numbers], take.rate)
     progress(f"preview: {path.name}", 1.0)
 

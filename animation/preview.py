@@ -15,8 +15,18 @@ from ..lhm.base.errors import InputError, MissingDependencyError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Surface
+from ..lhm.head.detail import FineSkin
 from .eyes_and_teeth import find_eyes_and_teeth
-from .pictures import add_back, add_eyes_and_teeth, aim_camera, load_pyvista, shade_skin, skin_colours, to_polydata
+from .pictures import (
+    add_back,
+    add_eyes_and_teeth,
+    aim_camera,
+    drawn_surface,
+    load_pyvista,
+    shade_skin,
+    skin_colours,
+    to_polydata,
+)
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -43,11 +53,12 @@ def render_frames(
     *,
     framed: Floats | None = None,
     weights: Iterable[Floats] | None = None,
+    fine: FineSkin | None = None,
 ) -> Iterator[Picture]:
     """RGB pictures, (460, 800, 3), of pairs of skins [mm], each (n, 3); eyes turn by `weights` (52,) of each.
 
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
-    all of the skin. What is hidden in `neutral` is drawn dark.
+    all of the skin. What is hidden in `neutral` is drawn dark. `fine` draws skins finer.
     """
     pyvista = load_pyvista()
     rows = 2 * (23 * SIZE // 40)
@@ -59,22 +70,24 @@ def render_frames(
     aim_camera(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * SIZE / rows * right / np.linalg.norm(right)
-    meshes, colours = [], shade_skin(neutral)
+    meshes, colours = [], shade_skin(neutral, fine)
     how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):
-        mesh = to_polydata(pyvista, neutral.vertices + offset, neutral.triangles)
-        mesh.point_data.active_normals = neutral.vertex_normals
+        beside = neutral.with_vertices(neutral.vertices + offset)
+        drawn = drawn_surface(beside, fine)
+        mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
+        mesh.point_data.active_normals = drawn.vertex_normals
         actor = plotter.add_mesh(mesh, **skin_colours(colours), **how)
         actor.prop.interpolation = "Phong"
-        beside = neutral.with_vertices(neutral.vertices + offset)
-        meshes.append((mesh, add_back(plotter, beside), add_eyes_and_teeth(plotter, beside), offset))
+        meshes.append((mesh, add_back(plotter, drawn), add_eyes_and_teeth(plotter, beside), offset))
     plotter.reset_camera_clipping_range()
     organs = find_eyes_and_teeth(neutral)
     for pair, gaze in zip(pairs, repeat(None) if weights is None else weights, strict=False):
         for (mesh, reverse, inner, offset), vertices in zip(meshes, pair, strict=True):
             surface = neutral.with_vertices(vertices + offset)
-            mesh.points, reverse.points = surface.vertices, close_openings(surface).vertices
-            mesh.point_data.active_normals = surface.vertex_normals
+            drawn = drawn_surface(surface, fine)
+            mesh.points, reverse.points = drawn.vertices, close_openings(drawn).vertices
+            mesh.point_data.active_normals = drawn.vertex_normals
             if organs is not None:
                 inner.points = organs.place(surface.vertices, gaze)
         plotter.render()

@@ -74,6 +74,47 @@ class Within {
   }
 }
 
+/** A finer skin over the one that moves: sparse weights, applied in steps, and heights [mm] along its normals. */
+class Fine {
+  constructor(content, arrays) {
+    this.steps = content.steps.map(({ starts, columns, weights }) => ({
+      starts: arrays[starts], columns: arrays[columns], weights: arrays[weights],
+    }));
+    this.heights = arrays[content.heights];
+    this.paint = content.paint && arrays[content.paint];
+  }
+
+  /** Write a scan's own colours where light reaches (a share for each of three values), else those of the inside. */
+  colour(lit, inside, out) {
+    for (let i = 0; i < out.length; i++) out[i] = lit[i] * this.paint[i] + (1 - lit[i]) * inside[i % 3];
+  }
+
+  /** What three values at each vertex of the skin are at the fine ones. */
+  spread(values) {
+    for (const { starts, columns, weights } of this.steps) {
+      const next = new Float32Array(3 * (starts.length - 1));
+      for (let row = 0, i = 0; i < next.length; row++, i += 3) {
+        for (let k = starts[row]; k < starts[row + 1]; k++) {
+          const from = 3 * columns[k];
+          for (let c = 0; c < 3; c++) next[i + c] += weights[k] * values[from + c];
+        }
+      }
+      values = next;
+    }
+    return values;
+  }
+
+  /** Write the fine skin of a skin into a geometry of its triangles, whose normals are the smooth one's. */
+  frame(skin, geometry) {
+    const { position, normal } = geometry.attributes;
+    position.array.set(this.spread(skin));
+    geometry.computeVertexNormals();
+    for (let i = 0, k = 0; i < position.array.length; i += 3, k++) {
+      for (let c = 0; c < 3; c++) position.array[i + c] += this.heights[k] * normal.array[i + c];
+    }
+  }
+}
+
 /** Colours of distances [mm]: the skin's own at 0, over yellow and red to violet at `top`. */
 const RAMP = [[0.86, 0.68, 0.58], [0.98, 0.8, 0.35], [0.9, 0.3, 0.2], [0.4, 0.1, 0.45]];
 function colourOf(share, out, at) {
@@ -102,9 +143,12 @@ class Stage {
     this.positions = Float32Array.from(neutral);
     this.colours = new Float32Array(neutral.length);
     this.lit = arrays[content.lit];
+    this.fine = content.fine && new Fine(content.fine, arrays);
+    this.fineLit = this.fine && this.fine.spread(Float32Array.from(neutral, (_, i) => this.lit[Math.floor(i / 3)]));
     this.inside = content.inside;
-    this.skin = this.addMesh(this.positions, arrays[content.triangles], null);
-    this.skin.geometry.setAttribute("color", new THREE.BufferAttribute(this.colours, 3));
+    const drawn = this.fine ? this.fine.spread(this.positions) : this.positions;
+    this.skin = this.addMesh(drawn, arrays[content.triangles], null);
+    this.skin.geometry.setAttribute("color", new THREE.BufferAttribute(this.fine ? drawn.slice() : this.colours, 3));
     this.skin.geometry.computeBoundingSphere();
     ({ center: this.center, radius: this.radius } = this.skin.geometry.boundingSphere.clone());
     this.within = content.within && new Within(content.within, arrays, content.expressions);
@@ -161,6 +205,12 @@ class Stage {
     for (let i = 0, k = 0; i < colours.length; i += 3, k++) {
       colourOf(distances ? distances[k] / top : 0, colours, i);
       for (let c = 0; c < 3; c++) colours[i + c] = lit[k] * colours[i + c] + (1 - lit[k]) * inside[c];
+    }
+    if (this.fine) {
+      const drawn = this.skin.geometry.attributes.color.array;
+      if (this.fine.paint && !distances) this.fine.colour(this.fineLit, inside, drawn);
+      else drawn.set(this.fine.spread(colours));
+      this.fine.frame(this.positions, this.skin.geometry);
     }
     this.skin.geometry.attributes.color.needsUpdate = true;
     this.moved(this.skin);

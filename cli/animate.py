@@ -15,7 +15,7 @@ from ..lhm.expressions import Take
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import FILE, LEVEL, argument, count_range, make_command, option
-from .take_options import HeadChoice, load_take
+from .take_options import DETAIL, HeadChoice, load_take
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -84,6 +84,7 @@ class Animate:
     fps: float | None = option(None, "frames per second; default: the take's own", type=float)
     frames: str | None = option(None, "frames A to B - 1 only, counted at --fps", type=str, metavar="A:B")
     turned: bool = option(False, "turn the head as TAKE does; default: keep its own frame")
+    detail: bool = option(False, DETAIL)
     dynamic: bool = option(False, "add inertia: loose flesh lags, and swings when TAKE turns the head")
     bones: str = option("rigid", "motion of the mandible", type=click.Choice(["rigid", "prescribed", "soft"]))
     crossing: bool = option(False, "let lids and lips cross: contact costs time where they touch")
@@ -118,7 +119,7 @@ class Animate:
 
     @property
     def _files(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("out", "format", "preview", "dynamic", "turned")}
+        return {name: getattr(self, name) for name in ("out", "format", "preview", "dynamic", "turned", "detail")}
 
     def _within(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
         """Animate within the accuracy."""

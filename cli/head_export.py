@@ -13,7 +13,7 @@ from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .head import head
 from .options import FILE, argument, as_command, option
-from .take_options import HeadChoice
+from .take_options import DETAIL, HeadChoice
 from .terminal import show_progress
 from .written_file import RIG
 
@@ -41,6 +41,7 @@ class Export:
     identities: str | None = option(
         None, "identity space of the expressions (anny or ict:FILE); default: the head's own", type=str
     )
+    detail: bool = option(False, DETAIL)
     out: Path | None = option(None, "the file to write; default: out/head.glb or out/head.usd", type=RIG)
     json: bool = option(False, "print the result as JSON")
 
@@ -53,14 +54,13 @@ class Export:
         if self.format == "usd":
             check_usd()
         parameters = None if self.parameters is None else read_parameters(self.parameters)
-        from ..animation.export import WRITERS, blended_rig, simulated_rig
+        from ..animation.export import WRITERS, blended_rig, refine_rig, simulated_rig
 
         with show_progress() as progress:
-            which = HeadChoice(self.head, self.identities)
-            if parameters is None:
-                rig = blended_rig(which.face(Parameters(), progress))
-            else:
-                rig = simulated_rig(which.face(parameters, progress), progress)
+            face = HeadChoice(self.head, self.identities).face(parameters or Parameters(), progress)
+            rig = blended_rig(face) if parameters is None else simulated_rig(face, progress)
+            if self.detail:
+                rig = refine_rig(rig, face.head.fine_skin)
             WRITERS[self.format](out, rig)
         surfaces, notes = [surface.name for surface in rig.surfaces], rig.notes
         still = [name for name, target in zip(rig.names, rig.surfaces[0].targets, strict=True) if not target.any()]

@@ -16,6 +16,7 @@ from ..lhm.base.files.npz import write_arrays
 from ..lhm.head.file import export_vtk, load_head
 from .head import head
 from .options import FILE, argument, as_command, option, refuse_given
+from .take_options import DETAIL
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ
 
@@ -33,6 +34,7 @@ class Show:
     identities: str | None = option(
         None, "identity space of the expressions (anny or ict:FILE); default: the head's own", type=str
     )
+    detail: bool = option(False, DETAIL)
     vtk: Path | None = option(None, "also write .vtu files into this folder", type=FOLDER)
 
     def run(self) -> int:
@@ -49,7 +51,7 @@ class Show:
             pose = None
             if weights is not None:
                 pose = pose_head(shown, expression_deltas(shown, str(self.file), self.identities), weights)
-            for name, png in draw_head(shown, pose=pose).items():
+            for name, png in draw_head(shown, pose=pose, detail=self.detail).items():
                 write_whole(self.out / f"{name}.png", png)
                 click.echo(self.out / f"{name}.png")
             progress("pictures", 1.0)

@@ -15,6 +15,11 @@ from ..lhm.head.file import load_head
 from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
 
+DETAIL = (
+    "draw and write the skin 16 times as fine, at 16 times the size: smooth, with the neck cut clean, and with detail "
+    "and colours of the scan that the head was fitted to; default: in its own triangles"
+)
+
 
 @dataclass(frozen=True)
 class HeadChoice:

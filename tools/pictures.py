@@ -53,6 +53,7 @@ CUT = (
     "benchmarks/studies/agreement/pictures.py",
 )
 EXPORTED = ("tools/exported.html", "animation/export.py", *DRAWING[1:], "lhm/base/files/glb.py")
+FINE = ("lhm/head/detail.py", "lhm/scans/detail.py", "lhm/identities/neck.py", "lhm/base/geometry/subdivision.py")
 DIAL = ("benchmarks/results/dial.json", "benchmarks/studies/surrogate/dial.py")
 ARENA = ("benchmarks/results/arena.json", "benchmarks/studies/arena/curves.py")
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -188,7 +189,7 @@ def own_head(scan: Path) -> bytes:
             raise SystemExit(f"own-head, {name}: {solution.reason}")
         moved = head.skin_after(shape, solution.positions[: len(head.bone)])
         panels.append(Panel(f"{name}, simulated", head.skin.with_vertices(moved)))
-    return draw_strip(panels, view=FRONT, framed=head.skin_wrap.vertices, rest=head.skin)
+    return draw_strip(panels, view=FRONT, framed=head.skin_wrap.vertices, rest=head.skin, fine=head.fine_skin)
 
 
 def viewer(scan: Path) -> bytes:
@@ -336,7 +337,7 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "collisions.png": (collisions, (*HEAD, *CUT)),
     "effects.png": (effects, (*HEAD, *DRAWING, *CUT[:2])),
     "more-effects.png": (more_effects, (*HEAD, *DRAWING, *CUT[:2])),
-    "own-head.png": (own_head, (*HEAD, *DRAWING, "lhm/template/registration/nonrigid.py")),
+    "own-head.png": (own_head, (*HEAD, *DRAWING, *FINE, "lhm/template/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),
     "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),

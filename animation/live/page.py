@@ -10,10 +10,13 @@ from .controls import PRESETS, describe_controls
 from .face import list_methods
 
 
-def render_live_page(title: str, face: Face, socket: str) -> str:
-    """Render the page of a face whose websocket is at the path `socket`; InputError for p that no slider shows."""
+def render_live_page(title: str, face: Face, socket: str, detail: bool = False) -> str:
+    """Render the page of a face whose websocket is at the path `socket`; InputError for p that no slider shows.
+
+    With `detail` it draws the head's fine skin.
+    """
     packed = Packed()
-    content = pack_skin(packed, face.head.skin) | {
+    content = pack_skin(packed, face.head.skin, face.head.fine_skin if detail else None) | {
         "neutral": packed.add("neutral", face.head.skin.vertices.astype(np.float32)),
         "socket": socket,
         "controls": describe_controls(face.parameters),

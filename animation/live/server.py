@@ -47,14 +47,16 @@ def serve_face(
     face: Face,
     title: str,
     *,
+    detail: bool = False,
     port: int | None = None,
     on_ready: Callable[[str], None],
     on_trouble: Callable[[str], None],
 ) -> None:
     """Serve the page of a face until Ctrl-C, SIGTERM or SIGHUP; then every process of its own has ended.
 
-    port: a free one by default. `on_ready` is given the address, `on_trouble` a line for each defect. Raises
-    InputError for a port that is taken, and MissingDependencyError without websockets.
+    detail: whether the page draws the head's fine skin. port: a free one by default. `on_ready` is given the address,
+    `on_trouble` a line for each defect. Raises InputError for a port that is taken, and MissingDependencyError without
+    websockets.
     """
     try:
         import websockets  # noqa: F401
@@ -65,17 +67,17 @@ def serve_face(
     if port is not None:
         PORT.check("port", port)
     with threadpool_limits(1):
-        asyncio.run(_Server(face, title, on_trouble).run(port, on_ready))
+        asyncio.run(_Server(face, title, detail, on_trouble).run(port, on_ready))
 
 
 class _Server:
     """The page, the tabs that are open, and the one thread that makes their first answers."""
 
-    def __init__(self, face: Face, title: str, on_trouble: Callable[[str], None]):
+    def __init__(self, face: Face, title: str, detail: bool, on_trouble: Callable[[str], None]):
         self.face, self.on_trouble = face, on_trouble
         self.first = FirstAnswer(face)
         self.thread = ThreadPoolExecutor(1, thread_name_prefix="first answers")
-        self._page = render_live_page(title, face, SOCKET).encode()
+        self._page = render_live_page(title, face, SOCKET, detail).encode()
         self._tabs: set[_Tab] = set()
         self._hosts: tuple[str, ...] = ()
 

@@ -25,6 +25,7 @@ from ..base.mesh import Surface, TetMesh
 from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
+from .detail import Detail
 from .gates import check_regions, measure_face
 from .head import LayeredHead
 from .skin import check_outward
@@ -66,6 +67,9 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
     arrays |= _rig_to_arrays(head.rig)
+    if head.detail is not None:
+        arrays |= {"detail_heights": head.detail.heights}
+        arrays |= {} if head.detail.colours is None else {"detail_colours": head.detail.colours}
     arrays |= {"notes": np.array(json.dumps(head.notes))}
     with refusing_to_write(path):
         _head_from_arrays(arrays)
@@ -230,6 +234,7 @@ def _head_from_arrays(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
         read_masks(arrays, n),
         volume=_read_volume(arrays, wraps, extent),
         rig=_read_rig(arrays, skin_n, extent),
+        detail=_read_detail(arrays, extent),
         notes=read_notes(arrays),
         muscles=more["muscles"],
         skull=more["skull"],
@@ -309,6 +314,16 @@ def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> R
             raise InputError(f"rig_about: {quote(name)} is none of ARKit's expressions")
     NOTE_LETTERS.check("rig_about", len(source))
     return Rig(deltas, escape(source), missing)
+
+
+def _read_detail(arrays: Mapping[str, np.ndarray], extent: float) -> Detail | None:
+    if "detail_heights" not in arrays:
+        return None
+    heights = checks.real("detail_heights", arrays["detail_heights"], (None,), most=extent)
+    colours = arrays.get("detail_colours")
+    if colours is not None:
+        colours = checks.integers("detail_colours", colours, 0, 255, (None, 3)).astype(np.uint8)
+    return Detail(heights.astype(np.float32), colours)
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:

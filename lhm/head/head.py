@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -12,6 +13,7 @@ from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.mesh import Floats, Ints, Surface, TetMesh
 from ..expressions.rig import Rig
+from .detail import Detail, FineSkin, count_fine_vertices
 from .layers import sub_layers
 
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
@@ -29,8 +31,8 @@ class LayeredHead:
     that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
     `muscles` and `skull`: the surfaces under the inner wraps, where the template has them.
     `volume`: `soft` and `muscle` where they are no prisms; their first 3 n vertices are the stacked wraps'.
-    `rig`: what the 52 expressions do to the skin; `notes`: what was found and changed on the way from a file to this
-    head.
+    `rig`: what the 52 expressions do to the skin; `detail`: what the scan has beyond the skin, for drawing; `notes`:
+    what was found and changed on the way from a file to this head.
     Raises MeshError for wraps of different triangles, inverted tets by index, and a volume over other vertices.
     """
 
@@ -46,6 +48,7 @@ class LayeredHead:
     skull: Surface | None = field(default=None, repr=False)
     volume: tuple[TetMesh, TetMesh] | None = field(default=None, repr=False)
     rig: Rig | None = field(default=None, repr=False)
+    detail: Detail | None = field(default=None, repr=False)
     notes: tuple[str, ...] = field(default=(), repr=False)
     soft: TetMesh = field(init=False, repr=False)
     muscle: TetMesh = field(init=False, repr=False)
@@ -66,6 +69,11 @@ class LayeredHead:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
         if self.rig is not None and self.rig.deltas.shape[1] != len(self.skin.vertices):
             raise MeshError(f"rig: it has {self.rig.deltas.shape[1]} vertices, the skin {len(self.skin.vertices)}")
+        if self.detail is not None:
+            count = count_fine_vertices(self.skin)
+            for name, values in (("heights", self.detail.heights), ("colours", self.detail.colours)):
+                if values is not None and len(values) != count:
+                    raise MeshError(f"detail: {len(values)} {name}, the fine skin has {count} vertices")
         for name, mask in self.regions.items():
             if np.shape(mask) != (n,):
                 raise MeshError(f"regions: {name!r} has shape {np.shape(mask)}, expected ({n},)")
@@ -98,6 +106,11 @@ class LayeredHead:
     def tets(self) -> Ints:
         """Soft tissue's tets, then muscle's, shape (k, 4); six for each triangle where they are prisms."""
         return np.vstack([self.soft.tets, self.muscle.tets])
+
+    @cached_property
+    def fine_skin(self) -> FineSkin:
+        """The map from the skin, in any expression, to the finer one that is drawn: some 0.5 s, once."""
+        return FineSkin.from_skin(self.skin, self.detail)
 
     def expression(self, weights) -> Floats:
         """The skin [mm] under ARKit weights (52,) by its own rig, shape (skin vertices, 3); InputError without one."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,17 @@ def Anny() -> TransferredSpace:
     arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", kind="the default head")
     mean = Surface(arrays["mean"], arrays["triangles"])
     return TransferredSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"], MISSING)
+
+
+@cache
+def load_default_people() -> TransferredSpace:
+    """Load the default space once."""
+    return Anny()
+
+
+def has_default_triangles(skin: Surface) -> bool:
+    """Tell whether a skin is of the default triangles, whose eyes, teeth and parts alone are known."""
+    return np.array_equal(skin.triangles, load_default_people().triangles)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,13 @@ import numpy as np
 
 from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
+from ..base.files.texture import read_texture
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
 from ..base.geometry.warp import Similarity
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
+from ..head.detail import Detail, count_fine_vertices
 from ..head.head import LayeredHead
 from ..head.skin import check_skin
 from ..identities.arkit import find_arkit_morphs
@@ -26,6 +28,7 @@ from ..template.fit import fit_head, has_triangles_of, is_upright
 from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..template.registration.registration import find_face, register
 from ..template.template import Template
+from .detail import Painted, find_colours, lay_detail
 from .placing import Placement, find_placement, millimetres
 from .repair import repair_scan
 
@@ -53,7 +56,7 @@ class PlacedScan:
     """A scan ready to be fitted: `skin` [mm], upright, +z the front; what was done on the way stands in `notes`.
 
     `own`: displacements [mm], shape (n, 3), of the morph targets that have ARKit names; `landmarks`: pairs of template
-    vertices and points on the skin [mm], or None.
+    vertices and points on the skin [mm], or None; `painted`: the scan with its texture, where its file has one.
     """
 
     skin: Surface
@@ -61,6 +64,7 @@ class PlacedScan:
     landmarks: Pairs | None = field(repr=False)
     placement: Placement = field(repr=False)
     notes: tuple[str, ...]
+    painted: Painted | None = field(default=None, repr=False)
 
 
 def fit_scan(
@@ -76,7 +80,8 @@ def fit_scan(
 
     scan: a file (OBJ, PLY, STL, glTF, NPZ) or a surface of a head, of any topology, unit and orientation; `hints` and
     `repair` as in `place_scan`, `regressor` as in `fit_head`. The template's skin is laid onto the scan; a scan in the
-    template's triangles and order is taken vertex by vertex. The head's notes say what was found and changed.
+    template's triangles and order is taken vertex by vertex. What the scan has beyond the template's triangles is kept
+    as the head's `detail`, for drawing, with its texture's colours. The head's notes say what was found and changed.
 
     Raises InputError that names the file for what cannot be read, is no head, or needs a hint, and FitError as in
     `fit_head`.
@@ -85,7 +90,15 @@ def fit_scan(
     head = fit_head(
         template, placed.skin, regressor=regressor, landmarks=placed.landmarks, own=placed.own, progress=progress
     )
-    return replace(head, notes=(*placed.notes, *head.notes))
+    progress("detail", 0.0)
+    detail = None
+    if not has_triangles_of(template, placed.skin):
+        detail = lay_detail(template, head.skin, placed.skin)
+    if placed.painted is not None:
+        detail = detail or Detail(np.zeros(count_fine_vertices(head.skin), np.float32))
+        detail = replace(detail, colours=find_colours(head.skin, detail, placed.painted))
+    progress("detail", 1.0)
+    return replace(head, detail=detail, notes=(*placed.notes, *head.notes))
 
 
 def place_scan(
@@ -105,7 +118,24 @@ def place_scan(
         return _place(template, Scan(scan.vertices, scan.triangles), hints, repair, progress)
     read = read_scan(scan)
     with _name_scan(scan):
-        return _place(template, read, hints, repair, progress)
+        placed = _place(template, read, hints, repair, progress)
+    return _paint(placed, read, scan)
+
+
+def _paint(placed: PlacedScan, read: Scan, path: str | os.PathLike[str]) -> PlacedScan:
+    """Add a scan's texture; one that cannot be read is no reason to refuse a scan, and is told in the notes."""
+    try:
+        texture = read_texture(path)
+    except (InputError, ValueError) as error:
+        return replace(placed, notes=(*placed.notes, f"texture: left out; {error}"))
+    if texture is None:
+        return placed
+    a, b, c = read.triangles.T
+    sound = (a != b) & (b != c) & (c != a)
+    surface = Surface(placed.placement.motion(read.vertices), read.triangles[sound])
+    height, width = texture.picture.shape[:2]
+    painted = Painted(surface, replace(texture, corners=texture.corners[sound]))
+    return replace(placed, painted=painted, notes=(*placed.notes, f"texture: a picture of {width} x {height}"))
 
 
 def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgress = silent) -> dict[str, Floats]:

@@ -19,7 +19,8 @@ from ...lhm.base.geometry.distance import SignedDistance
 from ...lhm.base.geometry.surfaces import geodesic_sphere
 from ...lhm.base.mesh import Ints, Surface
 from ...lhm.head.head import CRANIUM, MANDIBLE, LayeredHead
-from ...lhm.identities.organs import TEETH, has_organs, make_organs
+from ...lhm.identities.anny import has_default_triangles
+from ...lhm.identities.organs import TEETH, make_organs
 from .. import terms
 from .bones import scale_bone
 from .parameters import Parameters
@@ -52,7 +53,7 @@ def find_organs(head: LayeredHead) -> tuple[RigidOrgan, ...]:
 
     What has no room in the head is left out.
     """
-    if not has_organs(head.skin):
+    if not has_default_triangles(head.skin):
         return ()
     skin, distance = head.skin.vertices, SignedDistance(head.skin_wrap)
     ball, bud = Surface(*geodesic_sphere(BALL)), Surface(*geodesic_sphere(CROWN))

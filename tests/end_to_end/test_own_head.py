@@ -6,11 +6,14 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
-from softdeca.lhm import check_head, expressions, identities, load_template
+from softdeca.lhm import check_head, expressions, identities, load_template, scans
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.head.detail import FineSkin
 from softdeca.lhm.head.file import load_head
 from softdeca.lhm.identities.space import OUTSIDE
 from softdeca.lhm.template.registration import landmark_ids
@@ -79,11 +82,28 @@ def test_its_transferred_shapes_are_the_persons_own(fitted, person):
 
 def test_it_is_shown_and_simulated_without_a_word_more(fitted, command, tmp_path):
     head = fitted[0]
-    ended = command("head", "show", head, "--expression", "jawOpen", "--out", tmp_path / "shown")
+    ended = command("head", "show", head, "--expression", "jawOpen", "--detail", "--out", tmp_path / "shown")
     assert ended.status == 0 and (tmp_path / "shown" / "skin.png").is_file()
-    ended = command("animate", "conversation:0.1:2", "--head", head, "--out", tmp_path / "take", "--json")
+    options = ("--head", head, "--detail", "--out", tmp_path / "take", "--json")
+    ended = command("animate", "conversation:0.1:2", *options)
     assert ended.status == 0 and json.loads(ended.out)["failed"] == []
     assert (tmp_path / "take" / "preview.gif").is_file()
+    fine = load_head(head).fine_skin
+    with h5py.File(tmp_path / "take" / "take.vtkhdf") as file:
+        assert np.array_equal(file["VTKHDF/Polygons/Connectivity"][()].reshape(-1, 3), fine.triangles)
+        assert file["VTKHDF/NumberOfPoints"][0] == len(fine.heights)
+
+
+def test_the_fine_skin_lies_on_the_scan(fitted, file):
+    head = load_head(fitted[0])
+    placed = scans.place_scan(load_template(level=1), file).skin
+    smooth = FineSkin.from_skin(placed).refine(placed.vertices)  # the scan is coarse
+    tree = TriangleTree(smooth.vertices, smooth.triangles)
+    off = []
+    for fine in (FineSkin.from_skin(head.skin), head.fine_skin):
+        drawn = fine.refine(head.skin.vertices).vertices
+        off.append(np.median(tree.closest(drawn[drawn[:, 2] > np.quantile(drawn[:, 2], 0.7)])[2]))
+    assert off[1] < 0.5 * off[0] < 0.1
 
 
 def test_landmarks_are_named_and_found(command, file, fitted, person, tmp_path, monkeypatch):

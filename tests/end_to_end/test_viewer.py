@@ -3,6 +3,7 @@
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from PIL import Image
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
 from softdeca.animation.page import Layer, Pose, Rig, render_face_page, render_page
 from softdeca.lhm import InputError, expressions, identities
+from softdeca.lhm.head.detail import FineSkin
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
 
@@ -92,6 +94,22 @@ def test_eyes_and_teeth_move_as_python_says(opened, bound):
         skin = opened.positions(weights, "blendshapes")
         found = np.array(opened.page.evaluate("viewer.within()")).reshape(-1, 3)
         assert np.abs(found - find_eyes_and_teeth(SPACE.skin(CODE)).place(skin, weights)).max() < 0.01
+
+
+def test_the_fine_skin_is_drawn_as_python_draws_it(browser, tmp_path):
+    skin, deltas = SPACE.skin(CODE), SPACE.expression_deltas(CODE)
+    fine = FineSkin.from_skin(skin)
+    fine = replace(fine, heights=np.random.default_rng(0).uniform(-0.3, 0.3, len(fine.heights)).astype(np.float32))
+    rig = Rig("blendshapes", skin.vertices, deltas)
+    (tmp_path / "fine.html").write_text(render_page("fine", "words", skin.triangles, [rig], fine=fine))
+    opened = Opened(browser, tmp_path / "fine.html")
+    moved = opened.positions(expressions.weights_of({"jawOpen": 0.7}), "blendshapes").astype(np.float64)
+    drawn = np.array(opened.page.evaluate("viewer.drawn()")).reshape(-1, 3)
+    off = np.linalg.norm(drawn - fine.refine(moved).vertices, axis=1)
+    # Where triangles fold flat, normals turn with rounding.
+    assert np.quantile(off, 0.999) < 1e-3 and off.max() < 0.7
+    assert opened.said == []
+    opened.page.close()
 
 
 def test_a_solvers_answer_is_shown_in_its_pose_alone(opened):

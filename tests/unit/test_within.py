@@ -12,7 +12,7 @@ from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.identities.space import OUTSIDE
 
 SPACE = identities.Anny()
-EYE, TEETH = slice(0, 960), slice(1920, None)
+EYE, TEETH, GUMS = slice(0, 960), slice(1920, 5952), slice(5952, None)
 
 
 def shown(named, code=None):
@@ -52,11 +52,21 @@ def test_lids_and_gaze_leave_the_eyes_where_they_are():
     assert np.abs(shut[: TEETH.start] - rest[: TEETH.start]).max() < 1.0
 
 
-def test_the_lower_teeth_go_with_the_jaw_and_the_upper_ones_stay():
+def test_lower_teeth_and_gums_go_with_the_jaw_and_the_upper_ones_stay():
     _, rest = shown({})
     _, wide = shown({"jawOpen": 1.0})
-    upper, lower = np.split((wide - rest)[TEETH], 2)
-    assert np.abs(upper).max() < 3.0 and lower[:, 1].mean() < -8.0 and lower[:, 1].max() < 0.5
+    for rows in (TEETH, GUMS):
+        upper, lower = np.split((wide - rest)[rows], 2)
+        assert np.abs(upper).max() < 3.0 and lower[:, 1].mean() < -8.0 and lower[:, 1].max() < 0.5
+
+
+def test_gums_hold_the_roots_and_leave_the_crowns():
+    _, points = shown({})
+    for teeth, gums, up in zip(np.split(points[TEETH], 2), np.split(points[GUMS], 2), (1.0, -1.0), strict=True):
+        for crown, gum in zip(np.split(teeth, 14), np.split(gums, 14), strict=True):
+            (low, high), (edge, end) = (np.sort(up * each[:, 1])[[0, -1]] for each in (crown, gum))
+            assert low + 4.0 < edge < high < end  # 4 mm of each crown are free at least
+            assert np.linalg.norm((crown.mean(axis=0) - gum.mean(axis=0))[[0, 2]]) < 2.0
 
 
 def test_they_turn_with_the_head():

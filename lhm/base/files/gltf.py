@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import binascii
 import struct
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,9 +51,16 @@ def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
     Nodes' transforms and skins (as they are posed in the file) are applied; materials and textures are left out.
     InputError says what is damaged, or which extension is not known.
     """
+    with _naming_damage():
+        return _Document(path).mesh()
+
+
+@contextmanager
+def _naming_damage() -> Iterator[None]:
+    """Make every error of a damaged document an InputError."""
     try:
         with np.errstate(all="ignore"):  # numbers that overflow are refused where the mesh is made
-            return _Document(path).mesh()
+            yield
     except InputError:
         raise
     except KeyError as error:
@@ -60,10 +69,23 @@ def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
         raise InputError(f"not a sound glTF file ({type(error).__name__}: {escape(str(error))[:60]})") from None
 
 
+def read_gltf_picture(path: Path) -> tuple[bytes, Floats] | None:
+    """Read a base colour's picture and where in it the corners of `read_gltf`'s triangles lie, shape (m, 3, 2).
+
+    None without one. Of several the one counts that most triangles have; others' corners are NaN. InputError as there.
+    """
+    with _naming_damage():
+        return _Document(path).picture()
+
+
 @dataclass(frozen=True)
 class _Primitive:
-    """Vertices (n, 3), triangles (m, 3), named targets (n, 3), and joints and weights (n, 4) of a skin."""
+    """Vertices (n, 3), triangles (m, 3), named targets (n, 3), and joints and weights (n, 4) of a skin.
 
+    entry: what the document says of it.
+    """
+
+    entry: dict[str, Any]
     vertices: Floats
     triangles: Ints
     targets: dict[str, Floats]
@@ -94,23 +116,12 @@ class _Document:
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        placed = self._place_meshes()
-        read: dict[int, list[_Primitive]] = {}
         first = 0
-        for node, matrix in placed:
-            if node["mesh"] not in read:
-                read[node["mesh"]] = self._primitives(self._item("meshes", node["mesh"]))
-            for primitive in read[node["mesh"]]:
-                linear, shift = self._transforms(primitive, node, matrix)
-                grown = np.linalg.det(linear)
-                if np.abs(grown).max() <= FLAT * np.abs(linear).max() ** 3:
-                    raise InputError("a node's transform flattens its mesh")
-                # A mirrored mesh would be inside out.
-                corners = primitive.triangles[:, ::-1] if np.median(grown) < 0.0 else primitive.triangles
-                vertices.append(np.einsum("nij,nj->ni", linear, primitive.vertices) + shift)
-                triangles.append(corners + first)
-                morphs.append({k: np.einsum("nij,nj->ni", linear, deltas) for k, deltas in primitive.targets.items()})
-                first += len(primitive.vertices)
+        for primitive, corners, linear, shift in self._instances():
+            vertices.append(np.einsum("nij,nj->ni", linear, primitive.vertices) + shift)
+            triangles.append(corners + first)
+            morphs.append({k: np.einsum("nij,nj->ni", linear, deltas) for k, deltas in primitive.targets.items()})
+            first += len(primitive.vertices)
         if not vertices:
             raise InputError("no triangles found; is there a mesh in its scene?")
         counts = [len(x) for x in vertices]
@@ -122,6 +133,62 @@ class _Document:
             for name in all_names
         }
         return np.vstack(vertices), np.vstack(triangles), joined
+
+    def _instances(self) -> Iterator[tuple[_Primitive, Ints, Floats, Floats]]:
+        """Give each primitive in the scene, its triangles as they are placed, and its map (1 or n, 3, 3) and shift."""
+        read: dict[int, list[_Primitive]] = {}
+        for node, matrix in self._place_meshes():
+            if node["mesh"] not in read:
+                read[node["mesh"]] = self._primitives(self._item("meshes", node["mesh"]))
+            for primitive in read[node["mesh"]]:
+                linear, shift = self._transforms(primitive, node, matrix)
+                grown = np.linalg.det(linear)
+                if np.abs(grown).max() <= FLAT * np.abs(linear).max() ** 3:
+                    raise InputError("a node's transform flattens its mesh")
+                # A mirrored mesh would be inside out.
+                corners = primitive.triangles[:, ::-1] if np.median(grown) < 0.0 else primitive.triangles
+                yield primitive, corners, linear, shift
+
+    def picture(self) -> tuple[bytes, Floats] | None:
+        """Return the bytes of the picture that most triangles have, and all their corners' places, shape (m, 3, 2)."""
+        if not self._json.get("images"):
+            return None
+        instances = [(self._image(primitive.entry), primitive, corners) for primitive, corners, *_ in self._instances()]
+        counts: Counter[int] = Counter()
+        for image, _, corners in instances:
+            if image is not None:
+                counts[image] += len(corners)
+        if not counts:
+            return None
+        chosen = max(counts, key=lambda image: counts[image])
+        places = [
+            self._places(primitive)[corners] if image == chosen else np.full((*corners.shape, 2), np.nan)
+            for image, primitive, corners in instances
+        ]
+        entry = self._item("images", chosen)
+        content = self._view(entry["bufferView"]) if "bufferView" in entry else self._resource(entry["uri"])
+        return bytes(content), np.vstack(places)
+
+    def _image(self, primitive: dict) -> int | None:
+        """Return the number of the image that colours a primitive, if one does by its first texture coordinates."""
+        if "material" not in primitive or "TEXCOORD_0" not in primitive["attributes"]:
+            return None
+        look = self._item("materials", primitive["material"]).get("pbrMetallicRoughness", {})
+        texture = look.get("baseColorTexture", {"texCoord": 1})
+        if texture.get("texCoord", 0) != 0:
+            return None
+        return self._item("textures", texture["index"]).get("source")
+
+    def _places(self, primitive: _Primitive) -> Floats:
+        """Return where in its picture the vertices of a primitive lie, shape (n, 2)."""
+        packed = primitive.entry.get("extensions", {}).get("KHR_draco_mesh_compression")
+        if packed is not None:
+            content = bytes(self._view(packed["bufferView"]))
+            places = decode_draco(content, packed["attributes"]["TEXCOORD_0"], width=2)[0]
+        else:
+            places = self._accessor(primitive.entry["attributes"]["TEXCOORD_0"], "VEC2")
+        shape("TEXCOORD_0", places, (len(primitive.vertices), 2))
+        return places
 
     def _check_sizes(self, meshes: Sequence[dict]) -> None:
         """Check the sums over all instances by the counts that accessors state, before any is read."""
@@ -241,14 +308,14 @@ class _Document:
                 targets[name] = self._accessor(target["POSITION"], "VEC3")
                 shape(f"morph target {name!r}", targets[name], (len(x), 3))
         if "JOINTS_0" not in attributes:
-            return _Primitive(x, triangles, targets)
+            return _Primitive(primitive, x, triangles, targets)
         joints = self._accessor(attributes["JOINTS_0"], "VEC4", integer=True).astype(np.int64)
         shape("JOINTS_0", joints, (len(x), 4))
         weights = in_range("WEIGHTS_0", self._accessor(attributes["WEIGHTS_0"], "VEC4"), 0.0, 1e3, (len(x), 4))
         total = weights.sum(axis=1, keepdims=True)
         if not total.all():
             raise InputError(f"WEIGHTS_0: vertex {np.argmin(total)} hangs on no joint")
-        return _Primitive(x, triangles, targets, joints, weights / total)
+        return _Primitive(primitive, x, triangles, targets, joints, weights / total)
 
     def _check_extent(self, number: int, x: Floats) -> None:
         """Check that vertices (n, 3) which were decoded lie where their accessor states."""
@@ -310,13 +377,17 @@ class _Document:
                 if self._chunk is None or number > 0:
                     raise InputError("its binary chunk is missing")
                 content = self._chunk
-            elif uri.startswith("data:"):
-                content = memoryview(_from_base64(uri))
             else:
-                content = memoryview(read_bytes(find_beside(self._path, unquote(uri)), first=size))
+                content = self._resource(uri, size)
             _bytes("byteLength", size, len(content))
             self._buffers[number] = content[:size]
         return self._buffers[number]
+
+    def _resource(self, uri: str, first: int | None = None) -> memoryview:
+        """Return what a name in the document stands for, within it or in a file beside it, which may be cut short."""
+        if uri.startswith("data:"):
+            return memoryview(_from_base64(uri))
+        return memoryview(read_bytes(find_beside(self._path, unquote(uri)), first=first))
 
 
 def _is_surface(primitive: dict) -> bool:
@@ -412,8 +483,8 @@ def _affine(name: str, columns: Floats) -> Floats:
     return matrices
 
 
-def decode_draco(content: bytes, position: int) -> tuple[Floats, Ints]:
-    """Return vertices (n, 3) and triangles (m, 3) of a Draco buffer; `position`: the unique id of its positions.
+def decode_draco(content: bytes, number: int, *, width: int = 3) -> tuple[Floats, Ints]:
+    """Return an attribute of vertices (n, width) and triangles (m, 3) of a Draco buffer; `number`: its unique id.
 
     MissingDependencyError without DracoPy, InputError for a damaged buffer.
     """
@@ -427,7 +498,7 @@ def decode_draco(content: bytes, position: int) -> tuple[Floats, Ints]:
         mesh = DracoPy.decode(content)
         points = np.asarray(mesh.points, dtype=np.float64)
         for attribute in getattr(mesh, "attributes", ()):
-            if attribute.get("unique_id") == position and np.shape(attribute.get("data"))[1:] == (3,):
+            if attribute.get("unique_id") == number and np.shape(attribute.get("data"))[1:] == (width,):
                 points = np.asarray(attribute["data"], dtype=np.float64)
         return points, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # the C++ library raises whatever the damage makes it raise

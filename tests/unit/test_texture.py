@@ -1,0 +1,158 @@
+"""A scan's texture: read from OBJ and glTF, found at points of the scan, and kept as colours of the fine skin."""
+
+import base64
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from softdeca.animation.pictures import shade_skin
+from softdeca.lhm import identities, load_template, scans
+from softdeca.lhm.base.files.surface_file import read_scan
+from softdeca.lhm.base.files.texture import read_texture
+from softdeca.lhm.head.file import load_head, save_head
+
+from ..refusals import refused
+
+QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], dtype=np.uint8)
+"""Red, green; blue, white: from the upper left."""
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+CORNERS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+
+
+def write_picture(path, size=64):
+    Image.fromarray(np.repeat(np.repeat(QUARTERS, size, 0), size, 1)).save(path)
+
+
+def colours_of(texture, points):
+    """Colours at points (k, 2) of the unit square, whose triangles are 0 1 2 and 0 2 3."""
+    x, y = np.transpose(points)
+    upper = y > x
+    weights = np.where(upper[:, None], np.stack([1 - y, x, y - x], 1), np.stack([1 - x, x - y, y], 1))
+    return texture.find_colours(upper.astype(int), weights)
+
+
+def write_obj(folder, faces="f 1/1 2/2 3/3 4/4\n", materials="newmtl skin\nmap_Kd picture.png\n"):
+    write_picture(folder / "picture.png")
+    (folder / "square.mtl").write_text(materials)
+    (folder / "square.obj").write_text(f"mtllib square.mtl\n{SQUARE}{CORNERS}usemtl skin\n{faces}")
+    return folder / "square.obj"
+
+
+MIDDLES = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])
+"""Of the quarters as QUARTERS has them, y up."""
+
+
+def test_an_obj_has_its_colours(tmp_path):
+    texture = read_texture(write_obj(tmp_path))
+    assert len(texture.corners) == len(read_scan(tmp_path / "square.obj").triangles) == 2
+    assert np.allclose(colours_of(texture, MIDDLES), QUARTERS.reshape(4, 3))
+    # The picture repeats, and negative numbers count back.
+    again = write_obj(tmp_path, "f 1/-4 2/-3 3/-2 4/-1\n")
+    assert np.allclose(colours_of(read_texture(again), MIDDLES), QUARTERS.reshape(4, 3))
+
+
+def test_corners_without_a_place_and_other_materials_have_none(tmp_path):
+    texture = read_texture(write_obj(tmp_path, "f 1/1 2/2 3/3\nusemtl hair\nf 1/1 3/3 4/4\n"))
+    found = colours_of(texture, MIDDLES)
+    assert np.isfinite(found[3]).all() and np.isnan(found[0]).all()
+    texture = read_texture(write_obj(tmp_path, "f 1/1 2/2 3/3\nf 1 3 4\n"))
+    assert np.isnan(colours_of(texture, MIDDLES)[0]).all()
+
+
+def test_a_scan_without_a_picture_has_no_texture(tmp_path):
+    assert read_texture(write_obj(tmp_path, materials="newmtl skin\nKd 1 0 0\n")) is None
+    (tmp_path / "bare.obj").write_text(SQUARE + "f 1 2 3 4\n")
+    assert read_texture(tmp_path / "bare.obj") is None
+    (tmp_path / "scan.stl").write_bytes(b"")
+    assert read_texture(tmp_path / "scan.stl") is None
+
+
+@pytest.mark.parametrize(
+    ("materials", "said"),
+    [
+        ("newmtl skin\nmap_Kd none.png\n", "no such file"),
+        ("newmtl skin\nmap_Kd /etc/passwd\n", "has to lie in its folder"),
+        ("newmtl skin\nmap_Kd square.obj\n", "its picture is damaged"),
+    ],
+)
+def test_a_bad_picture_is_refused_in_a_line(tmp_path, materials, said):
+    refused(said, read_texture, write_obj(tmp_path, materials=materials))
+    write_obj(tmp_path, "f 1/9 2/2 3/3\n")
+    refused("texture coordinate 9 of 4", read_texture, tmp_path / "square.obj")
+
+
+def write_gltf(path, **material):
+    """A square as a glTF whose node mirrors it; the picture stands within the file."""
+    x = np.array([[0, 0, 0], [-1, 0, 0], [-1, 1, 0], [0, 1, 0]], "<f4")
+    places = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")
+    corners = np.array([0, 2, 1, 0, 3, 2], "<u4")
+    picture = io.BytesIO()
+    Image.fromarray(np.repeat(np.repeat(QUARTERS, 64, 0), 64, 1)).save(picture, "PNG")
+    block = x.tobytes() + places.tobytes() + corners.tobytes()
+
+    def embedded(kind, content):
+        return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+    views = [(0, 48), (48, 32), (80, 24)]
+    content = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "scale": [-1, 1, 1]}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]},
+        ],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}} | material],
+        "textures": [{"source": 0}],
+        "images": [{"uri": embedded("image/png", picture.getvalue())}],
+        "buffers": [{"byteLength": len(block), "uri": embedded("application/octet-stream", block)}],
+        "bufferViews": [{"buffer": 0, "byteOffset": first, "byteLength": size} for first, size in views],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5125, "count": 6, "type": "SCALAR"},
+        ],
+    }
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_a_gltf_has_its_colours_where_its_node_puts_them(tmp_path):
+    file = write_gltf(tmp_path / "square.gltf")
+    scan, texture = read_scan(file), read_texture(file)
+    for triangle in range(2):
+        middle = scan.vertices[scan.triangles[triangle]].mean(axis=0)[None, :2]
+        expected = QUARTERS.reshape(4, 3)[np.argmin(np.linalg.norm(MIDDLES - middle, axis=1))]
+        found = texture.find_colours(np.array([triangle]), np.full((1, 3), 1 / 3))
+        assert np.allclose(found, expected)
+    assert read_texture(write_gltf(tmp_path / "plain.gltf", pbrMetallicRoughness={})) is None
+
+
+def test_a_head_keeps_the_colours_of_its_scan(tmp_path):
+    """A scan in the template's triangles, red where x > 0 and blue where it is not, as seen from the front."""
+    skin = identities.Anny().mean
+    x, y = skin.vertices[:, 0], skin.vertices[:, 1]
+    places = np.stack([np.where(x > 0.0, 0.2, 0.8), 0.5 + 0.0 * y], 1)
+    Image.fromarray(np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8).repeat(50, 1)).save(tmp_path / "picture.png")
+    (tmp_path / "head.mtl").write_text("newmtl skin\nmap_Kd picture.png\n")
+    lines = ["mtllib head.mtl", "usemtl skin", *(f"v {a:.6f} {b:.6f} {c:.6f}" for a, b, c in skin.vertices)]
+    lines += [f"vt {u} {v}" for u, v in places]
+    lines += ["f " + " ".join(f"{k}/{k}" for k in triangle + 1) for triangle in skin.triangles]
+    (tmp_path / "head.obj").write_text("\n".join(lines) + "\n")
+    template = load_template(level=1)
+    head = scans.fit_scan(template, tmp_path / "head.obj")
+    assert "texture: a picture of 100 x 1" in head.notes and not head.detail.heights.any()
+    save_head(tmp_path / "head.npz", head)
+    again = load_head(tmp_path / "head.npz")
+    assert np.array_equal(again.detail.colours, head.detail.colours)
+    fine = again.fine_skin
+    across = fine.refine(again.skin.vertices).vertices[:, 0]
+    for side, colour in ((across > 15.0, (255, 0, 0)), (across < -15.0, (0, 0, 255))):
+        assert (fine.colours[side] == colour).all(axis=1).mean() > 0.95  # the neck's end lies off the scan
+    drawn = shade_skin(again.skin, fine)
+    assert np.median(drawn[across > 15.0, 0]) == 255 and np.median(drawn[across < -15.0, 2]) == 255
+    # A picture that is gone is told, and refuses nothing.
+    (tmp_path / "picture.png").unlink()
+    assert any("texture: left out" in note for note in scans.place_scan(template, tmp_path / "head.obj").notes)
