@@ -90,7 +90,7 @@ def stiffen_cheeks(head: LayeredHead) -> Parameters:
 def stylise(head: LayeredHead) -> Surface:
     """Make a neutral skin that is nobody's: skull half again as high above the eyes, large eyes, a small chin."""
     skin = head.skin.vertices
-    lids, lips = (skin[_list_on_skin(head, region)] for region in ("lids", "lips"))
+    lids, lips = (skin[head.on_skin([region])] for region in ("lids", "lips"))
     eyes, mouth = [lids[lids[:, 0] * side > 0.0].mean(axis=0) for side in (-1.0, 1.0)], lips.mean(axis=0)
     moved = skin.copy()
     above = np.maximum(skin[:, 1] - lids[:, 1].mean(), 0.0)
@@ -101,10 +101,6 @@ def stylise(head: LayeredHead) -> Surface:
     chin = skin[in_middle][skin[in_middle, 2].argmax()] * [0.0, 1.0, 1.0]
     moved += 0.35 * _fade(skin, chin, 38.0) * [0.6, 1.0, 1.0] * (mouth - [0.0, 0.0, 15.0] - skin)
     return head.skin.with_vertices(moved)
-
-
-def _list_on_skin(head: LayeredHead, region: str) -> np.ndarray:
-    return head.skin_from_wrap @ np.asarray(head.regions[region], dtype=np.float64) > 0.5
 
 
 def _fade(skin: Floats, centre: Floats, reach: float) -> Floats:

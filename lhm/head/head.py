@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -111,6 +111,11 @@ class LayeredHead:
     def fine_skin(self) -> FineSkin:
         """The map from the skin, in any expression, to the finer one that is drawn: some 0.5 s, once."""
         return FineSkin.from_skin(self.skin, self.detail)
+
+    def on_skin(self, regions: Iterable[str]) -> np.ndarray:
+        """Whether each of the skin's vertices is in one of the wrap's regions, shape (skin vertices,)."""
+        masks = [np.asarray(self.regions[name], dtype=np.float64) for name in regions]
+        return np.any([self.skin_from_wrap @ mask > 0.5 for mask in masks], axis=0)
 
     def expression(self, weights) -> Floats:
         """The skin [mm] under ARKit weights (52,) by its own rig, shape (skin vertices, 3); InputError without one."""

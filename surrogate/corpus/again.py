@@ -35,9 +35,10 @@ def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnPr
         people = heads.people
     except InputError:
         return 0
+    if not corpus.plan.frames:
+        return 0
     faces = Faces(corpus.folder, None, heads=heads)
-    with_frames = [k for k, rows in enumerate(faces.frames_of) if len(rows)] if corpus.plan.frames else []
-    chosen = sorted({with_frames[int(k)] for k in np.linspace(0, len(with_frames) - 1, AGAIN)}) if with_frames else []
+    chosen = faces.spread(AGAIN)
     for number, k in enumerate(chosen):
         on_progress("frames simulated again", number / len(chosen))
         kept, frames = faces.face(k), faces.frames(k)

@@ -260,6 +260,11 @@ class Faces:
             rows.setdefault((identity, group), []).append(row)
         return [np.array(rows.get(key, []), dtype=np.int64) for key in map(tuple, self.groups.tolist())]
 
+    def spread(self, count: int) -> list[int]:
+        """List the numbers of so many faces with frames, spread over all of them."""
+        numbers = np.flatnonzero([len(rows) > 0 for rows in self.frames_of])
+        return sorted({int(numbers[int(k)]) for k in np.linspace(0, len(numbers) - 1, count)}) if len(numbers) else []
+
     def frames(self, index: int, chosen: Ints | None = None) -> Frames:
         """Read a face's accepted static frames, or those of the given numbers."""
         rows = self.frames_of[index] if chosen is None else self.frames_of[index][chosen]

@@ -139,9 +139,7 @@ def describe_answer(plan: CorpusPlan, face: Face, weights: Floats | Floats32, so
 
 def _find_face(head: LayeredHead) -> np.ndarray:
     """Whether each skin vertex is of the face, shape (n,); all where the head does not tell."""
-    n = len(head.bone)
-    mask = np.asarray(head.regions.get("face", np.ones(n, dtype=bool)), dtype=np.float64)
-    return np.asarray(head.skin_from_wrap @ mask) > 0.5
+    return head.on_skin(["face"]) if "face" in head.regions else np.ones(len(head.skin.vertices), dtype=bool)
 
 
 def _judge(plan: CorpusPlan, head: LayeredHead, solution: Solution, inverted: np.ndarray, corrected: np.ndarray) -> str:
