@@ -59,7 +59,7 @@ def test_a_rig_that_refuses_a_face_is_left_out(sphere_head, monkeypatch):
 
     monkeypatch.setitem(METHODS, NETWORK, replace(METHODS[NETWORK], bind=refuse))
     still = np.zeros((52, *sphere_head.skin.vertices.shape))
-    of = Person(SimpleNamespace(expression_deltas=lambda code: still), np.zeros(3), sphere_head)
+    of = Person(SimpleNamespace(shapes_on=lambda skin: still), np.zeros(3), sphere_head)
     monkeypatch.setattr(Person, "shape", lambda self, text: self.head.skin.vertices)
     monkeypatch.setattr(WorkPrecision, "person", lambda self: of)
     task = next(task for task in WorkPrecision(level=1).tasks() if task.method == NETWORK)

@@ -162,7 +162,8 @@ def test_a_kept_face_is_the_live_one_to_what_a_corpus_rounds(faces):
 
 
 def _committed() -> list[Score]:
-    return [Score(**row) for row in json.loads((RESULTS / "study.json").read_text())["scores"]]
+    rows = json.loads((RESULTS / "study.json").read_text())["rows"]
+    return [Score(**line) for row in rows for line in row["values"]["rows"]]
 
 
 def test_the_network_passes_its_gates_with_at_most_a_quarter_to_spare():
