@@ -281,9 +281,19 @@ def fill_page(text: str, page: str) -> str:
     """Fill a page, and say below its title which of the results that it shows are stale."""
     _asked.clear()
     filled = fill(text, page)
-    title, newline, rest = filled.partition("\n")
     note = describe_stale(sorted(_asked))
-    return f"{title}\n\n{note}\n{rest}" if note else title + newline + rest
+    # A card begins with YAML.
+    return (
+        re.sub(
+            r"^# .*$",
+            lambda title: f"{title[0]}\n\n{note}",
+            filled,
+            count=1,
+            flags=re.MULTILINE,
+        )
+        if note
+        else filled
+    )
 
 
 def describe_stale(names: Sequence[str]) -> str:
