@@ -67,14 +67,7 @@ def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | No
 
     with show_progress() as progress:
         face = which.face(parameters, progress)
-    serve_face(
-        face,
-        title,
-        detail=detail,
-        port=port,
-        on_ready=tell,
-        on_trouble=lambda line: click.echo(f"softdeca: {line}", err=True),
-    )
+    serve_face(face, title, detail=detail, port=port, on_ready=tell, on_trouble=warn)
 
 
 def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path, detail: bool) -> None:

@@ -282,18 +282,11 @@ def fill_page(text: str, page: str) -> str:
     _asked.clear()
     filled = fill(text, page)
     note = describe_stale(sorted(_asked))
-    # A card begins with YAML.
-    return (
-        re.sub(
-            r"^# .*$",
-            lambda title: f"{title[0]}\n\n{note}",
-            filled,
-            count=1,
-            flags=re.MULTILINE,
-        )
-        if note
-        else filled
-    )
+    if not note:
+        return filled
+    # Not below the first line: a card begins with YAML.
+    title = re.compile(r"^# .*$", re.MULTILINE)
+    return title.sub(lambda found: f"{found[0]}\n\n{note}", filled, count=1)
 
 
 def describe_stale(names: Sequence[str]) -> str:
