@@ -20,7 +20,9 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, sample_weights
 from ..lhm.head.detail import FineSkin
+from ..lhm.head.head import LayeredHead
 from ..lhm.identities.arkit import ARKIT
+from ..lhm.scans.own_mesh import OwnMesh
 from ..reference import Face
 from ..surrogate import BoundSurrogate, CertifiedFace
 from ..surrogate.certified import find_counted
@@ -88,6 +90,29 @@ def refine_rig(rig: MorphRig, fine: FineSkin) -> MorphRig:
     colour = skin.colour if fine.colours is None else to_linear_light(fine.colours)
     finer = MorphedSurface.from_targets(skin.name, rest, targets.astype(np.float32), colour=colour)
     return replace(rig, surfaces=[finer, *others])
+
+
+def carry_rig(rig: MorphRig, head: LayeredHead, own: OwnMesh) -> MorphRig:
+    """Put a scan's own mesh in place of the rig's first surface, its skin.
+
+    The notes tell of a mouth that is sealed, and of lids that are shut or one with the eyes, which do not blink.
+    """
+    skin, *others = rig.surfaces
+    fine, notes = head.fine_skin, dict(rig.notes)
+    before, rest = (fine.refine(x).vertices for x in (head.skin.vertices, skin.rest.vertices))
+    moved = own.surface.with_vertices(own.surface.vertices + own.weights @ (rest - before))
+    moves = (fine.refine(skin.rest.vertices + target).vertices - rest for target in skin.targets)
+    targets = dict(zip(rig.names, (own.weights @ move for move in moves), strict=True))
+    lips = (skin.rest.vertices + skin.targets[list(rig.names).index("jawOpen")])[head.on_skin(["lips"])]
+    if own.has_sealed_mouth(moved.vertices + targets["jawOpen"], lips):
+        notes["mouth"] = "sealed in the scan: no mouth shows between its lips as the jaw opens"
+    if shut := [name for name in ("eyeBlinkLeft", "eyeBlinkRight") if own.has_shut_lids(targets[name])]:
+        notes["lids"] = f"shut in the scan, or one surface with the eyes: it has no {' and no '.join(shut)}"
+        targets |= {name: np.zeros_like(moved.vertices) for name in shut}
+    colour = skin.colour if own.colours is None else to_linear_light(own.colours)
+    values = np.stack(list(targets.values())).astype(np.float32)
+    carried = MorphedSurface.from_targets(skin.name, moved, values, colour=colour)
+    return replace(rig, surfaces=[carried, *others], notes=notes)
 
 
 def _morph_organs(organs: EyesAndTeeth, rest: Surface, targets: Floats | Floats32) -> Iterator[MorphedSurface]:

@@ -24,10 +24,12 @@ class Detail:
     """What a scan has and a head's skin has not.
 
     heights (k,) [mm] of the scan over the fine skin, along its normals; colours (k, 3), 0 to 255, of its texture.
+    `place` (3, 4): the file's point x lies at place[:, :3] x + place[:, 3] [mm] of the head.
     """
 
     heights: Floats32
     colours: NDArray[np.uint8] | None = None
+    place: Floats | None = None
 
 
 def count_fine_vertices(skin: Surface) -> int:

@@ -69,7 +69,9 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     arrays |= _rig_to_arrays(head.rig)
     if head.detail is not None:
         arrays |= {"detail_heights": head.detail.heights}
-        arrays |= {} if head.detail.colours is None else {"detail_colours": head.detail.colours}
+        for name in ("colours", "place"):
+            values = getattr(head.detail, name)
+            arrays |= {} if values is None else {f"detail_{name}": values}
     arrays |= {"notes": np.array(json.dumps(head.notes))}
     with refusing_to_write(path):
         _head_from_arrays(arrays)
@@ -323,7 +325,10 @@ def _read_detail(arrays: Mapping[str, np.ndarray], extent: float) -> Detail | No
     colours = arrays.get("detail_colours")
     if colours is not None:
         colours = checks.integers("detail_colours", colours, 0, 255, (None, 3)).astype(np.uint8)
-    return Detail(heights.astype(np.float32), colours)
+    place = arrays.get("detail_place")
+    if place is not None:
+        place = checks.real("detail_place", place, (3, 4), most=LARGEST)
+    return Detail(heights.astype(np.float32), colours, place)
 
 
 def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:

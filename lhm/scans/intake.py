@@ -97,6 +97,9 @@ def fit_scan(
     if placed.painted is not None:
         detail = detail or Detail(np.zeros(count_fine_vertices(head.skin), np.float32))
         detail = replace(detail, colours=find_colours(head.skin, detail, placed.painted))
+    if detail is not None:
+        motion = placed.placement.motion
+        detail = replace(detail, place=np.column_stack([motion.scale * motion.rotation, motion.shift]))
     progress("detail", 1.0)
     return replace(head, detail=detail, notes=(*placed.notes, *head.notes))
 

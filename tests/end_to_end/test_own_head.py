@@ -14,11 +14,12 @@ from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.head.detail import FineSkin
-from softdeca.lhm.head.file import load_head
+from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.identities.space import OUTSIDE
 from softdeca.lhm.template.registration import landmark_ids
 from softdeca.surrogate import Surrogate
 
+from ..rig_files import read_glb
 from ..robustness.whole_files import grouped_obj
 
 STATUE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -104,6 +105,36 @@ def test_the_fine_skin_lies_on_the_scan(fitted, file):
         drawn = fine.refine(head.skin.vertices).vertices
         off.append(np.median(tree.closest(drawn[drawn[:, 2] > np.quantile(drawn[:, 2], 0.7)])[2]))
     assert off[1] < 0.5 * off[0] < 0.1
+
+
+def test_the_scans_own_mesh_is_exported_with_its_shapes(fitted, file, person, command, tmp_path):
+    ended = command("head", "export", fitted[0], "--scan", file, "--out", tmp_path / "own.glb", "--json")
+    notes = json.loads(ended.out)
+    assert ended.status == 0 and {"mouth", "lids"}.isdisjoint(notes) and notes["without"] == ["tongueOut"]
+    own = read_glb(tmp_path / "own.glb")[0]["skin"]
+    order = np.random.default_rng(1).permutation(len(person.vertices))
+    space, face = identities.Anny(), (person.vertices[order][:, 2] > np.quantile(person.vertices[:, 2], 0.6))
+    assert own.points[: len(order)] == pytest.approx(person.vertices[order], abs=0.01)
+    for name in ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft"):
+        moves = space.shapes_on(person)[expressions.index(name)][order][face]
+        found = (own.frame(expressions.weights_of({name: 1.0})) - own.points)[: len(order)][face]
+        assert np.linalg.norm(found - moves, axis=1).mean() < 0.25 * np.linalg.norm(moves, axis=1).mean(), name
+
+
+def test_another_scan_than_the_heads_is_refused(fitted, file, mean_head, command, tmp_path):
+    larger, bare, out = (tmp_path / name for name in ("larger.obj", "bare.npz", "own.glb"))
+    lines = [line.split() or [""] for line in file.read_text().splitlines()]
+    larger.write_text("\n".join(
+        " ".join([kind, *(str(1.2 * float(x)) for x in rest)] if kind == "v" else [kind, *rest])
+        for kind, *rest in lines if kind in ("v", "f")
+    ))  # fmt: skip
+    save_head(bare, mean_head)
+    for head, scan, words in (
+        (fitted[0], larger, "mm off the head; is it the scan"),
+        (bare, file, "does not know where"),
+    ):
+        ended = command("head", "export", head, "--scan", scan, "--identities", "anny", "--out", out)
+        assert ended.status == 1 and words in ended.errors[-1] and not out.exists()
 
 
 def test_landmarks_are_named_and_found(command, file, fitted, person, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.identities.neck import cut_neck
 from softdeca.lhm.identities.space import CAP, rim_of
 from softdeca.lhm.scans.detail import POLICY, lay_detail
+from softdeca.lhm.scans.own_mesh import OwnMesh
 from softdeca.lhm.template.wraps.landmarks import distance_to
 
 from ..refusals import refused
@@ -165,3 +166,19 @@ def test_detail_goes_through_the_file_and_heads_without_it_are_smooth(template, 
     again = load_head(tmp_path / "fine.npz")
     assert np.array_equal(again.detail.heights, heights) and np.array_equal(again.fine_skin.heights, heights)
     refused("the fine skin has", replace, head, detail=Detail(heights[:-1]), error=MeshError)
+
+
+# A scan's own mesh
+
+
+def test_a_mouth_that_is_sealed_and_lids_that_are_shut_are_seen():
+    x, triangles = geodesic_sphere(12)
+    ball = Surface(90.0 * x, triangles)
+    lips = np.array([[-20.0, 0.0, 86.0], [20.0, 0.0, 86.0]])
+    opened = Surface(ball.vertices, triangles[(ball.vertices[triangles].mean(axis=1)[:, 2] < 80.0)])
+    for surface, is_sealed in ((ball, True), (opened, False)):
+        mesh = OwnMesh(surface, None, None)
+        assert mesh.has_sealed_mouth(surface.vertices, lips) is is_sealed
+    upper = np.where(ball.vertices[:, 1:2] > 0.0, [[0.0, -10.0, 0.0]], 0.0)
+    fades = np.clip(ball.vertices[:, 1:2] / 90.0, 0.0, 1.0) * [[0.0, -10.0, 0.0]]
+    assert OwnMesh(ball, None, None).has_shut_lids(upper) and not OwnMesh(ball, None, None).has_shut_lids(fades)

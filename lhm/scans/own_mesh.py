@@ -1,0 +1,107 @@
+"""A scan's own mesh in its head's place, moved as the head's fine skin moves."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from ..base.errors import InputError, MeshError
+from ..base.files.surface_file import read_scan
+from ..base.files.texture import read_texture
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.rays import first_hits
+from ..base.geometry.topology import unique_edges
+from ..base.mesh import Floats, Surface
+from ..head.columns import unit
+from ..head.head import LayeredHead
+
+TURNED = 10.0
+"""[mm] that a unit of difference between normals counts beside a distance: an upper lip is not tied to the lower."""
+NEAR = 1.0
+"""[mm] in the median of a scan to the skin that was laid onto it: 0.1 to 0.3."""
+TORN, FEW = 0.7, 3
+"""Of what a blink moves most, how far it parts ends of edges where lids are shut; so many edges say so."""
+IN_FRONT, DEEP = 60.0, 20.0
+"""[mm] from the lips from where an open mouth is looked into, and how far behind them the first surface then lies."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnMesh:
+    """A scan's mesh [mm] where its head is, as its file has it; `weights` (n, k) tie it to the fine skin's vertices.
+
+    colours (n, 3), 0 to 255, of its texture, where it has one.
+    """
+
+    surface: Surface
+    weights: csr_matrix
+    colours: NDArray[np.uint8] | None
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], head: LayeredHead) -> OwnMesh:
+        """Read the scan that a head was fitted to; InputError names the file, and says where it is another."""
+        detail, fine = head.detail, head.fine_skin.refine(head.skin.vertices)
+        if detail is None or detail.place is None:
+            raise InputError(
+                f"{path}: the head does not know where it lies in its scan: it has none, or its scan is in its own "
+                "triangles, or an earlier version fitted it"
+            )
+        scan = read_scan(path)
+        a, b, c = scan.triangles.T
+        sound = (a != b) & (b != c) & (c != a)
+        try:
+            surface = Surface(scan.vertices @ detail.place[:, :3].T + detail.place[:, 3], scan.triangles[sound])
+        except MeshError as error:
+            raise InputError(f"{path}: {error}") from None
+        laid = detail.heights != 0.0
+        tree = TriangleTree(surface.vertices, surface.triangles)
+        off = float(np.median(tree.closest(fine.vertices[laid] if laid.any() else fine.vertices)[2]))
+        if off > NEAR:
+            raise InputError(f"{path}: it lies {off:.3g} mm off the head; is it the scan that the head was fitted to?")
+        return cls(surface, _tie(surface, fine), _find_colours(path, surface, sound))
+
+    def has_shut_lids(self, blink: Floats) -> bool:
+        """Tell whether a blink (n, 3) [mm] tears the mesh: the scan's lids are shut, or one surface with the eyes."""
+        ends = unique_edges(self.surface.triangles)
+        apart = np.linalg.norm(np.diff(blink[ends], axis=1)[:, 0], axis=1)
+        return np.count_nonzero(apart > TORN * np.linalg.norm(blink, axis=1).max()) >= FEW
+
+    def has_sealed_mouth(self, opened: Floats, lips: Floats) -> bool:
+        """Tell whether a surface lies between the lips (k, 3) [mm] of the head, its jaw and the mesh (n, 3) opened."""
+        before = lips.mean(axis=0, keepdims=True) + (0.0, 0.0, IN_FRONT)
+        _, way = first_hits(TriangleTree(opened, self.surface.triangles), before, np.array([[0.0, 0.0, -1.0]]), np.inf)
+        return bool(way[0] < IN_FRONT + DEEP)
+
+
+def _tie(surface: Surface, fine: Surface) -> csr_matrix:
+    """Tie each vertex to the nearest triangle of the fine skin that faces as it does."""
+    tree, faces = TriangleTree(fine.vertices, fine.triangles), unit(fine.face_normals)
+    triangle, weights, _ = tree.closest_facing(surface.vertices, surface.vertex_normals, faces, -1.0, TURNED)
+    count = len(surface.vertices)
+    rows = np.repeat(np.arange(count), 3)
+    entries = weights.ravel(), (rows, fine.triangles[triangle].ravel())
+    return csr_matrix(entries, shape=(count, len(fine.vertices)))
+
+
+def _find_colours(path: str | os.PathLike[str], surface: Surface, sound: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """Find each vertex' colour, in a triangle that has it; the median where none is known."""
+    try:
+        texture = read_texture(path)
+    except (InputError, ValueError):  # the fit has told it
+        return None
+    if texture is None:
+        return None
+    numbers = np.flatnonzero(sound)
+    found = np.full((len(surface.vertices), 3), np.nan)
+    for corner in range(3):
+        weights = np.tile(np.eye(3)[corner], (len(numbers), 1))
+        colours = texture.find_colours(numbers, weights)
+        known = np.isfinite(colours).all(axis=1)
+        found[surface.triangles[known, corner]] = colours[known]
+    known = np.isfinite(found).all(axis=1)
+    if not known.any():
+        return None
+    return np.round(np.where(known[:, None], found, np.median(found[known], axis=0))).astype(np.uint8)
