@@ -14,6 +14,7 @@ import click
 
 from ..benchmarks.studies import group_studies, list_studies, load_study
 from ..lhm.base.errors import InputError, quote
+from ..lhm.base.progress import describe_duration
 from .options import FILE, argument, as_command, option
 from .study_command import command_of_study, print_results
 from .terminal import show_progress
@@ -97,7 +98,7 @@ class KeepResults:
             for state in states:
                 click.echo(describe_state(state))
             stale = [state for state in states if state.stale]
-            cost = describe_seconds(kept.estimate_seconds(stale))
+            cost = describe_duration(kept.estimate_seconds(stale))
             click.echo(f"{len(stale)} of {len(states)} are stale; they took {cost} last, without corpora")
             return 0
         if len(self.names) == 1:
@@ -123,28 +124,20 @@ def make_each(names: Sequence[str]) -> int:
         click.echo(f"{name} ({number} of {len(names)})")
         if subprocess.run([sys.executable, "-m", "softdeca.cli", "bench", "keep", name], check=False).returncode:
             failed.append(name)
-        click.echo(f"{name}: {describe_seconds(time.monotonic() - before)}")
+        click.echo(f"{name}: {describe_duration(time.monotonic() - before)}")
     click.echo(
-        f"made {len(names) - len(failed)} of {len(names)} results in {describe_seconds(time.monotonic() - begin)}"
+        f"made {len(names) - len(failed)} of {len(names)} results in {describe_duration(time.monotonic() - begin)}"
     )
     if failed:
         click.echo(f"FAILED {', '.join(failed)}")
     return 1 if failed else 0
 
 
-def describe_seconds(seconds: float) -> str:
-    """Write a time in seconds, minutes or hours."""
-    for unit, length in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= length:
-            return f"{seconds / length:.1f} {unit}"
-    return f"{seconds:.0f} s"
-
-
 def describe_state(state: State) -> str:
     """Write a line on a kept result: whether it is stale, the time of its rows, and why."""
-    took = "" if state.seconds is None else describe_seconds(state.seconds)
+    took = "" if state.seconds is None else describe_duration(state.seconds)
     word = "single" if state.single else "stale" if state.stale else "current"
-    return f"{word:<8} {state.name:<24} {took:>8}  {state.single or ', '.join(state.stale)}".rstrip()
+    return f"{word:<8} {state.name:<24} {took:>10}  {state.single or ', '.join(state.stale)}".rstrip()
 
 
 @as_command(bench, "check")

@@ -12,7 +12,7 @@ import click
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import PEOPLE, WORKERS
-from ..lhm.base.progress import OnProgress
+from ..lhm.base.progress import OnProgress, describe_duration
 from .options import LEVEL, argument, as_command, count_range, option
 from .terminal import show_progress
 from .written_file import FOLDER, PNG
@@ -137,7 +137,6 @@ class Generate:
 
     def _foretell(self, corpus, progress: OnProgress) -> None:
         """Print what a plan comes to, by the rate of the corpus that lies in `out`, or of two people."""
-        from ..surrogate.corpus.folder import describe_duration
         from ..surrogate.corpus.predict import Rates, measure_rates, predict_cost
 
         plan, rates = corpus.plan, Rates.of(corpus.status())

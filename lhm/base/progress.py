@@ -8,3 +8,11 @@ OnProgress = Callable[[str, float], None]
 
 def silent(what: str, fraction: float) -> None:
     """Show nothing."""
+
+
+def describe_duration(seconds: float) -> str:
+    """Write a time: 54 s, 15 min or 1 h 48 min."""
+    if seconds < 59.5:
+        return f"{seconds:.0f} s"
+    minutes = int(seconds / 60.0 + 0.5)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

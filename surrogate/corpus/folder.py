@@ -20,7 +20,7 @@ from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import lock_folder
 from ...lhm.base.mesh import Surface
-from ...lhm.base.progress import OnProgress, silent
+from ...lhm.base.progress import OnProgress, describe_duration, silent
 from ...reference.face.sequence import Velocities
 from .intact import check_shard
 from .manifest import MANIFEST, OWNER, describe_corpus, read_manifest, read_template, write_template
@@ -393,9 +393,3 @@ class _Rate:
 def shorten_reason(reason: str) -> str:
     """Return the reason of a rejection without its numbers, which differ from row to row."""
     return re.sub(r"[0-9.]*[0-9]", "N", reason)[:80]
-
-
-def describe_duration(seconds: float) -> str:
-    """Return seconds as minutes, or as hours and minutes."""
-    minutes = int(seconds / 60.0 + 0.5)
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
