@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ...reference.face.dynamics import OSCILLATION
 from ...reference.face.palsy import activation_share, left_share
 from ...reference.face.settle import GROWING
 from ..corpus.mixture import NAMES, STATIC, basis, select_static
+from .layers import EVERY
 
 if TYPE_CHECKING:
     from ..corpus.face import KeptFace
@@ -108,9 +109,10 @@ class Features:
         """Displacements (..., n, 3), or a skin, of the mirrored face."""
         return move[..., self.mirror, :] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
 
-    def mirror_shapes(self, shapes: np.ndarray) -> np.ndarray:
-        """What each weight adds (52, n, 3) to the mirrored face."""
-        return self.mirror_move(shapes[MIRRORED])
+    def mirror_shapes(self, shapes: np.ndarray, vertices: Any = EVERY) -> np.ndarray:
+        """What each weight adds to the mirrored face at some vertices, shape (52, v, 3), of shapes (52, n, 3)."""
+        there = np.take(shapes, self.mirror[vertices], axis=1)  # type: ignore[index]  # of a symmetric mean skin
+        return there[MIRRORED] * np.array([-1.0, 1.0, 1.0], dtype=shapes.dtype)
 
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""

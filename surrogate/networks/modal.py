@@ -47,10 +47,10 @@ class ModalConfig:
     settled_modes: int = 56  # what effects, gained at each vertex, leave
     relaxed_modes: int = 24  # a twentieth of the motion
     remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
-    response_tables: int = MIXED  # twice as many leave a tenth less
+    response_tables: int = MIXED  # 28 and a width of 192 leave an eighth less than 16 and 96
     position: int = 16  # trained position of a vertex
     local: int = 64  # hidden width of the gains, which every vertex evaluates at bind
-    response: int = 96  # hidden width of the shares of the tables, likewise
+    response: int = 256  # hidden width of the shares of the tables, likewise
     summary: int = 96  # hidden width of what the whole face evaluates
     expression: int = 256  # hidden width over w, once per frame
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..corpus.face import Frames, KeptFace
 from ..corpus.reading import Faces
 from ..corpus.surface_hash import surface_hash
 from .features import Features, Inputs
+from .layers import EVERY
 from .trainer import hold_out_people, torch
 from .weights import Weights
 
@@ -57,20 +58,23 @@ class LessonFace:
         """The neutral skin without p [mm], shape (n, 3)."""
         return self._turn(self.kept.skin.vertices)
 
-    @cached_property
-    def shapes(self) -> Floats32:
-        """What the 52 weights add to it [mm], shape (52, n, 3)."""
-        return self._turn_shapes(self.kept.shapes)
+    def shapes_at(self, vertices: Any = EVERY) -> Floats32:
+        """What the 52 weights add to the skin at some vertices [mm], shape (52, v, 3)."""
+        return self._turn_shapes(self.kept.shapes, vertices)
 
     @property
     def offset(self) -> np.ndarray:
         """T - S at w = 0 [mm], shape (n, 3)."""
         return self._turn(self.kept.offset)
 
-    @cached_property
+    def responses_at(self, vertices: Any = EVERY) -> Floats32:
+        """The derivatives of T - S by weights at some vertices [mm], shape (52, v, 3)."""
+        return self._turn_shapes(self.kept.responses, vertices)
+
+    @property
     def responses(self) -> Floats32:
         """The derivatives of T - S by weights [mm], shape (52, n, 3)."""
-        return self._turn_shapes(self.kept.responses)
+        return self.responses_at()
 
     @property
     def settling(self) -> NeutralMotion:
@@ -92,9 +96,10 @@ class LessonFace:
     def _turn(self, move: np.ndarray) -> np.ndarray:
         return self.features.mirror_move(move) if self.is_mirrored else move
 
-    def _turn_shapes(self, shapes: np.ndarray) -> Floats32:
-        values = np.asarray(shapes, dtype=np.float32)
-        return self.features.mirror_shapes(values) if self.is_mirrored else values
+    def _turn_shapes(self, shapes: np.ndarray, vertices: Any) -> Floats32:
+        if not self.is_mirrored:
+            return np.asarray(shapes[:, vertices], dtype=np.float32)
+        return self.features.mirror_shapes(shapes, vertices).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ class ModalTraining(TrainerConfig):
 
     network: ModalConfig = field(default_factory=ModalConfig)
     faces: int = 6  # per step
-    frames: int = 6  # of each
+    frames: int = 4  # of each
     more: int = 10  # faces per step without frames, where there are any
     vertices: int = 1200  # of each, at random: a fourth teaches as much as all
     one_cycle: bool = True
@@ -43,8 +43,8 @@ class ModalTraining(TrainerConfig):
     clip: float | None = 1.0
     validation: float = 0.04  # share of people held out, for the learning curve alone
     sampled: int = 240  # faces whose principal components the modes start from
-    solve_every: int = 100  # steps between two solutions for the tables of responses
-    solved: int = 600  # faces, drawn anew, of each solution but the last, which has all
+    solve_every: int = 300  # steps between two solutions for the tables of responses
+    solved: int = 400  # faces, drawn anew, of each solution but the last, which has all
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class ModalLesson(Lesson):
         inputs = self.tensors.inputs_of([face.code for face in faces], parameters, vertices)
         code = inputs.summary[..., : data.code_size]
         hidden = hidden_features(self.network, inputs.local, code, vertices)
-        exact = self.tensors.stack([face.responses[:, vertices] for face in faces])
+        exact = self.tensors.stack([face.responses_at(vertices) for face in faces])
         batch = _Batch(faces, vertices, inputs, code, hidden, exact)
         loss = self._measure_response_loss(batch) + self.policy.frames * self._measure_frame_loss(batch, numbers, rng)
         return loss + self._measure_neutral_loss(batch) if self.learns_neutral else loss
@@ -184,11 +184,11 @@ class ModalLesson(Lesson):
 
     def _measure_response_loss(self, batch: _Batch) -> torch.Tensor:
         """Of responses."""
-        shapes = self.tensors.stack([face.shapes[:, batch.vertices] for face in batch.faces])
+        shapes = self.tensors.stack([face.shapes_at(batch.vertices) for face in batch.faces])
         shares, lag = mix(self.network, batch.inputs.local, batch.code, batch.vertices)
         tables = self.network["tables"][:, :, batch.vertices]
         predicted = torch.einsum("bvk,kjvc->bjvc", shares, tables) - lag[:, None] * shapes
-        return self._mean_distance(predicted - batch.exact, [self.response_scale(face) for face in batch.faces])
+        return self._mean_distance(predicted - batch.exact, self.scale_responses(batch.exact))
 
     def _measure_frame_loss(
         self, batch: _Batch, numbers: Sequence[int] | Ints, rng: np.random.Generator
@@ -214,9 +214,10 @@ class ModalLesson(Lesson):
         distance = (error.square().sum(dim=-1) + self.policy.rounding).sqrt().flatten(1).mean(dim=1)
         return (distance / torch.tensor(scales, dtype=distance.dtype, device=distance.device)).mean()
 
-    def response_scale(self, face: LessonFace) -> float:
-        """Return how large a face's responses are [mm], by which errors of them count: stiff and soft tissue alike."""
-        return self.policy.response_floor + float(np.linalg.norm(face.responses.astype(np.float32), axis=2).mean())
+    def scale_responses(self, responses: torch.Tensor) -> list[float]:
+        """Return how large faces' responses (b, 52, v, 3) are [mm]: errors count by it in stiff and soft tissue."""
+        size = torch.linalg.vector_norm(responses, dim=-1).mean(dim=(1, 2))
+        return (self.policy.response_floor + size).tolist()
 
     def _scale_settled(self, displacement: np.ndarray) -> float:
         """How far a neutral face settles [mm], by which errors of it count: scaled bones move it farthest."""
@@ -231,7 +232,9 @@ class ModalLesson(Lesson):
             for face in faces:
                 local = data.features.local(face.parameters)
                 shares, lag = mix(network, local, data.inputs.code(face.code).astype(np.float32))
-                yield shares, face.responses + lag * face.shapes, self.response_scale(face)
+                exact = face.responses_at()
+                (scale,) = self.scale_responses(torch.from_numpy(exact)[None])
+                yield shares, exact + lag * face.shapes_at(), scale
 
         return solve_tables(rows(), data.vertex_count, self.config.network.response_tables + 1)
 

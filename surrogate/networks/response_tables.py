@@ -14,13 +14,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numba import njit
 
 from ...lhm.base.mesh import Floats32
 from ..rigs.rig import WEIGHTS, silu
 from .features import GIVE
 from .layers import EVERY, Arrays, concatenate, exp, linear
 
-MIXED = 16
+MIXED = 28
 """How many tables are mixed, besides the one that always counts."""
 RIDGE = 0.03
 """Penalty of the tables, in shares of the mean square of φ."""
@@ -43,9 +44,30 @@ def responses(tables: Floats32, shares: Floats32, lag: Floats32, shapes: Floats3
     tables: shape (k, 52, n, 3), of `expand`; shares (n, k) and lag (n, 1) of `mix`.
     """
     answer = -lag * shapes
-    for share, table in zip(shares.T, tables, strict=True):
-        answer += share[:, None] * table
+    _add_mixed(tables, np.ascontiguousarray(shares), answer)
     return answer
+
+
+@njit(cache=True, fastmath=True)
+def _add_face(shares, moved, gram, pulled):
+    """Add a face's normal equations at each vertex: shares (n, k), moved (n, 52, 3), both over the face's scale."""
+    for v in range(len(shares)):
+        for k in range(shares.shape[1]):
+            for other in range(shares.shape[1]):
+                gram[v, k, other] += np.float64(shares[v, k]) * np.float64(shares[v, other])
+            for j in range(moved.shape[1]):
+                for c in range(3):
+                    pulled[v, k, 3 * j + c] += shares[v, k] * moved[v, j, c]
+
+
+@njit(cache=True, fastmath=True)
+def _add_mixed(tables, shares, answer):
+    """Add tables (k, 52, n, 3), weighted at each vertex by shares (n, k), to an answer (52, n, 3)."""
+    for j in range(answer.shape[0]):
+        for k in range(len(tables)):
+            for v in range(answer.shape[1]):
+                for c in range(3):
+                    answer[j, v, c] += shares[v, k] * tables[k, j, v, c]
 
 
 def expand(network: Arrays) -> Floats32:
@@ -68,9 +90,7 @@ def solve_tables(faces: Iterable[tuple[Floats32, Floats32, float]], vertices: in
     gram = np.zeros((vertices, count, count))
     pulled = np.zeros((vertices, count, WEIGHTS * 3), dtype=np.float32)
     for shares, moved, scale in faces:
-        rows = shares / scale
-        gram += rows[:, :, None] * rows[:, None].astype(np.float64)
-        pulled += rows[:, :, None] * (moved.transpose(1, 0, 2).reshape(vertices, 1, -1) / scale)
+        _add_face(shares / scale, np.ascontiguousarray(moved.transpose(1, 0, 2)) / scale, gram, pulled)
     size = np.maximum(np.einsum("vkk->v", gram) / count, 1e-12)
     gram += RIDGE * size[:, None, None] * np.eye(count)
     tables = np.linalg.solve(gram, pulled.astype(np.float64)).astype(np.float32)

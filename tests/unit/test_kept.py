@@ -208,7 +208,7 @@ def test_what_is_stale_is_made_first_and_what_is_of_this_code_not_again(small, t
 
 
 def test_corpora_are_simulated_before_the_study_that_reads_them(small, tmp_path, monkeypatch):
-    plan = replace(PRESETS["tiny"], identities=2, references=0, sequences=0, parameter_responses=0.0)
+    plan = replace(PRESETS["tiny"], identities=2, references=0, sequences=0, parameter_responses=0.0, contact=False)
     monkeypatch.setattr(kept, "CORPORA", {"spheres": kept.KeptCorpus(plan, "spheres:1")})
     monkeypatch.setitem(kept.KEPT, "another", replace(kept.KEPT["another"], corpora=("spheres",)))
     keep("another", tmp_path / "work")
