@@ -49,7 +49,7 @@ html_sidebars = dict.fromkeys(
         "concepts",
         "glossary",
         "surrogate",
-        "corpus-small",
+        "corpus-card",
         "paper",
         "scaling",
         "bounds",
