@@ -33,7 +33,8 @@ SCANS = 24
 class External:
     """People of `other` over the triangles of `own`; see the module.
 
-    laid (n, 3) [mm]: own's mean registered to other's; weights (n, other's vertices) carry its displacements.
+    laid (n, 3) [mm]: own's mean registered to other's, in own's place; weights (n, other's vertices) carry other's
+    displacements.
     """
 
     own: LinearSpace = field(repr=False)
@@ -60,7 +61,8 @@ class External:
         laid: dict[str, np.ndarray] = load_or_make(name, make)
         shape = (len(own.mean.vertices), len(other.mean.vertices))
         ties = csr_matrix((laid["data"], laid["indices"], laid["indptr"]), shape=shape)
-        return cls(own, other, laid["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")
+        placed = laid["laid"] + (own.mean.vertices - laid["laid"]).mean(axis=0)
+        return cls(own, other, placed, ties, partial(fit_head, template), f"{template.digest}-{name}")
 
     @property
     def name(self) -> str:
