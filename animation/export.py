@@ -85,11 +85,17 @@ def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any
 def refine_rig(rig: MorphRig, fine: FineSkin) -> MorphRig:
     """Make the rig's first surface, its skin, as it is drawn finer. The others stay."""
     skin, *others = rig.surfaces
-    rest = fine.refine(skin.rest.vertices)
-    targets = np.stack([fine.refine(skin.rest.vertices + target).vertices for target in skin.targets]) - rest.vertices
+    rest, targets = _refine(skin, fine)
     colour = skin.colour if fine.colours is None else to_linear_light(fine.colours)
     finer = MorphedSurface.from_targets(skin.name, rest, targets.astype(np.float32), colour=colour)
     return replace(rig, surfaces=[finer, *others])
+
+
+def _refine(skin: MorphedSurface, fine: FineSkin) -> tuple[Surface, Floats]:
+    """Return a skin as it is drawn finer, at rest, and its targets there [mm], shape (52, k, 3)."""
+    rest = fine.refine(skin.rest.vertices)
+    moved = [fine.refine(skin.rest.vertices + target).vertices for target in skin.targets]
+    return rest, np.stack(moved) - rest.vertices
 
 
 def carry_rig(rig: MorphRig, head: LayeredHead, own: OwnMesh) -> MorphRig:
@@ -98,10 +104,10 @@ def carry_rig(rig: MorphRig, head: LayeredHead, own: OwnMesh) -> MorphRig:
     The notes tell of a mouth that is sealed, and of lids that are shut or one with the eyes, which do not blink.
     """
     skin, *others = rig.surfaces
-    fine, notes = head.fine_skin, dict(rig.notes)
-    before, rest = (fine.refine(x).vertices for x in (head.skin.vertices, skin.rest.vertices))
-    moved = own.surface.with_vertices(own.surface.vertices + own.weights @ (rest - before))
-    moves = (fine.refine(skin.rest.vertices + target).vertices - rest for target in skin.targets)
+    notes = dict(rig.notes)
+    rest, moves = _refine(skin, head.fine_skin)
+    settled = rest.vertices - head.fine_skin.refine(head.skin.vertices).vertices
+    moved = own.surface.with_vertices(own.surface.vertices + own.weights @ settled)
     targets = dict(zip(rig.names, (own.weights @ move for move in moves), strict=True))
     lips = (skin.rest.vertices + skin.targets[list(rig.names).index("jawOpen")])[head.on_skin(["lips"])]
     if own.has_sealed_mouth(moved.vertices + targets["jawOpen"], lips):

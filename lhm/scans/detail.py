@@ -89,7 +89,11 @@ def find_colours(skin: Surface, detail: Detail, painted: Painted) -> NDArray[np.
     scan = painted.surface
     triangle, weights, distance = TriangleTree(scan.vertices, scan.triangles).closest(drawn.vertices)
     colours = painted.texture.find_colours(triangle, weights)
-    known = np.isfinite(colours).all(axis=1) & (distance < POLICY.reach)
+    return fill_colours(colours, np.isfinite(colours).all(axis=1) & (distance < POLICY.reach))
+
+
+def fill_colours(colours: Floats, known: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """Round colours (k, 3), with the median of those `known` (k,) for the others; None where none is."""
     if not known.any():
         return None
     return np.round(np.where(known[:, None], colours, np.median(colours[known], axis=0))).astype(np.uint8)

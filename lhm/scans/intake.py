@@ -133,8 +133,7 @@ def _paint(placed: PlacedScan, read: Scan, path: str | os.PathLike[str]) -> Plac
         return replace(placed, notes=(*placed.notes, f"texture: left out; {error}"))
     if texture is None:
         return placed
-    a, b, c = read.triangles.T
-    sound = (a != b) & (b != c) & (c != a)
+    sound = read.sound
     surface = Surface(placed.placement.motion(read.vertices), read.triangles[sound])
     height, width = texture.picture.shape[:2]
     painted = Painted(surface, replace(texture, corners=texture.corners[sound]))

@@ -18,6 +18,7 @@ from ..base.geometry.topology import unique_edges
 from ..base.mesh import Floats, Surface
 from ..head.columns import unit
 from ..head.head import LayeredHead
+from .detail import fill_colours
 
 TURNED = 10.0
 """[mm] that a unit of difference between normals counts beside a distance: an upper lip is not tied to the lower."""
@@ -50,8 +51,7 @@ class OwnMesh:
                 "triangles, or an earlier version fitted it"
             )
         scan = read_scan(path)
-        a, b, c = scan.triangles.T
-        sound = (a != b) & (b != c) & (c != a)
+        sound = scan.sound
         try:
             surface = Surface(scan.vertices @ detail.place[:, :3].T + detail.place[:, 3], scan.triangles[sound])
         except MeshError as error:
@@ -101,7 +101,4 @@ def _find_colours(path: str | os.PathLike[str], surface: Surface, sound: NDArray
         colours = texture.find_colours(numbers, weights)
         known = np.isfinite(colours).all(axis=1)
         found[surface.triangles[known, corner]] = colours[known]
-    known = np.isfinite(found).all(axis=1)
-    if not known.any():
-        return None
-    return np.round(np.where(known[:, None], found, np.median(found[known], axis=0))).astype(np.uint8)
+    return fill_colours(found, np.isfinite(found).all(axis=1))

@@ -105,14 +105,14 @@ class Features:
         """The p of the mirrored face, for a symmetric mean skin."""
         return at_vertices[self.mirror][:, _SWAPPED] * _SIGNS
 
-    def mirror_move(self, move: np.ndarray) -> np.ndarray:
-        """Displacements (..., n, 3), or a skin, of the mirrored face."""
-        return move[..., self.mirror, :] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
+    def mirror_move(self, move: np.ndarray, vertices: Any = EVERY) -> np.ndarray:
+        """Displacements of the mirrored face, or its skin, at some vertices, shape (..., v, 3), of (..., n, 3)."""
+        there = np.take(move, self.mirror[vertices], axis=-2)  # type: ignore[index]  # the mean skin is symmetric
+        return there * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
 
     def mirror_shapes(self, shapes: np.ndarray, vertices: Any = EVERY) -> np.ndarray:
         """What each weight adds to the mirrored face at some vertices, shape (52, v, 3), of shapes (52, n, 3)."""
-        there = np.take(shapes, self.mirror[vertices], axis=1)  # type: ignore[index]  # of a symmetric mean skin
-        return there[MIRRORED] * np.array([-1.0, 1.0, 1.0], dtype=shapes.dtype)
+        return self.mirror_move(shapes, vertices)[MIRRORED]
 
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""

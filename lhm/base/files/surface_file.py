@@ -49,6 +49,12 @@ class Scan:
                 raise MeshError(f"morph target {name!r}: {len(delta)} vertices, the mesh has {len(self.vertices)}")
 
     @property
+    def sound(self) -> np.ndarray:
+        """Whether the corners of each triangle are three vertices, shape (m,)."""
+        a, b, c = self.triangles.T
+        return (a != b) & (b != c) & (c != a)
+
+    @property
     def surface(self) -> Surface:
         """The mesh as a surface, [mm] if the file is; MeshError for a triangle that repeats a vertex."""
         return Surface(self.vertices, self.triangles)
