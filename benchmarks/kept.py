@@ -121,7 +121,8 @@ class State:
     """A kept result as it lies there: why it is stale, the commits that measured it, and seconds of its rows.
 
     `stale`: in words, what differs today; empty where nothing does. `single`: why it stays with its own commit, where
-    it does; such a one is not stale.
+    it does; such a one is not stale. `seconds` are of a processor where that was measured, since other work lengthens
+    those of a clock.
     """
 
     name: str
@@ -154,7 +155,7 @@ def judge(name: str) -> State:
     else:
         stale += [key for key in today if said.get(key) != today[key]]
     stale += provenance.list_missing(content)
-    seconds = sum(row.get("seconds", 0.0) for row in content["rows"])
+    seconds = sum(row.get("cpu") or row.get("seconds", 0.0) for row in content["rows"])
     commits = provenance.list_commits(content["machine"], content["rows"])
     return State(name, tuple(stale), "", tuple(commits), seconds)
 
