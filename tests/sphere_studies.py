@@ -141,10 +141,12 @@ def small_sphere():
 
 @dataclass(frozen=True)
 class SphereFaceBenchmark(FaceBenchmark):
+    alone = False
+
     def bodies(self):
         return sphere_bodies()
 
 
 @lru_cache
 def sphere_bodies():
-    return nested_bodies(body_of(layered_sphere(1)))
+    return nested_bodies(body_of(layered_sphere(1), front=-20.0))

@@ -88,7 +88,7 @@ def describe(bodies: Sequence[Body], limits: Mapping[str, Mapping[str, Any]], co
     }
     return {
         "name": "open face benchmark",
-        "version": 1,
+        "version": 2,
         "commit": commit,
         "units": {"length": "mm", "force": "mN", "stress": "kPa", "mass": "kg", "time": "s"},
         "law": {"name": NeoHookean.__name__, "energy": LAW, "layers": layers},

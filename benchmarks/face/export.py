@@ -25,7 +25,7 @@ def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgre
 
     Raises InputError where a problem could not be solved by every method; the folder keeps what was.
     """
-    results = run(study, folder, workers=1, progress=progress)  # each takes some 4 GB
+    results = run(study, folder, progress=progress)
     limits: dict[str, dict[str, Any]] = {row.case: dict(row.values) for row in results.rows if row.method == CONVERGED}
     if len(limits) < len(PROBLEMS):
         failed = next((f"{row.case}, {row.method}: {row.reason}" for row in results.rows if not row.done), "")
@@ -38,11 +38,11 @@ def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgre
     }
     answers: dict[str, Floats] = {}
     for problem, limit in limits.items():
-        coarse, medium = (moved[problem, method.name][: len(bodies[0].vertices)] for method in QUADRATIC)
-        converged = extrapolate(coarse, medium)
+        coarse, medium, fine = (moved[problem, method.name][: len(bodies[0].vertices)] for method in QUADRATIC)
+        converged, _ = extrapolate(coarse, medium, fine)
         answers[f"{problem}.converged"] = converged
         for name, size in (("band_mm", rms), ("largest_mm", lambda each: float(np.linalg.norm(each, axis=1).max()))):
-            limit[name] = max(SAFETY * size(converged - medium), LEAST_BAND * size(converged))
+            limit[name] = max(SAFETY * size(converged - fine), LEAST_BAND * size(converged))
         for method in LINEAR:  # 1e-6 mm are enough, in half the bytes
             answers[f"{problem}.linear.{MESHES[method.mesh]}"] = moved[problem, method.name].astype(np.float32)
     return results, write_archive(path, bodies, limits, answers, ", ".join(results.commits))

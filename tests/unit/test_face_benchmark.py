@@ -103,7 +103,7 @@ def test_every_problem_has_a_limit_and_its_band(exported):
     assert results.passed and {row.method for row in results.rows} == {*METHODS, "converged"}
     for row in results.rows[-len(PROBLEMS) :]:
         for line in row.values["answers"]:
-            name = "FEniCSx, quadratic, medium"
+            name = "FEniCSx, quadratic, fine"
             assert line["off"][name] <= line["band"], line["name"]
             assert line["size"] == pytest.approx(np.linalg.norm(line["value"]))
     content = json.loads((folder / "rows" / "results.json").read_text())
@@ -124,8 +124,8 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
 def test_rows_of_an_earlier_version_are_named(study, exported, tmp_path):
     shutil.copytree(exported[0] / "rows", tmp_path / "rows")
     (file,) = (tmp_path / "rows").glob("*jaw*FEniCSx-linear-fine*.npy")
-    np.save(file, np.load(file)[:126])
-    with pytest.raises(InputError, match=r"expected shape \(5778, 3\), got \(126, 3\)\); use an empty folder"):
+    np.save(file, np.load(file)[:75])
+    with pytest.raises(InputError, match=r"expected shape \(2817, 3\), got \(75, 3\)\); use an empty folder"):
         export(tmp_path / "benchmark.zip", study, tmp_path / "rows")
     assert not (tmp_path / "benchmark.zip").exists()
 
@@ -185,9 +185,9 @@ FAULTS = {
     "metres": (lambda u: 1e-3 * u, "WRONG", "displacements are in metres; expected mm"),
     "centimetres": (lambda u: 0.1 * u, "WRONG", "in centimetres"),
     "shifted": (lambda u: u + [3.0, 0.0, -1.0], "SHIFTED", "as a whole by (3, "),
-    "truncated": (lambda u: np.where(np.arange(len(u))[:, None] < 60, u, 0.0), "TRUNCATED", "from point 60 of 126 on"),
-    "nan": (lambda u: np.where(np.arange(len(u))[:, None] == 7, np.nan, u), "NOT FINITE", "1 of 126"),
-    "infinite": (lambda u: np.where(np.arange(len(u))[:, None] > 99, np.inf, u), "NOT FINITE", "26 of 126"),
+    "truncated": (lambda u: np.where(np.arange(len(u))[:, None] < 30, u, 0.0), "TRUNCATED", "from point 30 of 75 on"),
+    "nan": (lambda u: np.where(np.arange(len(u))[:, None] == 7, np.nan, u), "NOT FINITE", "1 of 75"),
+    "infinite": (lambda u: np.where(np.arange(len(u))[:, None] > 59, np.inf, u), "NOT FINITE", "15 of 75"),
 }
 
 
@@ -201,20 +201,20 @@ def test_right_answers_of_finer_meshes_are_right(exported, archive, judged, stud
         linear[free] *= 1.005
         assert judged(linear, mesh, problem).verdict.startswith("right")
         linear[free] /= 1.005
-    (row,) = (r for r in exported[1].rows if (r.case, r.method) == (problem, "FEniCSx, quadratic, medium"))
+    (row,) = (r for r in exported[1].rows if (r.case, r.method) == (problem, "FEniCSx, quadratic, fine"))
     better = np.load(exported[0] / "rows" / row.values["displacement"])
-    assert judged(better, "medium", problem).verdict == "right"
+    assert judged(better, "fine", problem).verdict == "right"
 
 
 def is_new(moved):
     """Mark the points (n, 1) that refinement added."""
-    return (np.arange(len(moved)) >= 126)[:, None]
+    return (np.arange(len(moved)) >= 75)[:, None]
 
 
 FINER_FAULTS = {
     "added points at zero": lambda u: np.where(is_new(u), 0.0, u),
     "every other added point at zero": lambda u: np.where(is_new(u) & (np.arange(len(u)) % 2 == 0)[:, None], 0.0, u),
-    "added points in another order": lambda u: np.concatenate([u[:126], u[126:][::-1]]),
+    "added points in another order": lambda u: np.concatenate([u[:75], u[75:][::-1]]),
     "added points far off": lambda u: np.where(is_new(u), 999.0, u),
     "one added point off": lambda u: np.where((np.arange(len(u)) == 400)[:, None], u + 20.0, u),
 }
@@ -224,7 +224,7 @@ FINER_FAULTS = {
 @pytest.mark.parametrize("fault", FINER_FAULTS)
 def test_points_that_refinement_added_are_judged(archive, judged, problem, mesh, fault):
     linear, limit = archive.arrays[f"{problem}.linear.{mesh}"], archive.arrays[f"{problem}.converged"]
-    for moved in (linear, np.concatenate([limit, linear[126:]])):
+    for moved in (linear, np.concatenate([limit, linear[75:]])):
         score = judged(FINER_FAULTS[fault](moved), mesh, problem)
         assert score.verdict == "truncated" or "points that refinement added are" in score.line, score.line
         assert score.verdict in ("wrong", "truncated")
@@ -237,13 +237,13 @@ def test_no_single_point_may_be_far_off(archive, judged, study):
     score = judged(moved)
     assert score.verdict == "wrong" and "held points are up to 2 mm from where they are held" in score.line
     moved = limit.copy()
-    moved[np.setdiff1d(np.arange(126), held)[0]] += [6.0, 0.0, 0.0]
+    moved[np.setdiff1d(np.arange(75), held)[0]] += [6.0, 0.0, 0.0]
     assert judged(moved).verdict == "wrong"
 
 
 @pytest.mark.parametrize("suffix", [".vtk", ".xdmf", ".msh"])
 def test_other_kinds_of_files_are_read(archive, judged, suffix):
-    stress = [np.ones((480, 9 if suffix == ".msh" else 6))]
+    stress = [np.ones((216, 9 if suffix == ".msh" else 6))]
     score = judged(archive.arrays["jaw.converged"].astype(np.float32), problem="jaw", suffix=suffix, cauchy=stress)
     assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
 
@@ -264,8 +264,8 @@ REFUSED = {
     ),
     "one instead of another": (lambda t: [("tetra", np.concatenate([t[:1], t[:-1]]))], {}, "tet 1 has not the corners"),
     "hexahedra": (lambda t: [("hexahedron", np.tile(t, 2))], {}, "cells: hexahedron; expected tets"),
-    "not symmetric": (None, {"cauchy": [with_value((480, 9), np.arange(9.0))]}, "not symmetric; that of tet 7"),
-    "huge force": (None, {"reaction": with_value((126, 3), 1e300)}, "'reaction': 1e+300 is too large"),
+    "not symmetric": (None, {"cauchy": [with_value((216, 9), np.arange(9.0))]}, "not symmetric; that of tet 7"),
+    "huge force": (None, {"reaction": with_value((75, 3), 1e300)}, "'reaction': 1e+300 is too large"),
 }
 
 
@@ -280,7 +280,7 @@ def test_another_mesh_or_array_is_refused_in_a_line(archive, judged, study, case
 def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, study):
     tets = study.bodies()[0].tets
     cells = [("tetra", tets[:7, [1, 2, 0, 3]]), ("triangle", tets[:5, :3]), ("tetra", tets[7:, [1, 0, 3, 2]])]
-    stress = [np.ones((7, 9)), np.full((5, 9), np.nan), np.ones((473, 9))]
+    stress = [np.ones((7, 9)), np.full((5, 9), np.nan), np.ones((209, 9))]
     score = judged(archive.arrays["gravity.converged"], cells=cells, cauchy=stress)
     assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
 
@@ -436,10 +436,10 @@ DAMAGED = {
         set_to("problems", "jaw", "quantities", "at chin", "band", value=100.0)
     ),
     "unit that colours": in_description(set_to("problems", "jaw", "quantities", "at chin", "unit", value="\x1b[31m")),
-    "patch out of range": in_description(set_to("patches", "left jowl, muscle", "tets", 0, value=480)),
+    "patch out of range": in_description(set_to("patches", "left jowl, muscle", "tets", 0, value=216)),
     "patch a volume short": in_description(lambda d: d["patches"]["left jowl, muscle"]["volumes"].pop()),
     "other meshes": in_description(lambda d: d["meshes"].pop("fine")),
-    "rows of a fine mesh missing": in_answers(lambda a: a.update({"jaw.linear.fine": a["jaw.linear.fine"][:126]})),
+    "rows of a fine mesh missing": in_answers(lambda a: a.update({"jaw.linear.fine": a["jaw.linear.fine"][:75]})),
     "answers NaN": in_answers(lambda a: a["cheek.converged"].fill(np.nan)),
     "coarse mesh flat": in_answers(lambda a: a["points"].fill(0.0)),
     "mesh exchanged": lambda files: files.update({"meshes/coarse.vtu": files["meshes/medium.vtu"]}),
@@ -508,9 +508,9 @@ def test_what_cannot_be_scored_is_named(archive, judged, tmp_path):
     assert told(lambda: judged(moved, points=1e-3 * points)) == "wrong unit: points are in metres; expected mm"
     assert "points are in another order" in told(lambda: judged(moved[::-1], points=points[::-1]))
     assert "wrong mesh: point " in told(lambda: judged(moved, points=points + moved))
-    assert "expected shape (126, 3), got (126, 2)" in told(lambda: judged(moved[:, :2]))
-    meshio.Mesh(points[:100], [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "gravity.vtu")
-    assert "wrong mesh: 100 points; the benchmark's meshes have 126 (coarse)" in told(
+    assert "expected shape (75, 3), got (75, 2)" in told(lambda: judged(moved[:, :2]))
+    meshio.Mesh(points[:60], [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "gravity.vtu")
+    assert "wrong mesh: 60 points; the benchmark's meshes have 75 (coarse)" in told(
         lambda: scorer.score(tmp_path / "gravity.vtu", archive)
     )
     meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]])], point_data={"u": moved}).write(tmp_path / "gravity.vtu")
