@@ -19,7 +19,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -616,20 +616,27 @@ def describe_score(score: Score) -> list[str]:
     return lines
 
 
+def write_score(score: Score, archive: Archive) -> str:
+    """Write a score as JSON, with the version of the archive: a file of benchmarks/face/answers."""
+    return json.dumps({"version": archive.description["version"], **asdict(score)}, indent=1)
+
+
 def main(words: list[str] | None = None) -> int:
     """Score the answer that is named; exit status 1 where it is faulty, 2 where it cannot be scored."""
     parser = argparse.ArgumentParser(description="Score an answer to the open face benchmark.")
     parser.add_argument("answer", type=Path)
     parser.add_argument("--archive", type=Path, default=Path(__file__).parent, help="the archive, or its folder")
     parser.add_argument("--problem", default="", help="default: the one that the file's name has in it")
+    parser.add_argument("--json", action="store_true", help="print the score as JSON")
     asked = parser.parse_args(words)
     try:
-        result = score(asked.answer, Archive(asked.archive), asked.problem)
+        archive = Archive(asked.archive)
+        result = score(asked.answer, archive, asked.problem)
     except AnswerError as error:
         said = "".join(each if each.isprintable() else "?" for each in str(error))
         print(f"error: {said}", file=sys.stderr)
         return 2
-    print("\n".join(describe_score(result)))
+    print(write_score(result, archive) if asked.json else "\n".join(describe_score(result)))
     return 0 if result.verdict.startswith("right") else 1
 
 

@@ -19,7 +19,7 @@ import pytest
 from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.export import export
 from softdeca.benchmarks.face.problems import BONES, PROBLEMS
-from softdeca.benchmarks.studies.mesh.face import METHODS
+from softdeca.benchmarks.studies.mesh.face import METHODS, tabulate_answers
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import solve
@@ -536,6 +536,11 @@ def test_the_command_scores_without_our_solvers(exported, judged, archive, tmp_p
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.startswith("gravity, coarse mesh: RIGHT ON THIS MESH: ")
     assert "'cauchy' is missing: its quantities are not scored" in ended.stdout
+    ended = subprocess.run([sys.executable, "-c", code, *words, "--json"], capture_output=True, text=True)
+    (tmp_path / "somebody.json").write_text(ended.stdout)
+    ((name, version, where, verdict, within, _),) = tabulate_answers(tmp_path).rows
+    assert (name, version, where, verdict) == ("somebody", 2, "gravity, coarse mesh", "right on this mesh")
+    assert within.endswith("of 10")
     ended = subprocess.run([sys.executable, "-c", code, *words[:2], "x.vtu"], capture_output=True, text=True)
     assert ended.returncode == 1 and ended.stderr.count("\n") == 1 and "face-benchmark.zip" in ended.stderr
 

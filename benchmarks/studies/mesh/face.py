@@ -6,9 +6,11 @@ Quadratic tets on three meshes show the order by which each quantity converges, 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -28,6 +30,8 @@ SAFETY = 1.25
 LEAST_BAND = 0.005
 """Of a value: no band is narrower."""
 CONVERGED = "converged"
+ANSWERS = Path(__file__).parents[2] / "face" / "answers"
+"""Scores of other codes' answers, NAME.json each of `bench score --json`: a pull request adds its own."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +179,9 @@ class FaceBenchmark(Study):
             for problem, listed in _limits(rows).items()
             for line in listed
         ]
-        return [Table("Converged answers and every method's; of vectors the lengths", head, lines)]
+        converged = Table("Converged answers and every method's; of vectors the lengths", head, lines)
+        others = tabulate_answers(ANSWERS)
+        return [converged, others] if others.rows else [converged]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the skin's distance to the limit over the size of elements, by problem."""
@@ -239,6 +245,18 @@ def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
             }
         )
     return {"answers": lines}
+
+
+def tabulate_answers(folder: Path) -> Table:
+    """Tabulate the scores in a folder, by the names of their files."""
+    lines = []
+    for file in sorted(folder.glob("*.json")):
+        score = json.loads(file.read_text())
+        bands = [each["distance"] / each["band"] for each in score["compared"]]
+        within = f"{sum(band <= 1.0 for band in bands)} of {len(bands)}"
+        lines.append((file.stem, score["version"], score["line"].split(": ")[0], score["verdict"], within, max(bands)))
+    head = ["answer", "of version", "problem, mesh", "verdict", "quantities within their bands", "farthest [bands]"]
+    return Table("Answers of other codes", head, lines)
 
 
 def _limits(rows: Sequence[Row]) -> dict[str, list[dict]]:
