@@ -44,14 +44,15 @@ PUSH_RADIUS = 15.0
 SKIN_POINTS = {
     "left cheek": (42.0, -13.4, 129.6),
     "right cheek": (-42.0, -13.4, 129.6),
-    "forehead": (0.0, 60.0, 140.0),
-    "under the lower lip": (0.4, -54.6, 146.9),
+    "left temple": (62.0, 28.0, 100.0),
+    "tip of the nose": (0.0, -19.0, 156.0),
     "left mouth corner": (31.0, -45.0, 127.0),
     "chin": (-0.1, -77.5, 136.9),
     "left jowl": (43.0, -56.9, 99.7),
-    "throat": (-3.8, -86.5, 105.3),
+    "under the chin": (0.0, -86.0, 118.0),
 }
-"""Near which vertex of the skin each lies [mm]; x to the head's left, y up, z to the front."""
+"""Near which vertex of the skin each lies [mm]; x to the head's left, y up, z to the front. Where layers are thin, as at
+lips and brows, or the cut is near, points converge more slowly: none lies there."""
 STRESS_POINTS = {
     "left cheek, soft tissue": ("left cheek", 0),
     "left cheek, muscle": ("left cheek", 1),
