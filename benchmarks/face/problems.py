@@ -51,8 +51,10 @@ SKIN_POINTS = {
     "left jowl": (43.0, -56.9, 99.7),
     "under the chin": (0.0, -86.0, 118.0),
 }
-"""Near which vertex of the skin each lies [mm]; x to the head's left, y up, z to the front. Where layers are thin, as at
-lips and brows, or the cut is near, points converge more slowly: none lies there."""
+"""Near which vertex of the skin each lies [mm]; x to the head's left, y up, z to the front.
+
+Where layers are thin, as at lips and brows, or the cut is near, points converge more slowly: none lies there.
+"""
 STRESS_POINTS = {
     "left cheek, soft tissue": ("left cheek", 0),
     "left cheek, muscle": ("left cheek", 1),

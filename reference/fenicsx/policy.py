@@ -128,7 +128,8 @@ class FenicsxPolicy:
     # off. By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG
     # 11 and 3.1 s; at .49999 MUMPS 23 and 1.6 s, where CG creeps. At .49 on 10,125 unknowns both take 1.5 s.
     stiff: float = 4000.0
-    # Unknowns, from which on stiff laws take multigrid in spite of it: factors take too much memory.
+    # Unknowns, from which on stiff laws take multigrid in spite of it, and no factors tell whether an equilibrium under
+    # traction is stable: they take too much memory.
     large_stiff: int = 400_000
     large: int = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
