@@ -108,7 +108,7 @@ KEPT: Mapping[str, Kept] = {
 """Kept results that `keep` makes again, by the name of their file."""
 SINGLE: Mapping[str, str] = {
     "surrogate/table-1": "its corpus and its trainings take hours",
-    "surrogate/corpus": "its corpus takes hours",
+    "surrogate/corpus": "its corpus takes an hour",
     "further/corotated": "its study is no more",
     "further/scaling": "its study is no more",
     "further/timing": "its study is no more",

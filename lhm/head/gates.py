@@ -167,7 +167,7 @@ class HeadReport:
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities and scans 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
-    # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.87 to 0.94.
+    # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.85 to 0.92.
     jaw_drop: float | None = _figure("mm", "at least", 1.0)
     sideways: float | None = _figure("mm", "above", 0.0)
     own_side: float | None = _figure("", "at least", 0.7)
