@@ -231,7 +231,7 @@ class WriteReport:
 class ExportFaceBenchmark:
     """Write the archive of the open face benchmark: meshes, materials, loads and converged answers with their bands.
 
-    Solves what RESULTS lacks of `softdeca bench face-benchmark`, and resumes. All of it takes an hour of one core and
+    Solves what RESULTS lacks of `softdeca bench face-benchmark`, and resumes. All takes half an hour of one core and
     12 GB. Exit status 1 if a gate is missed.
     """
 
