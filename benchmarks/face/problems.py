@@ -16,11 +16,12 @@ from scipy.sparse import eye
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from ...lhm.base.geometry.topology import connected_parts, graph_laplacian, midpoints, neighbours
+from ...lhm.base.geometry.topology import graph_laplacian, midpoints, neighbours
 from ...lhm.base.mesh import Floats, Ints, Surface, TetMesh
 from ...lhm.head.columns import fill_harmonically
 from ...lhm.head.head import FREE, MANDIBLE, LayeredHead
 from ...lhm.head.remesh import EDGES, refine_tets
+from ...lhm.identities.cut import largest_piece
 from ...reference import Scene, materials, terms
 from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
 from .score import MESHES as MESHES
@@ -204,11 +205,8 @@ def describe_measures(coarse: Body) -> dict:
 
 def _find_face(wrap: Surface, front: float) -> tuple[np.ndarray, Ints]:
     """Find the largest piece of a wrap before z = front: which vertices it has (n,), and its triangles (k, 3)."""
-    n = len(wrap.vertices)
-    triangles = wrap.triangles[(wrap.vertices[:, 2] > front)[wrap.triangles].all(axis=1)]
-    _, piece = connected_parts(triangles, n)
-    triangles = triangles[piece[triangles[:, 0]] == np.bincount(piece[triangles[:, 0]]).argmax()]
-    used = np.zeros(n, dtype=bool)
+    triangles = largest_piece(wrap.triangles[(wrap.vertices[:, 2] > front)[wrap.triangles].all(axis=1)])
+    used = np.zeros(len(wrap.vertices), dtype=bool)
     used[triangles] = True
     return used, triangles
 

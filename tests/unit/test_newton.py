@@ -220,6 +220,22 @@ def test_a_column_bends_under_a_dead_load_beyond_its_buckling():
     assert abs(end[1] - 0.5) / 10.0 == pytest.approx(0.719, abs=0.03)
 
 
+@pytest.mark.parametrize(("linear_solver", "unknowns", "tested"), [("cg", 400_000, 1), ("cg", 1, 0), ("mumps", 1, 1)])
+def test_factors_tell_whether_a_pulled_body_is_stable_where_there_is_room(monkeypatch, linear_solver, unknowns, tested):
+    from softdeca.reference.fenicsx.policy import FenicsxPolicy
+    from softdeca.reference.fenicsx.strategies.newton import Newton
+
+    tests, is_stable = [], Newton.is_stable
+    monkeypatch.setattr(Newton, "is_stable", lambda *given: tests.append(given) or is_stable(*given))
+    X, tets = meshes.box((4, 2, 2), (2.0, 1.0, 1.0))
+    pull = terms.Traction(meshes.triangles_at(X, tets, 0, 2.0), (0.2, 0.0, 0.0))
+    law = terms.Hyperelastic(NeoHookean.from_young(1.0, 0.45))
+    scene, policy = Scene(X, tets, [law, pull, *rollers(X)]), FenicsxPolicy(large_stiff=unknowns)
+    answer = solve_by("fenicsx", scene, linear_solver=linear_solver, policy=policy, tolerance=1e-10)
+    assert answer.converged and len(tests) == tested
+    assert answer.positions == pytest.approx(solve_by("skfem", scene, tolerance=1e-10).positions, abs=1e-8)
+
+
 @pytest.mark.parametrize("poisson", [0.4999, 0.49999])
 def test_a_nearly_incompressible_block_is_solved_to_the_end(poisson):
     """By factors, whatever the usual solver is: CG's steps creep there."""

@@ -37,6 +37,7 @@ class Minimisation:
     ):
         self._policy = policy
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
+        self._can_factor = linear is direct or 3 * self._nodes.total < policy.large_stiff
         owned, X = self._nodes.owned, run.numbering.X
         self._work = Work()
         self._goal = np.array(run.goal)
@@ -63,7 +64,7 @@ class Minimisation:
         """Bring what is held to its goal, in load steps if need be, and minimise.
 
         A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
-        Factors of its tangent tell; where they take too much memory, it is CG that has met no negative curvature.
+        Factors of its tangent tell; where they take too much memory, only many iterations make an answer doubtful.
         """
         run, loose = self._run, Limits(self._policy.minimise.load_step_tolerance)
         left = run.record.left(self._policy.minimise.max_iterations)
@@ -83,10 +84,10 @@ class Minimisation:
             )
             iterations += more
         sound, doubtful = reason is Reason.CONVERGED, False
-        elastic = run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms)
-        if sound and elastic and 3 * self._nodes.total < self._policy.large_stiff:
-            drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
-            sound = self._newton.is_stable(self._evaluate(state.u), drift)
+        if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
+            if self._can_factor:
+                drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
+                sound = self._newton.is_stable(self._evaluate(state.u), drift)
             doubtful = iterations > self._policy.minimise.straight_iterations or not sound
         run.record.add(iterations, **vars(self._work))
         return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
