@@ -123,7 +123,7 @@ class Arena(Study):
             }
         except SoftdecaError as without:
             raise NotModelledError(f"no answer to compare with: {without}") from None
-        begin = answers["own"] if start == ANSWER else None
+        begin = answers["own"] if start == ANSWER else problem.begin
         size = len(problem.tets) * (1 if element == LINEAR else 8)  # so many linear tets have its nodes
         budget = self.budget or (find_budget(size) if self.whole else 1.0)  # [s] of a solve
         if title in files:
