@@ -14,11 +14,13 @@ import math
 import re
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from softdeca.benchmarks.harness.page import to_markdown
 from softdeca.benchmarks.harness.report import read_part
 from softdeca.benchmarks.kept import judge
 from softdeca.benchmarks.studies import load_study
@@ -210,11 +212,11 @@ def costs(file: str, /) -> str:
 
 
 def table(file: str, number: int, /) -> str:
-    """Lay out the study's own table of that number, as its page has it."""
+    """Lay out the study's own table of that number, as its page has it, without caption and note."""
     part = read_part(RESULTS / f"{file}.json", load_study)
-    shown = part.study.tables(part.results.rows)[number]
-    lines = [_row(shown.head), _row(["---"] * len(shown.head))]
-    return "\n".join([*lines, *map(_row, shown.rows)])
+    done = [row for row in part.results.rows if row.done]
+    shown = to_markdown(replace(part.study.tables(done)[number], note=""))
+    return shown.partition("\n\n")[2].rstrip()
 
 
 def share(method: str, kind: str = "all", file: str = "surrogate/fresh") -> float:

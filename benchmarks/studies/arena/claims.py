@@ -191,12 +191,6 @@ CLAIMS = (
         "time over FElupe's",
     ),
     Claim(
-        "XPBD with compliances solves for the elastic answer of these moduli: within 0.1 mm of the neo-Hookean one.",
-        "Macklin et al. 2016, XPBD",
-        ends_within("Newton XPBD", 0.1),
-        "least error over 0.1 mm",
-    ),
-    Claim(
         "A long implicit step comes to rest sooner than the default one.",
         "MuJoCo's documentation of flex and of implicit integrators",
         faster("MuJoCo flex", "MuJoCo flex", HUNDREDTH, ("20 ms", "2 ms (default)")),

@@ -23,9 +23,6 @@ COLOURS = {
     "JAX-FEM": "#f7b6d2",
     "MuJoCo flex": "#0b5d1e",
     "Newton VBD": "#ff7f0e",
-    "Newton semi-implicit": "#bcbd22",
-    "Newton XPBD": "#7f7f7f",
-    "PyPBD": "#dbdb8d",
 }
 """By solver of another package; others are black."""
 

@@ -37,7 +37,7 @@ from .problems import LINEAR, SEEDS
 from .solvers import NAMES
 from .solvers.__main__ import load
 from .solvers.protocol import SolverFile
-from .summaries import tabulate_series, tabulate_spread, tabulate_times
+from .summaries import FACES, JAWS, tabulate_best, tabulate_series, tabulate_spread, tabulate_times
 
 ARRIVING = (FENICSX, SKFEM, PD, PD_ANDERSON, "FElupe")
 """Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
@@ -166,7 +166,7 @@ class Arena(Study):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell who was first to 0.01 mm on each problem, and whom the start from the answer moved."""
+        """Tell who was first to 0.01 mm on each problem."""
         sentences, rows = [], _without_seeds(rows)
         for case in dict.fromkeys(row.case for row in rows):
             times = sorted(
@@ -177,28 +177,24 @@ class Arena(Study):
             first = dict((title, seconds) for seconds, title in reversed(times))
             ranked = sorted(first.items(), key=lambda item: item[1])[:4]
             sentences.append(f"{case}: " + ", ".join(f"{title} {seconds:.2g} s" for title, seconds in ranked))
-        moved = [
-            f"{row.values['solver']} ({row.values['setting']}) {row.values['max_mm']:.2g} mm on {row.case}"
-            for row in rows
-            if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[HUNDREDTH]
-        ]
-        words = "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
-        return words + (f" Started at the answer, these left it: {', '.join(moved)}." if moved else "")
+        return "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate times to accuracies, what starts from the answer do, series of moduli, the spread, and claims."""
+        """Tabulate times to accuracies, who leaves the answer, series of moduli, the spread, and claims."""
         biases = [
             (row.case, row.values["solver"], row.values["setting"], row.values["max_mm"], row.values["solve_s"])
             for row in rows
-            if row.values["start"] == ANSWER and row.values["max_mm"] is not None
+            if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[HUNDREDTH]
         ]
         judged = [
             (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(_without_seeds(rows))
         ]  # fmt: skip
         return [
             tabulate_times(rows),
-            Table("Where a start from the answer goes",
+            Table("Started at the answer, these left it by more than 0.01 mm",
                   ["problem", "solver", "setting", "from the answer [mm]", "after [s]"], biases),
+            tabulate_best(rows, "Heads whose jaw is opened", JAWS),
+            tabulate_best(rows, "The face of an expression", FACES),
             tabulate_series(rows),
             tabulate_spread(rows),
             Table("Claims, as these problems have them", ["claim", "source", "verdict", "figures"], judged),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -26,6 +26,33 @@ SERIES = {
 def tabulate_times(rows: Sequence[Row]) -> Table:
     """Tabulate each solver's processor time from rest to the accuracies."""
     return _tabulate_arrivals(rows, "seconds_to", "Processor time of the solve to an accuracy", " [s]")
+
+
+JAWS = {"14.5 k tets": "head's jaw opened, 14.5 k tets", "58 k tets": "head's jaw opened, 58 k tets"}
+FACES = {
+    "without its membrane": "face posed without its membrane, 14.5 k tets",
+    "by Eq. 15": "face posed by Eq. 15, 14.5 k tets",
+}
+"""Problems of one kind by what differs."""
+
+
+def tabulate_best(rows: Sequence[Row], what: str, cases: Mapping[str, str]) -> Table:
+    """Tabulate each solver's least time with set-up to 0.1 and 0.01 mm and its least error at the end, over settings.
+
+    Solvers that solve none of the problems are left out.
+    """
+    lines = []
+    for solver in dict.fromkeys(row.values["solver"] for row in rows):
+        tenths, hundredths = (find_best(rows, solver, accuracy) for accuracy in (TENTH, HUNDREDTH))
+        own = [row for row in rows if row.values["solver"] == solver and row.values["start"] == REST]
+        line: list = [solver, own[0].values["law"]]
+        for case in cases.values():
+            ends = [row.values["max_mm"] for row in own if row.case == case and row.values["max_mm"] is not None]
+            line += [tenths.get(case), hundredths.get(case), min(ends, default=None)]
+        if any(cell is not None for cell in line[2:]):
+            lines.append(tuple(line))
+    head = [f"{name}: {column}" for name in cases for column in ("to 0.1 mm [s]", "to 0.01 mm [s]", "end [mm]")]
+    return Table(f"{what}: time with set-up, best setting", ["solver", "law", *head], lines)
 
 
 def tabulate_work(rows: Sequence[Row]) -> Table:
