@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats32, Ints, Surface
+from ...lhm.base.mesh import Floats32, Ints
 from ..corpus.reading import Faces
 
 PEOPLE = 32
@@ -23,7 +23,6 @@ class FrameBatch:
     T.
     """
 
-    reference: Surface
     face: Ints
     person: Ints
     codes: Floats32
@@ -93,9 +92,7 @@ class FrameSource:
             blended[of_face] = expression + faces.carried(int(self.face[k]))
             simulated[of_face] = expression + read.corrected.astype(np.float32)
         person = faces.groups[self.face[picked], 0]
-        return FrameBatch(
-            faces.mean, picked, person, self.codes[picked], weights, self.coefficients[picked], blended, simulated
-        )
+        return FrameBatch(picked, person, self.codes[picked], weights, self.coefficients[picked], blended, simulated)
 
     def _read_neutral(self, identity: int) -> tuple[Floats32, np.ndarray]:
         person = self.faces.person(identity)

@@ -2,7 +2,7 @@
 
 | name           | form                                   | protocol                                     |
 |----------------|----------------------------------------|----------------------------------------------|
-| hyper          | the hypernetwork with a table and gains | gradients of some faces first, then skins    |
+| hyper          | the hypernetwork with tables and gains | from a regression on, quick                  |
 | paper          | the hypernetwork as it is printed      | the paper's, 200,000 steps of 128 frames     |
 | softsmpl-small | one perceptron, the paper's widths     | the paper's                                  |
 | softsmpl-large | one perceptron, wider                  | the paper's                                  |
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any
 
@@ -31,6 +31,7 @@ from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
+from .hypernetwork import OFFSETS, RESPONSES
 from .softsmpl import LARGE, SMALL
 from .trainer import (
     Lesson,
@@ -48,27 +49,24 @@ from .weights import TrainingNote, Weights
 FLOOR = 1e-4
 """Added to each squared singular value of a face's edges, relative to their sum: lids that close flatten faces."""
 SAMPLED, JUDGED = 400, 200
-"""Frames by which a training begins, and those of held-out people by which it is judged, at most."""
+"""Frames that tell which vertices stand still, and those of held-out people by which a training is judged, at most."""
+REGRESSED, SPANNED = 400, 64
+"""Faces by whose offsets a training begins, and those of them by whose responses and frames, at most."""
 LEAST_MOTION = 0.02
 """[mm] Added to a frame's own size: a still one must not decide."""
-PENALTY = 1e-2
-"""Of the regression by which z begins, in shares of the mean square of weights."""
+PENALTY = 1e-5
+"""Of the regression on p by which a training begins, per face; parameters are in [-1, 1]."""
 
 
 @dataclass(frozen=True)
 class GradientTraining(TrainerConfig):
-    """Options of one training, each with its reason: those of our hypernetwork.
-
-    It first learns deformation gradients of some faces of the mesh, without a solve, then skins through the transfer.
-    """
+    """Options of one training, each with its reason: those of our hypernetwork."""
 
     form: str = "hypernetwork"
     network: Widths = field(default_factory=lambda: Widths(latent=64, hidden=96, position=48))
-    steps: int = 4000
+    steps: int = 3000
     batch: int = 24  # frames per step; a larger one takes proportionally longer on a CPU
     frames: int = 6  # of one face among these, for which p and h are evaluated once
-    sampled: float = 0.8  # of the steps, first, in gradients of sampled faces: a tenth of the price of a solved one
-    sampled_faces: int = 1200
     fields: bool = True  # faces under p that vary over them teach, too
     in_own_size: bool = True  # errors count in shares of how far a frame is from carried blendshapes
     learning_rate: float = 3e-3
@@ -87,7 +85,7 @@ def follow_paper(form: str, widths: Widths) -> GradientTraining:
     The loss is Eq. 16 alone. Sixteen faces with eight frames each make a batch, since p and h are dear.
     """
     return GradientTraining(
-        form=form, network=widths, steps=200_000, batch=128, frames=8, sampled=0.0, fields=False,
+        form=form, network=widths, steps=200_000, batch=128, frames=8, fields=False,
         in_own_size=False, learning_rate=1e-4, final_rate=5e-5, falls="line", warm_up=1, weight_decay=0.0, clip=None,
         best_by="network",
     )  # fmt: skip
@@ -159,25 +157,62 @@ class GradientLesson(Lesson):
         self.network = self._start(sample, anchors)
         transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
         self.transfer = open_differentiable(transfer, self.device)
-        self.triangles = torch.from_numpy(faces.mean.triangles.copy()).to(self.device)
-        stiffness = transfer.stiffness / faces.mean.areas.sum()
-        self.stiffness = torch.from_numpy(np.asarray(stiffness, dtype=np.float32)).to(self.device)
         held = FrameSource(faces, np.flatnonzero(is_held), fields=config.fields)
         self.judged = self._tensors(held.sample(JUDGED, rng), 1)
-        self.about, self.stages = [f"{len(faces)} faces"], (0.0, config.sampled)
+        self.about = [f"{len(faces)} faces"]
 
     def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
         network = draw_form(self.form, self.config, self.faces.mean, sample.codes.shape[1], self.followed)
-        if "table" in network:
-            table, linear = regress_gradients(sample, self.config.network.latent)
-            network["scale"] = torch.tensor([max(float(np.sqrt(np.mean(table**2))), 1e-9)])
-            network["table"] = torch.from_numpy(table) / network["scale"]
-            network["expression_linear.weight"] = torch.from_numpy(linear)
+        if "responses" in network:
+            network |= self._regress(network)
         network["anchored"][anchors] = 1.0
         network = {name: value.to(self.device) for name, value in network.items()}
         for name, value in network.items():
-            value.requires_grad_(name not in ("scale", *HELD))
+            value.requires_grad_(name not in HELD)
         return network
+
+    def _regress(self, network: Tensors) -> Tensors:
+        """Return tables and W by regression on some faces: what is linear in w, at rest in p, and what is left.
+
+        Fields are found at vertices, where a small error stays one, and then taken to gradients of the mean skin.
+        """
+        rng, latent = np.random.default_rng([self.config.seed, 3]), self.config.network.latent
+        picked = self.training[np.sort(rng.permutation(len(self.training))[:REGRESSED])]
+        spanned = set(rng.permutation(picked)[:SPANNED].tolist())
+        offsets, parameters, sizes, own, responses, remainders = [], [], [], [], [], []
+        for number in picked.tolist():
+            face, frames = self.faces.face(number), self.faces.frames(number)
+            of_shapes = np.asarray(face.responses, dtype=np.float32)
+            sizes.append(_measure(of_shapes).mean() + 1e-9)
+            offsets.append(face.offset.astype(np.float32) - self.faces.carried(number))
+            parameters.append(self.inputs.features.at_vertices(face.coefficients)[:, self.followed])
+            own.append(sizes[-1] + _measure(offsets[-1]) + LEAST_MOTION)
+            if number in spanned:
+                responses.append(of_shapes.reshape(len(of_shapes), -1) / sizes[-1])
+                left = frames.remainder(face)
+                remainders += [*(left / (_measure(left)[:, None, None] + 1e-9)).reshape(len(left), -1)]
+        shapes = np.array(responses)
+        linear = _directions(shapes, latent)
+        along = np.einsum("kj,fjx->fkx", linear, shapes, optimize=True)
+        mean = along.mean(axis=0)
+        tables = np.zeros((RESPONSES, latent, shapes.shape[2]), dtype=np.float32)
+        tables[0, : len(linear)] = mean
+        away = (along - mean).reshape(len(along), -1)
+        for table, found in zip(tables[1:], _spread(away, RESPONSES - 1), strict=True):
+            table[: len(linear)] = found.reshape(mean.shape)
+        tables[0, len(linear) :] = _spread(np.array(remainders), latent - len(linear))
+        at_rest = regress_offsets(np.array(offsets), np.array(parameters), np.array(own))
+        to_gradients = partial(_take_to_gradients, self.faces.mean)
+        typical = float(np.median(sizes))
+        found = {
+            "responses": np.stack([to_gradients(typical * table) for table in tables]).transpose(2, 0, 1, 3),
+            "offsets": to_gradients(at_rest).transpose(1, 0, 2),
+        }
+        scale = max(float(np.sqrt(np.mean(found["responses"] ** 2))), 1e-9)
+        begun = {name: torch.from_numpy(table / scale).reshape(network[name].shape) for name, table in found.items()}
+        weights = torch.zeros(latent, shapes.shape[1])
+        weights[: len(linear)] = torch.from_numpy(linear)
+        return begun | {"scale": torch.tensor([scale]), "expression_linear.weight": weights}
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
         """Weights (g, m, 52), codes (g, c), parameters (g, 1 or faces, k), S and T (g m, n, 3), m frames a face."""
@@ -195,44 +230,16 @@ class GradientLesson(Lesson):
         return np.stack(rows).astype(np.float32)
 
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
-        """Return the mean error of a batch: of gradients at sampled faces at first, then of vertices (Eq. 16) [mm].
-
-        In shares of each frame's own size where the config says so.
-        """
+        """Return the mean error of a batch's vertices (Eq. 16) [mm], or in shares of each frame's own size."""
         config = self.config
         batch = self.source.draw(config.batch // config.frames, config.frames, rng)
         weights, codes, parameters, blended, simulated = self._tensors(batch, config.frames)
-        if done < config.sampled:
-            count = len(self.triangles)
-            chosen = torch.from_numpy(np.sort(rng.permutation(count)[: config.sampled_faces])).to(self.device)
-            gradients = self.form.gradients_at(self.network, weights, codes, parameters, chosen)
-            return self._miss_gradients(gradients.flatten(0, 1), blended, simulated, chosen)
         gradients = self.form.gradients(self.network, weights, codes, parameters).flatten(0, 1)
         delta = self.transfer(gradients, blended)
         error = torch.linalg.vector_norm(delta + blended - simulated, dim=-1).mean(dim=-1)
         if config.in_own_size:
             error = error / (torch.linalg.vector_norm(simulated - blended, dim=-1).mean(dim=-1) + LEAST_MOTION)
         return error.mean()
-
-    def _miss_gradients(self, gradients, blended, simulated, chosen) -> torch.Tensor:
-        """Return the mean over frames of |(J - I) G S - G (T - S)| over |G (T - S)|, of some faces of the mesh.
-
-        It has no degenerate faces, as |J - J*| has.
-        """
-        edges, moved = self._edges(blended, chosen), self._edges(simulated - blended, chosen)
-        missed = self._measure_edges(gradients.unflatten(-1, (3, 3)) @ edges - moved, chosen)
-        size = self._measure_edges(moved, chosen)
-        return (missed / (size + 1e-3 * size.mean())).sqrt().mean()
-
-    def _edges(self, positions, chosen):
-        corners = positions[:, self.triangles[chosen]]
-        return (corners[:, :, 1:] - corners[:, :, :1]).transpose(-1, -2)
-
-    def _measure_edges(self, edges, chosen):
-        """Return Σ |G x|² of frames by the edges of their faces (frames, faces, 3, 2)."""
-        u, v = edges.unbind(-1)
-        c11, c12, c22 = self.stiffness[chosen].unbind(-1)
-        return (c11 * (u * u).sum(-1) + 2.0 * c12 * (u * v).sum(-1) + c22 * (v * v).sum(-1)).sum(-1)
 
     def errors(self) -> dict[str, float]:
         """Return errors on held-out people: of the network and of T = S, carried, [mm], and the network's share."""
@@ -352,17 +359,16 @@ def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> 
     return np.sort(np.concatenate(still))
 
 
-def least_gradients(samples: FrameBatch) -> Floats32:
-    """The smallest J - I per face that takes the edges of S_t to those of T_t, shape (N, faces, 9)."""
-    edges = _edges(samples.blended, samples.reference.triangles)
-    moved = _edges(samples.simulated - samples.blended, samples.reference.triangles)
+def least_gradients(reference: Surface, blended: Floats32, moved: Floats32) -> Floats32:
+    """The smallest J - I per face that takes the edges of S_t to those of S_t + moved_t, shape (N, faces, 9)."""
+    edges, moves = (_edges(positions, reference.triangles) for positions in (blended, moved))
     gram = np.einsum("nfia,nfib->nfab", edges, edges)
     trace = gram[..., 0, 0] + gram[..., 1, 1]
     gram += FLOOR * trace[..., None, None] * np.eye(2, dtype=np.float32)
     a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
     inverse = adjugate / (a * d - b * b)[..., None, None]
-    return np.einsum("nfia,nfab,nfjb->nfij", moved, inverse, edges, optimize=True).reshape(*moved.shape[:2], 9)
+    return np.einsum("nfia,nfab,nfjb->nfij", moves, inverse, edges, optimize=True).reshape(*moves.shape[:2], 9)
 
 
 def _edges(positions: Floats32, triangles) -> Floats32:
@@ -370,34 +376,49 @@ def _edges(positions: Floats32, triangles) -> Floats32:
     return np.ascontiguousarray((corners[:, :, 1:] - corners[:, :, :1]).transpose(0, 1, 3, 2))
 
 
-def principal_gradients(samples: FrameBatch, count: int) -> Floats32:
-    """Area-weighted principal components of `least_gradients`, shape (count, faces, 9).
+def regress_offsets(offsets: Floats32, parameters: Floats32, sizes: Floats32) -> Floats32:
+    """Regress offsets (F, n, 3) on p at each vertex (F, n, k): fields of rest, of p and of what is left, (·, n, 3).
 
-    Each is scaled so that its coefficients over the samples have unit mean square; those beyond the rank are zero.
+    Errors count in shares of the faces' sizes (F,) [mm].
     """
-    gradients = least_gradients(samples)
-    weight = np.sqrt(samples.reference.areas / samples.reference.areas.mean()).astype(np.float32)[:, None]
-    flat = (gradients * weight).reshape(len(samples), -1)
-    size, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
-    table = np.zeros((count, *gradients.shape[1:]), dtype=np.float32)
-    kept = min(count, int(np.count_nonzero(size > 1e-7 * size[-1])))
-    leading = vectors[:, ::-1][:, :kept].T.astype(np.float32)
-    table[:kept] = (leading @ flat).reshape(kept, *gradients.shape[1:]) / weight / np.sqrt(len(samples))
-    return table
+    share = (1.0 / sizes).astype(np.float32)[:, None, None] * np.float32(sizes.mean())
+    factors = np.concatenate([np.ones((*parameters.shape[:2], 1), np.float32), parameters.astype(np.float32)], axis=2)
+    factors, given = factors * share, offsets * share
+    gram = np.einsum("fvk,fvl->vkl", factors, factors, optimize=True)
+    gram += PENALTY * len(offsets) * np.eye(gram.shape[-1], dtype=np.float32)
+    fields = np.linalg.solve(gram, np.einsum("fvk,fvc->vkc", factors, given, optimize=True)).astype(np.float32)
+    left = given - np.einsum("fvk,vkc->fvc", factors, fields, optimize=True)
+    directions = _spread(left.reshape(len(left), -1), OFFSETS).reshape(OFFSETS, *offsets.shape[1:])
+    return np.concatenate([fields.transpose(1, 0, 2), directions])
 
 
-def regress_gradients(samples: FrameBatch, count: int) -> tuple[Floats32, Floats32]:
-    """Regress gradients on w: a table (count, faces, 9) of their principal components, and W (count, 52).
+def _measure(fields: Floats32) -> Floats32:
+    """The mean length (...) of fields (..., n, 3)."""
+    return np.linalg.norm(fields, axis=-1).mean(axis=-1)
 
-    z = W w are a component's coefficients in the samples, by ridge regression.
+
+def _directions(shapes: Floats32, count: int) -> Floats32:
+    """W of one length (k, 52), by which responses (F, 52, 3 n) keep most: each weight's own where `count` allows it."""
+    size = shapes.shape[1]
+    if count >= size:
+        return np.eye(size, dtype=np.float32)
+    gram = sum((each @ each.T for each in shapes), np.zeros((size, size)))
+    return np.linalg.eigh(gram)[1][:, ::-1][:, :count].T.astype(np.float32)
+
+
+def _spread(rows: Floats32, count: int) -> Floats32:
+    """The directions (count, k) along which rows (N, k) are largest, each as long as the rows are along it on average.
+
+    Those beyond their rank are zero.
     """
-    table = principal_gradients(samples, count)
-    flat = table.reshape(count, -1)
-    weight = (samples.reference.areas / samples.reference.areas.mean()).astype(np.float32).repeat(9)
-    gradients = least_gradients(samples).reshape(len(samples), -1)
-    size = np.maximum((flat**2 * weight).sum(axis=1), 1e-12)
-    scores = ((gradients * weight) @ flat.T / size).astype(np.float64)
-    w = samples.weights.astype(np.float64)
-    gram = w.T @ w
-    ridge = PENALTY * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return table, np.linalg.solve(gram + ridge, w.T @ scores).T.astype(np.float32)
+    size, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
+    kept = min(count, int(np.count_nonzero(size > 1e-7 * max(float(size[-1]), 1e-30))))
+    found = np.zeros((count, rows.shape[1]), dtype=np.float32)
+    found[:kept] = vectors[:, ::-1][:, :kept].T.astype(np.float32) @ rows / np.sqrt(len(rows))
+    return found
+
+
+def _take_to_gradients(mean: Surface, fields: Floats32) -> Floats32:
+    """The gradients (N, faces, 9) by which the mean skin moves along fields (N, n, 3) or (N, 3 n) [mm]."""
+    moved = fields.reshape(len(fields), *mean.vertices.shape)
+    return least_gradients(mean, np.broadcast_to(mean.vertices.astype(np.float32), moved.shape), moved)

@@ -27,8 +27,8 @@ from .layers import Arrays, check_network, layer_shapes
 
 Bound = Callable[[Floats32], tuple[Floats32, Floats32]]
 """L (faces, 9, k) and z (k,), with J - I = z L, for weights (52,)."""
-HELD = ("followed", "anchored")
-"""Arrays of every form that are not trained: which of STATIC it follows, and which vertices the transfer holds."""
+HELD = ("followed", "anchored", "responses", "scale")
+"""Arrays that are not trained: which of STATIC a form follows, which vertices the transfer holds, tables as found."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,6 @@ class GradientForm(ABC):
 
         Where fields are followed, parameters may be (g, faces, k).
         """
-
-    def gradients_at(self, network: Arrays, weights: Any, code: Any, parameters: Any, faces: Any) -> Any:
-        """Return `gradients` at some faces of the mesh, by their numbers."""
-        return self.gradients(network, weights, code, parameters)[:, :, faces]
 
     @abstractmethod
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:

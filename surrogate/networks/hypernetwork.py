@@ -2,9 +2,10 @@
 
 The printed form is Eq. 18 and 19 and nothing else: two perceptrons and a trained table π.
 
-Ours has L_i = exp(g_i) ⊙ B_i + A_i: a table B of the corpus' principal deformation gradients, and gains and additions
-of one perceptron of (p_i, h, π(i)), since answers scale with powers of stiffness ratios, and p may vary over the face.
-z = f_w(w) + W w. Table and W begin by regression, so that training begins at what is linear in w.
+Ours has J_i - I = O_i + z L_i: O_i is what p does to the face at rest, L_i what it makes of expressions. Both are sums
+of tables of each mesh face. Their factors are what one perceptron makes of (p_i, h, π(i)), and for O also p_i itself;
+its gains multiply L. So p may vary over the face. z = f_w(w) + W w. Tables and W begin by regression on the corpus'
+faces, at what is linear in w and, at rest, in p; L's tables stay as they are.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats32
 from ..rigs.rig import WEIGHTS
 from .gradients import Bound, GradientForm, Sizes
-from .layers import EVERY, Arrays, einsum, elu, exp, linear, perceptron, perceptron_layers
+from .layers import Arrays, einsum, elu, exp, linear, perceptron, perceptron_layers
 
 
 class PrintedHypernetwork(GradientForm):
@@ -60,12 +61,19 @@ def _list_printed_features(network: Arrays, code, parameters):
     return elu(perceptron(network, "middle", elu(first), elu))
 
 
+RESPONSES, OFFSETS = 5, 8
+"""Tables of L, of which the first has factor 1, and those of O beside that of rest and those of p."""
+
+
 class Hypernetwork(GradientForm):
-    """Ours: z with a part that is linear in w, and a table whose gains and additions follow p and h at each face."""
+    """Ours: z with a part that is linear in w, and tables whose factors follow p and h at each face."""
 
     kind = "hypernetwork"
-    without_bias = ("expression_linear", "from_position", "from_code", "last")
-    quiet = {"expression.4.weight": 0.1, "last.weight": 0.0, "gain.weight": 0.1, "gain.bias": 0.0}
+    without_bias = ("expression_linear", "from_position", "from_code")
+    quiet = {
+        "expression.4.weight": 0.1, "expression.4.bias": 0.0,
+        "gain.weight": 0.1, "gain.bias": 0.0, "mixing.weight": 0.1, "mixing.bias": 0.0,
+    }  # fmt: skip
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
         """See `GradientForm`. Most of what tissue does is linear in the weights."""
@@ -80,26 +88,29 @@ class Hypernetwork(GradientForm):
             "from_parameters": (hidden, sizes.parameters),
             "middle": (hidden, hidden),
             "gain": (widths.latent, hidden),
-            "last": (9 * widths.latent, hidden),
+            "mixing": (RESPONSES - 1 + OFFSETS, hidden),
         }
 
     def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-        """See `GradientForm`. scale: the table's size, by which Adam steps all weights alike."""
-        return {"table": (sizes.widths.latent, sizes.faces, 9), **super().tables(sizes), "scale": (1,)}
+        """See `GradientForm`. scale: the tables' size, by which Adam steps all weights alike."""
+        return {
+            "responses": (sizes.faces, RESPONSES, sizes.widths.latent * 9),
+            "offsets": (sizes.faces, 1 + sizes.parameters + OFFSETS, 9),
+            **super().tables(sizes),
+            "scale": (1,),
+        }
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""
-        return self.gradients_at(network, weights, code, parameters, EVERY)
-
-    def gradients_at(self, network: Arrays, weights, code, parameters, faces):
-        """See `GradientForm`: no other face is evaluated."""
-        there = parameters if parameters.shape[1] == 1 else parameters[:, faces]
-        return einsum("gml,gflc->gmfc", _latent(network, weights), _local(network, code[:, None], there, faces))
+        offsets, latents = _local(network, code[:, None], parameters)
+        return offsets[:, None] + einsum("gml,gflc->gmfc", _latent(network, weights), latents)
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
-        """See `GradientForm`: L is all of it."""
-        latents = np.ascontiguousarray(_local(network, code, parameters, EVERY).swapaxes(-1, -2))
-        return lambda weights: (latents, _latent(network, weights))
+        """See `GradientForm`: O and L are all of it, and z begins with O's 1."""
+        offsets, latents = _local(network, code, np.atleast_2d(parameters))
+        both = np.concatenate([offsets[..., None], latents.swapaxes(-1, -2)], axis=-1)
+        one = np.ones(1, dtype=np.float32)
+        return lambda weights: (both, np.concatenate([one, _latent(network, weights)]))
 
 
 def _latent(network: Arrays, weights):
@@ -107,13 +118,16 @@ def _latent(network: Arrays, weights):
     return perceptron(network, "expression", weights, elu) + weights @ network["expression_linear.weight"].T
 
 
-def _local(network: Arrays, code, parameters, faces):
-    """Return L at some faces, shape (..., faces, latent, 9), of codes (..., c) and parameters (..., k)."""
-    first = network["position"][faces] @ network["from_position.weight"].T
+def _local(network: Arrays, code, parameters):
+    """Return O (..., faces, 9) and L (..., faces, latent, 9) of codes (..., c) and parameters (..., 1 or faces, k)."""
+    first = network["position"] @ network["from_position.weight"].T
     first = first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))
     hidden = elu(first)
     hidden = hidden + elu(linear(network, "middle", hidden))
-    gains = exp(linear(network, "gain", hidden))
-    added = hidden @ network["last.weight"].T
-    table = network["table"][:, faces].swapaxes(0, 1)
-    return network["scale"] * (gains[..., None] * table + added.reshape(*gains.shape, 9))
+    gains, mixing = exp(linear(network, "gain", hidden)), linear(network, "mixing", hidden)
+    tables, offsets, size = network["responses"], network["offsets"], 1 + parameters.shape[-1]
+    mixed = tables[:, 0] + einsum("...fm,fmk->...fk", mixing[..., : RESPONSES - 1], tables[:, 1:])
+    rest = offsets[:, 0] + einsum("...fm,fmk->...fk", parameters, offsets[:, 1:size])
+    rest = rest + einsum("...fm,fmk->...fk", mixing[..., RESPONSES - 1 :], offsets[:, size:])
+    scale = network["scale"]
+    return scale * rest, scale * gains[..., None] * mixed.reshape(*gains.shape, 9)

@@ -8,7 +8,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -68,8 +67,6 @@ class Lesson(ABC):
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
     about: Sequence[str] = ()
     """What a kept state has to be of."""
-    stages: Sequence[float] = (0.0,)
-    """Shares of all steps with which stages begin, whose steps take longer, or less long."""
     renewed: int = 0
     """Steps from one `renew` to the next; 0: there is none."""
 
@@ -206,19 +203,15 @@ TRIED = range(5)
 
 
 def count_steps(lesson: Lesson, hours: float) -> int:
-    """Count the steps that fit into processor hours, validation aside, by how long some of each stage take."""
-    seconds = 0.0
-    for begin, end in pairwise([*lesson.stages, 1.0]):
-        if end > begin:
-            times = [_time(partial(_descend, lesson, begin)) for _ in TRIED]
-            seconds += (end - begin) * float(np.median(times))
+    """Count the steps that fit into processor hours, validation aside, by how long some take."""
+    seconds = float(np.median([_time(partial(_descend, lesson)) for _ in TRIED]))
     if lesson.renewed:
         seconds += _time(lambda: lesson.renew(0)) / lesson.renewed
     return max(1, int(3600.0 * hours / seconds))
 
 
-def _descend(lesson: Lesson, done: float) -> None:
-    lesson.loss(done, np.random.default_rng(0)).backward()
+def _descend(lesson: Lesson) -> None:
+    lesson.loss(0.0, np.random.default_rng(0)).backward()
 
 
 def _time(call: Callable[[], object]) -> float:
