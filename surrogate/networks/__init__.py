@@ -14,6 +14,6 @@
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
 
-`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and
-`frames` the batches.
+`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained,
+`gradient_start` where our hypernetwork begins, and `frames` the batches.
 """

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from os import PathLike
 from typing import Any
 
@@ -30,8 +30,8 @@ from ..corpus.reading import Faces
 from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
+from .gradient_start import LEAST_MOTION, regress
 from .gradients import HELD, GradientForm, Sizes, Widths
-from .hypernetwork import OFFSETS, RESPONSES
 from .softsmpl import LARGE, SMALL
 from .trainer import (
     Lesson,
@@ -46,16 +46,8 @@ from .trainer import (
 )
 from .weights import TrainingNote, Weights
 
-FLOOR = 1e-4
-"""Added to each squared singular value of a face's edges, relative to their sum: lids that close flatten faces."""
 SAMPLED, JUDGED = 400, 200
 """Frames that tell which vertices stand still, and those of held-out people by which a training is judged, at most."""
-REGRESSED, SPANNED = 400, 64
-"""Faces by whose offsets a training begins, and those of them by whose responses and frames, at most."""
-LEAST_MOTION = 0.02
-"""[mm] Added to a frame's own size: a still one must not decide."""
-PENALTY = 1e-5
-"""Of the regression on p by which a training begins, per face; parameters are in [-1, 1]."""
 
 
 @dataclass(frozen=True)
@@ -162,57 +154,17 @@ class GradientLesson(Lesson):
         self.about = [f"{len(faces)} faces"]
 
     def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
-        network = draw_form(self.form, self.config, self.faces.mean, sample.codes.shape[1], self.followed)
+        config = self.config
+        network = draw_form(self.form, config, self.faces.mean, sample.codes.shape[1], self.followed)
         if "responses" in network:
-            network |= self._regress(network)
+            rng, parameters = np.random.default_rng([config.seed, 3]), self.inputs.features.at_vertices
+            begun = regress(self.faces, self.training, parameters, self.followed, config.network.latent, rng)
+            network |= {name: torch.from_numpy(value).reshape(network[name].shape) for name, value in begun.items()}
         network["anchored"][anchors] = 1.0
         network = {name: value.to(self.device) for name, value in network.items()}
         for name, value in network.items():
             value.requires_grad_(name not in HELD)
         return network
-
-    def _regress(self, network: Tensors) -> Tensors:
-        """Return tables and W by regression on some faces: what is linear in w, at rest in p, and what is left.
-
-        Fields are found at vertices, where a small error stays one, and then taken to gradients of the mean skin.
-        """
-        rng, latent = np.random.default_rng([self.config.seed, 3]), self.config.network.latent
-        picked = self.training[np.sort(rng.permutation(len(self.training))[:REGRESSED])]
-        spanned = set(rng.permutation(picked)[:SPANNED].tolist())
-        offsets, parameters, sizes, own, responses, remainders = [], [], [], [], [], []
-        for number in picked.tolist():
-            face, frames = self.faces.face(number), self.faces.frames(number)
-            of_shapes = np.asarray(face.responses, dtype=np.float32)
-            sizes.append(_measure(of_shapes).mean() + 1e-9)
-            offsets.append(face.offset.astype(np.float32) - self.faces.carried(number))
-            parameters.append(self.inputs.features.at_vertices(face.coefficients)[:, self.followed])
-            own.append(sizes[-1] + _measure(offsets[-1]) + LEAST_MOTION)
-            if number in spanned:
-                responses.append(of_shapes.reshape(len(of_shapes), -1) / sizes[-1])
-                left = frames.remainder(face)
-                remainders += [*(left / (_measure(left)[:, None, None] + 1e-9)).reshape(len(left), -1)]
-        shapes = np.array(responses)
-        linear = _directions(shapes, latent)
-        along = np.einsum("kj,fjx->fkx", linear, shapes, optimize=True)
-        mean = along.mean(axis=0)
-        tables = np.zeros((RESPONSES, latent, shapes.shape[2]), dtype=np.float32)
-        tables[0, : len(linear)] = mean
-        away = (along - mean).reshape(len(along), -1)
-        for table, found in zip(tables[1:], _spread(away, RESPONSES - 1), strict=True):
-            table[: len(linear)] = found.reshape(mean.shape)
-        tables[0, len(linear) :] = _spread(np.array(remainders), latent - len(linear))
-        at_rest = regress_offsets(np.array(offsets), np.array(parameters), np.array(own))
-        to_gradients = partial(_take_to_gradients, self.faces.mean)
-        typical = float(np.median(sizes))
-        found = {
-            "responses": np.stack([to_gradients(typical * table) for table in tables]).transpose(2, 0, 1, 3),
-            "offsets": to_gradients(at_rest).transpose(1, 0, 2),
-        }
-        scale = max(float(np.sqrt(np.mean(found["responses"] ** 2))), 1e-9)
-        begun = {name: torch.from_numpy(table / scale).reshape(network[name].shape) for name, table in found.items()}
-        weights = torch.zeros(latent, shapes.shape[1])
-        weights[: len(linear)] = torch.from_numpy(linear)
-        return begun | {"scale": torch.tensor([scale]), "expression_linear.weight": weights}
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
         """Weights (g, m, 52), codes (g, c), parameters (g, 1 or faces, k), S and T (g m, n, 3), m frames a face."""
@@ -357,68 +309,3 @@ def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> 
         members = np.flatnonzero(part == number)
         still.append(members[np.argsort(motion[members], kind="stable")[: max(1, round(share * len(members)))]])
     return np.sort(np.concatenate(still))
-
-
-def least_gradients(reference: Surface, blended: Floats32, moved: Floats32) -> Floats32:
-    """The smallest J - I per face that takes the edges of S_t to those of S_t + moved_t, shape (N, faces, 9)."""
-    edges, moves = (_edges(positions, reference.triangles) for positions in (blended, moved))
-    gram = np.einsum("nfia,nfib->nfab", edges, edges)
-    trace = gram[..., 0, 0] + gram[..., 1, 1]
-    gram += FLOOR * trace[..., None, None] * np.eye(2, dtype=np.float32)
-    a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
-    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
-    inverse = adjugate / (a * d - b * b)[..., None, None]
-    return np.einsum("nfia,nfab,nfjb->nfij", moves, inverse, edges, optimize=True).reshape(*moves.shape[:2], 9)
-
-
-def _edges(positions: Floats32, triangles) -> Floats32:
-    corners = positions[:, triangles]
-    return np.ascontiguousarray((corners[:, :, 1:] - corners[:, :, :1]).transpose(0, 1, 3, 2))
-
-
-def regress_offsets(offsets: Floats32, parameters: Floats32, sizes: Floats32) -> Floats32:
-    """Regress offsets (F, n, 3) on p at each vertex (F, n, k): fields of rest, of p and of what is left, (·, n, 3).
-
-    Errors count in shares of the faces' sizes (F,) [mm].
-    """
-    share = (1.0 / sizes).astype(np.float32)[:, None, None] * np.float32(sizes.mean())
-    factors = np.concatenate([np.ones((*parameters.shape[:2], 1), np.float32), parameters.astype(np.float32)], axis=2)
-    factors, given = factors * share, offsets * share
-    gram = np.einsum("fvk,fvl->vkl", factors, factors, optimize=True)
-    gram += PENALTY * len(offsets) * np.eye(gram.shape[-1], dtype=np.float32)
-    fields = np.linalg.solve(gram, np.einsum("fvk,fvc->vkc", factors, given, optimize=True)).astype(np.float32)
-    left = given - np.einsum("fvk,vkc->fvc", factors, fields, optimize=True)
-    directions = _spread(left.reshape(len(left), -1), OFFSETS).reshape(OFFSETS, *offsets.shape[1:])
-    return np.concatenate([fields.transpose(1, 0, 2), directions])
-
-
-def _measure(fields: Floats32) -> Floats32:
-    """The mean length (...) of fields (..., n, 3)."""
-    return np.linalg.norm(fields, axis=-1).mean(axis=-1)
-
-
-def _directions(shapes: Floats32, count: int) -> Floats32:
-    """W of one length (k, 52), by which responses (F, 52, 3 n) keep most: each weight's own where `count` allows it."""
-    size = shapes.shape[1]
-    if count >= size:
-        return np.eye(size, dtype=np.float32)
-    gram = sum((each @ each.T for each in shapes), np.zeros((size, size)))
-    return np.linalg.eigh(gram)[1][:, ::-1][:, :count].T.astype(np.float32)
-
-
-def _spread(rows: Floats32, count: int) -> Floats32:
-    """The directions (count, k) along which rows (N, k) are largest, each as long as the rows are along it on average.
-
-    Those beyond their rank are zero.
-    """
-    size, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
-    kept = min(count, int(np.count_nonzero(size > 1e-7 * max(float(size[-1]), 1e-30))))
-    found = np.zeros((count, rows.shape[1]), dtype=np.float32)
-    found[:kept] = vectors[:, ::-1][:, :kept].T.astype(np.float32) @ rows / np.sqrt(len(rows))
-    return found
-
-
-def _take_to_gradients(mean: Surface, fields: Floats32) -> Floats32:
-    """The gradients (N, faces, 9) by which the mean skin moves along fields (N, n, 3) or (N, 3 n) [mm]."""
-    moved = fields.reshape(len(fields), *mean.vertices.shape)
-    return least_gradients(mean, np.broadcast_to(mean.vertices.astype(np.float32), moved.shape), moved)

@@ -25,14 +25,13 @@ from softdeca.surrogate.methods import BLENDSHAPES, METHODS, NETWORK, ready_meth
 from softdeca.surrogate.networks import gradient_training
 from softdeca.surrogate.networks.forms import FORMS
 from softdeca.surrogate.networks.frames import FrameSource
+from softdeca.surrogate.networks.gradient_start import least_gradients, regress_offsets
 from softdeca.surrogate.networks.gradient_training import (
     NETWORKS,
     DenseTransfer,
     GradientLesson,
     GradientTraining,
     SparseTransfer,
-    least_gradients,
-    regress_offsets,
     still_vertices,
     train_gradients,
 )
@@ -122,11 +121,11 @@ def test_offsets_are_regressed_on_p_at_each_vertex():
     rng = np.random.default_rng(0)
     p, fields, rest = rng.uniform(-1.0, 1.0, (40, 7, 2)), rng.normal(size=(3, 7, 3)), rng.normal(size=(7, 3))
     linear = fields[0] + np.einsum("fvk,kvc->fvc", p, fields[1:])
-    found = regress_offsets(linear.astype(np.float32), p.astype(np.float32), np.ones(40, np.float32))
+    found = regress_offsets(linear.astype(np.float32), p.astype(np.float32), np.ones(40, np.float32), rng)
     np.testing.assert_allclose(found[:3], fields, atol=1e-3)
     assert np.abs(found[3:]).max() < 1e-3
     swayed = linear + rng.choice([-1.0, 1.0], 40)[:, None, None] * rest
-    found = regress_offsets(swayed.astype(np.float32), p.astype(np.float32), np.ones(40, np.float32))
+    found = regress_offsets(swayed.astype(np.float32), p.astype(np.float32), np.ones(40, np.float32), rng)
     assert abs(np.sum(found[3] * rest)) > 0.95 * np.linalg.norm(found[3]) * np.linalg.norm(rest)
 
 
