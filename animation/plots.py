@@ -28,12 +28,12 @@ _narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 
 def draw_learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
-    """Draw each point of a training, errors in mm, against steps: PNG."""
+    """Draw each point of a training, errors in mm, against steps: PNG. Numbers that some points lack have gaps."""
     figure, axis = subplots(figsize=(6, 3.4))
-    steps = [point["step"] for point in curve]
-    for name in curve[0]:
-        if name not in ("step", "seconds"):
-            axis.plot(steps, [point[name] for point in curve], label=name.replace("_mm", "").replace("_", " "))
+    named = {name for point in curve for name in point} - {"step", "seconds"}
+    for name in sorted(named):
+        points = [(point["step"], point[name]) for point in curve if name in point]
+        axis.plot(*zip(*points, strict=True), label=name.replace("_mm", "").replace("_", " "))
     axis.set(xlabel="step", ylabel="mean vertex error [mm]", yscale="log")
     axis.legend()
     return to_png(figure)

@@ -32,7 +32,7 @@ from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
-from .networks.response_tables import expand
+from .networks.tables import Tables, expand
 from .networks.weights import Weights
 from .rigs.baked import compress
 from .rigs.bound import BoundSurrogate
@@ -213,7 +213,7 @@ class Surrogate:
                 form, self.weights.network, self._transfer, code, at_vertices, skin, carried, shapes, swing
             )
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            modes = self._find_modes(skin, code, at_vertices, shapes)
+            modes = self._find_modes(code, at_vertices, shapes)
             if simulated is not None:
                 offset, responses = simulated.offset, simulated.responses
                 modes = replace(modes, offset=offset.astype(np.float32), responses=responses.astype(np.float32))
@@ -226,10 +226,10 @@ class Surrogate:
             )
         return rig
 
-    def _find_modes(self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32) -> FaceModes:
+    def _find_modes(self, code: Floats, at_vertices: Floats, shapes: Floats32) -> FaceModes:
         """Return what the network gives for a face, in few modes; InputError unless it is finite."""
         features = self.inputs.features
-        modes = bind_modal(self.weights.network, self._tables, features, code, skin.vertices, at_vertices, shapes)
+        modes = bind_modal(self.weights.network, self._tables, features, code, at_vertices, shapes)
         try:
             modes = compress(_check_finite(modes))
         except np.linalg.LinAlgError:
@@ -237,8 +237,8 @@ class Surrogate:
         return _check_finite(modes)
 
     @cached_property
-    def _tables(self) -> Floats32:
-        """The responses' tables, which a file has in bytes; a tenth of a second."""
+    def _tables(self) -> Tables:
+        """The tables of responses and offset, which a file has in bytes; a tenth of a second."""
         return expand(self.weights.network)
 
     @cached_property

@@ -224,6 +224,11 @@ class Faces:
         """The name of the people's space."""
         return self._table.corpus.space
 
+    @property
+    def has_frames(self) -> bool:
+        """Whether static frames were planned; preset "faces" has none."""
+        return self._table.corpus.plan.frames > 0
+
     def code(self, index: int) -> Floats:
         """Return the code (c,) of a face's person."""
         return np.asarray(self._table.described(index)["code"], dtype=np.float64)

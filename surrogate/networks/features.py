@@ -39,15 +39,11 @@ _PARALYSES = STATIC.index("paralysis_left"), STATIC.index("paralysis_right")
 _GRAVITY = tuple(STATIC.index(name) for name in ("gravity", "gravity_x", "gravity_y", "gravity_z"))
 _THERE = tuple(STATIC.index(name) for name in GROWING)
 _BONES = tuple(STATIC.index(f"{bone}_scale_{axis}") for bone in ("mandible", "cranium") for axis in "xyz")
-_MOVING = _THERE + _GRAVITY + _BONES
-"""What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
 GIVE = -1
 """The column of `local` that holds `give`."""
-EFFECTS = len(_THERE) + 2 * len(_BONES) + 3
+EFFECTS, BONES = len(_THERE) + len(_BONES) + 3, len(_BONES)
 WIDENED = 0.05
 """By which ranges that training saw are widened, of parameters mapped to [-1, 1]."""
-LIKENESS = 10.0
-"""[mm] By which people's skins differ from the mean, about."""
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
 _SWAPPED = [STATIC.index(_OTHER.get(name, name)) for name in STATIC]
@@ -141,27 +137,20 @@ class Features:
         paralyses = (_INFOS[STATIC[column]].denormalise(at_vertices[:, column]) for column in _PARALYSES)
         return soft / (soft + DEPTH * target * activation_share(self._left, *paralyses))
 
-    def effects(self, at_vertices: Floats, skin: Floats) -> Floats32:
+    def bones(self, at_vertices: Floats) -> Floats32:
+        """By how much each bone is scaled along each axis, shape (BONES,), zero at the defaults."""
+        columns = list(_BONES)
+        return (at_vertices[0, columns] - _DEFAULTS[columns]).astype(np.float32)
+
+    def effects(self, at_vertices: Floats) -> Floats32:
         """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.
 
-        Volumes and growth there, bones' scales, the same times how far the person's neutral skin (n, 3) [mm], moved
-        onto the mean, is from it along the scaled axis, and added gravity over soft tissue's stiffness there: to first
-        order a neutral face answers to these.
+        Volumes and growth there, bones' scales, and added gravity over soft tissue's stiffness there: to first order a
+        neutral face answers to these.
         """
         change = at_vertices - _DEFAULTS
-        bones = change[:, list(_BONES)]
-        apart = skin - self.mean.vertices
-        likeness = np.tile((apart - apart.mean(axis=0)) / LIKENESS, len(_BONES) // 3)
         gravity = _add_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
-        return np.hstack([change[:, list(_THERE)], bones, bones * likeness, gravity]).astype(np.float32)
-
-    def unmoved(self, at_vertices: Floats) -> Floats:
-        """The same materials with nothing that moves a neutral face."""
-        return _subtract_default(at_vertices, _MOVING)
-
-    def without_palsy(self, at_vertices: Floats) -> Floats:
-        """The same face with both halves at work, as it settles: a palsy takes no part in that."""
-        return _subtract_default(at_vertices, _PARALYSES)
+        return np.hstack([change[:, [*_THERE, *_BONES]], gravity]).astype(np.float32)
 
 
 def normalise_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
@@ -217,12 +206,6 @@ def seen_ranges(faces: Faces, chosen: Ints, features: Features) -> dict[str, tup
     widened = np.where(high > low, WIDENED, 0.0)
     low, high = np.maximum(low - widened, -1.0), np.minimum(high + widened, 1.0)
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}
-
-
-def _subtract_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:
-    changed = np.array(at_vertices)
-    changed[:, list(columns)] = _DEFAULTS[list(columns)]
-    return changed
 
 
 def _softness(normalised):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -18,20 +18,12 @@ from ..corpus.reading import Faces
 from ..corpus.surface_hash import surface_hash
 from .features import Features, Inputs
 from .layers import EVERY
-from .trainer import hold_out_people, torch
+from .trainer import hold_out_people
 from .weights import Weights
 
 LEAST_PEOPLE = 10
 LOPSIDED = 0.05
 """Share of a face's shapes by which their mirror images may miss them, for the mirrored face to be one, too."""
-
-
-class NeutralMotion(NamedTuple):
-    """How far a neutral skin goes under p: p at the vertices (n, P), skin and displacement (n, 3) [mm]."""
-
-    parameters: Floats
-    skin: Floats
-    displacement: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,38 +46,27 @@ class LessonFace:
         return self.features.mirror_parameters(values) if self.is_mirrored else values
 
     @property
-    def skin(self) -> Floats:
-        """The neutral skin without p [mm], shape (n, 3)."""
-        return self._turn(self.kept.skin.vertices)
+    def offset(self) -> Floats32:
+        """T - S at w = 0 [mm], shape (n, 3)."""
+        return self._turn(self.kept.offset.astype(np.float32))
 
-    def shapes_at(self, vertices: Any = EVERY) -> Floats32:
+    @property
+    def carried(self) -> Floats32:
+        """How far scaled bones carry the neutral skin [mm], shape (n, 3)."""
+        return self._turn(self.kept.carried)
+
+    def shapes_at(self, vertices: Any = EVERY) -> np.ndarray:
         """What the 52 weights add to the skin at some vertices [mm], shape (52, v, 3)."""
         return self._turn_shapes(self.kept.shapes, vertices)
 
-    @property
-    def offset(self) -> np.ndarray:
-        """T - S at w = 0 [mm], shape (n, 3)."""
-        return self._turn(self.kept.offset)
-
-    def responses_at(self, vertices: Any = EVERY) -> Floats32:
+    def responses_at(self, vertices: Any = EVERY) -> np.ndarray:
         """The derivatives of T - S by weights at some vertices [mm], shape (52, v, 3)."""
         return self._turn_shapes(self.kept.responses, vertices)
 
     @property
-    def responses(self) -> Floats32:
+    def responses(self) -> np.ndarray:
         """The derivatives of T - S by weights [mm], shape (52, n, 3)."""
         return self.responses_at()
-
-    @property
-    def settling(self) -> NeutralMotion:
-        """How it settles, where a palsy does nothing."""
-        displacement = self._turn(self.kept.displacement)
-        return NeutralMotion(self.features.without_palsy(self.parameters), self.skin, displacement)
-
-    @property
-    def relaxing(self) -> NeutralMotion:
-        """How the settled face relaxes among its targets."""
-        return NeutralMotion(self.parameters, self.skin, self._turn(self.kept.relaxed))
 
     def see(self, frames: Frames) -> Frames:
         """Return frames of the kept face as this face shows them."""
@@ -96,25 +77,71 @@ class LessonFace:
     def _turn(self, move: np.ndarray) -> np.ndarray:
         return self.features.mirror_move(move) if self.is_mirrored else move
 
-    def _turn_shapes(self, shapes: np.ndarray, vertices: Any) -> Floats32:
+    def _turn_shapes(self, shapes: np.ndarray, vertices: Any) -> np.ndarray:
         if not self.is_mirrored:
-            return np.asarray(shapes[:, vertices], dtype=np.float32)
-        return self.features.mirror_shapes(shapes, vertices).astype(np.float32)
+            return np.asarray(shapes[:, vertices])
+        return self.features.mirror_shapes(shapes, vertices)
+
+
+class FaceArrays(NamedTuple):
+    """Faces at some vertices, as tables learn from them: arrays of numpy, or torch's tensors.
+
+    codes (b, c), normalised; bones (b, BONES); sizes (b, 2) [mm]: how far a face moves beyond what bones carry, and how
+    large its responses are. Local features (b, v, f); effects (b, v, EFFECTS); how far bones carry vertices and how
+    far physics moves them beyond (b, v, 3); responses and shapes (b, v, 52, 3), in half precision.
+    """
+
+    codes: Any
+    bones: Any
+    sizes: Any
+    local: Any
+    effects: Any
+    carried: Any
+    beyond: Any
+    responses: Any
+    shapes: Any
+
+    def take(self, rows: Ints, places: Any = None) -> FaceArrays:
+        """Take some faces, at some of their vertices."""
+        of_faces, at_vertices = self[:3], self[3:]
+        picked = (rows,) if places is None else (rows[:, None], places)
+        return FaceArrays(*(array[rows] for array in of_faces), *(array[picked] for array in at_vertices))
+
+
+def read_arrays(faces: Sequence[LessonFace], inputs: Inputs, vertices: Any = EVERY) -> FaceArrays:
+    """Read what tables learn from faces at some vertices."""
+    features, rows = inputs.features, []
+    for face in faces:
+        beyond, responses = face.offset - face.carried, face.responses_at(vertices).astype(np.float16)
+        fields = beyond, responses.astype(np.float32)
+        rows.append((
+            inputs.code(face.code).astype(np.float32),
+            features.bones(face.parameters),
+            np.array([np.linalg.norm(field, axis=-1).mean() for field in fields], dtype=np.float32),
+            features.local(face.parameters)[vertices],
+            features.effects(face.parameters)[vertices],
+            face.carried[vertices],
+            beyond[vertices],
+            responses.transpose(1, 0, 2),
+            face.shapes_at(vertices).astype(np.float16).transpose(1, 0, 2),
+        ))  # fmt: skip
+    return FaceArrays(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
 class LessonFaces:
     """A corpus' faces, divided by people, and how a network is given them.
 
-    training and validation are numbers of faces with frames; held_out (k,) are the people of validation. `more`, where
-    given, are faces without frames. `has_mirror`: whether a mirrored face is one, too, and teaches as well.
+    training and held (F,) are numbers of its faces; held_out (k,) are the people whose faces are held. `more`, where
+    given, are faces of which frames are not asked. `has_mirror`: whether a mirrored face is one, too, and teaches as
+    well.
     """
 
     corpus: Faces
     more: Faces | None
     inputs: Inputs
     training: Ints
-    validation: Ints
+    held: Ints
     held_out: Ints
     has_mirror: bool
 
@@ -126,16 +153,14 @@ class LessonFaces:
         start: Weights | None,
         *,
         validation_share: float,
-        frames: int,
         rng: np.random.Generator,
     ) -> LessonFaces:
-        """Hold out a share of people; faces of fewer than `frames` frames are left out.
+        """Hold out a share of people. Inputs are scaled as those of `start`, where given.
 
-        Inputs are scaled as those of `start`, where given. Raises InputError for fewer than ten people, more faces of
-        another mesh, and faces that all have too few frames.
+        Raises InputError for fewer than ten people, and more faces of another mesh.
         """
         if more is not None and surface_hash(more.mean) != surface_hash(corpus.mean):
-            raise InputError("training: the faces without frames are of another space or level than the corpus")
+            raise InputError("training: the second corpus is of another space or level than the first")
         people = np.unique(corpus.groups[:, 0])
         if len(people) < LEAST_PEOPLE:
             raise InputError(
@@ -144,14 +169,10 @@ class LessonFaces:
             )
         held_out = hold_out_people(people, validation_share, rng)
         is_held_out = np.isin(corpus.groups[:, 0], held_out)
-        has_frames = np.array([len(rows) >= frames for rows in corpus.frames_of])
-        training, validation = np.flatnonzero(~is_held_out & has_frames), np.flatnonzero(is_held_out & has_frames)
-        if not len(training) or not len(validation):
-            most = max(map(len, corpus.frames_of), default=0)
-            raise InputError(f"training: a step draws {frames} frames of a face, and faces have at most {most}")
+        training, held = np.flatnonzero(~is_held_out), np.flatnonzero(is_held_out)
         inputs = Inputs.from_faces(corpus) if start is None else Inputs.from_weights(start)
         has_mirror = _is_mirrored(corpus.face(int(training[0])), inputs.features)
-        return cls(corpus, more, inputs, training, validation, held_out, has_mirror)
+        return cls(corpus, more, inputs, training, held, held_out, has_mirror)
 
     @property
     def features(self) -> Features:
@@ -168,22 +189,34 @@ class LessonFaces:
         """Numbers of an identity code, with which a summary begins."""
         return len(self.inputs.code_mean)
 
+    @property
+    def count(self) -> int:
+        """How many faces teach tables."""
+        return len(self.training) + len(self.more or ())
+
     def draw_sides(self, faces: Sequence[KeptFace], rng: np.random.Generator) -> list[LessonFace]:
         """Show each face as it is or mirrored, at random."""
         sides = self.has_mirror & (rng.random(len(faces)) < 0.5)
         return [LessonFace(face, self.features, bool(side)) for face, side in zip(faces, sides, strict=True)]
 
-    def both_sides(self, face: KeptFace) -> list[LessonFace]:
-        """Show a face as it is and, where that is a face, mirrored."""
-        return [LessonFace(face, self.features, side) for side in (False, True)[: 1 + self.has_mirror]]
-
-    def faces(self, numbers: Sequence[int] | Ints) -> list[KeptFace]:
+    def faces(self, numbers: Iterable[int]) -> list[KeptFace]:
         """Read faces of the corpus."""
         return [self.corpus.face(int(number)) for number in numbers]
 
-    def more_faces(self, numbers: Sequence[int] | Ints) -> list[KeptFace]:
-        """Read faces of `more`; none where there are none."""
-        return [] if self.more is None else [self.more.face(int(number)) for number in numbers]
+    def read_teaching(self, each: int, vertices: Any = EVERY) -> Iterator[FaceArrays]:
+        """Read all faces that teach tables, so many at a time, each as it is and, where that is a face, mirrored."""
+        numbers = [(self.corpus, number) for number in self.training.tolist()]
+        if self.more is not None:
+            numbers += [(self.more, number) for number in range(len(self.more))]
+        sides = (False, True)[: 1 + self.has_mirror]
+        for first in range(0, len(numbers), each):
+            kept = [source.face(number) for source, number in numbers[first : first + each]]
+            shown = [LessonFace(face, self.features, side) for face in kept for side in sides]
+            yield read_arrays(shown, self.inputs, vertices)
+
+    def read_held(self, vertices: Any = EVERY) -> FaceArrays:
+        """Read the faces of the people that are held out, as they are."""
+        return read_arrays([LessonFace(face, self.features) for face in self.faces(self.held)], self.inputs, vertices)
 
 
 def _is_mirrored(face: KeptFace, features: Features) -> bool:
@@ -193,40 +226,3 @@ def _is_mirrored(face: KeptFace, features: Features) -> bool:
     shapes, skin = np.asarray(face.shapes, dtype=np.float64), face.skin.vertices
     missed = np.linalg.norm(features.mirror_shapes(shapes) - shapes)
     return bool(missed <= LOPSIDED * np.linalg.norm(shapes) and is_symmetric(skin, features.mirror))
-
-
-class FaceInputs(NamedTuple):
-    """Tensors of b faces at v vertices: `local` (b, v, f), `summary` (b, 1, s), and that of nothing moved."""
-
-    local: torch.Tensor
-    summary: torch.Tensor
-    unmoved: torch.Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class FaceTensors:
-    """Makes tensors of faces on a device, as the network takes them."""
-
-    inputs: Inputs
-    device: torch.device | str = "cpu"
-    dtype: type = np.float32
-
-    def stack(self, rows) -> torch.Tensor:
-        """Stack arrays of equal shape."""
-        return torch.from_numpy(np.stack(rows).astype(self.dtype)).to(self.device)
-
-    def inputs_of(self, codes: Sequence[Floats], parameters: Sequence[Floats], vertices) -> FaceInputs:
-        """Return what the network is given of faces with codes (c,) and p at the vertices (n, P), at some vertices."""
-        features = self.inputs.features
-        local = [features.local(values)[vertices] for values in parameters]
-        unmoved = [features.unmoved(values) for values in parameters]
-        moved_summary, unmoved_summary = (
-            [self.inputs.summary(code, values)[None] for code, values in zip(codes, at_vertices, strict=True)]
-            for at_vertices in (parameters, unmoved)
-        )
-        return FaceInputs(self.stack(local), self.stack(moved_summary), self.stack(unmoved_summary))
-
-    def effects_of(self, motions: Sequence[NeutralMotion], vertices) -> torch.Tensor:
-        """Return effects at some vertices, shape (b, v, EFFECTS)."""
-        effects = self.inputs.features.effects
-        return self.stack([effects(motion.parameters, motion.skin)[vertices] for motion in motions])

@@ -98,8 +98,8 @@ class Weights:
     def save(self, path: str | PathLike[str]) -> None:
         """Write one .safetensors file; `path` is whole or as it was.
 
-        Tables and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths; the
-        responses' tables in bytes (see `response_tables`).
+        Modes and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths; the
+        other tables in bytes (see `tables`).
         """
         about = {
             "format": _format(self.kind),
@@ -176,11 +176,11 @@ class Weights:
 
 
 def _format(kind: str) -> str:
-    return f"softdeca-{kind.replace(' ', '-')}-4"
+    return f"softdeca-{kind.replace(' ', '-')}-5"
 
 
 def _choose_type(name: str, value: np.ndarray) -> type:
-    if name == "response_table":
+    if name.endswith("_table"):
         return np.int8
     return np.float16 if np.ndim(value) > 1 else np.float32
 

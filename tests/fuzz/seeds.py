@@ -94,7 +94,7 @@ def rough_weights(kind: str) -> Weights:
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
     n, faces, code_size = len(SPACE.mean.vertices), len(SPACE.mean.triangles), SPACE.code_size
     if kind == "modal":
-        config = ModalConfig(3, 3, 3, 3, 2, 4, 4, 4)
+        config = ModalConfig(3, 3, 3, 2, 4, 4, 4, 4, 4)
         shapes = modal_shapes(config, features, code_size)
     else:
         config = Widths(2, 2, 2, 2)

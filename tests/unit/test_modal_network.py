@@ -15,7 +15,7 @@ from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Derivatives, Frames, KeptFace, Person
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
-from softdeca.surrogate.corpus.mixture import NAMES, STATIC, WAVES, ParameterSet, draw
+from softdeca.surrogate.corpus.mixture import NAMES, STATIC, ParameterSet, draw
 from softdeca.surrogate.corpus.people import OfSpace, people_from_text
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
@@ -24,19 +24,14 @@ from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_methods
 from softdeca.surrogate.networks.features import Features
-from softdeca.surrogate.networks.modal import (
-    ModalConfig,
-    basis,
-    bind_modal,
-    hidden_features,
-    neutral,
-    remainder,
-)
-from softdeca.surrogate.networks.modal_faces import LessonFace, NeutralMotion
-from softdeca.surrogate.networks.modal_training import ModalLesson, ModalTraining, train_modal
-from softdeca.surrogate.networks.response_tables import compress, expand, mix, solve_tables
+from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, remainder
+from softdeca.surrogate.networks.modal_faces import LessonFace, LessonFaces
+from softdeca.surrogate.networks.modal_start import draw_network
+from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, train_modal
 from softdeca.surrogate.networks.responses import LearnedResponses
 from softdeca.surrogate.networks.ridge import Ridge
+from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining
+from softdeca.surrogate.networks.tables import Tables, compress, expand, mix_effects, mix_responses
 from softdeca.surrogate.networks.trainer import Trainer
 from softdeca.surrogate.networks.vertex_network import TRAINING
 from softdeca.surrogate.networks.vertices_only import VerticesOnly
@@ -53,8 +48,8 @@ PLAN = CorpusPlan(
     identities=20, groups=4, frames=5, sequences=0, references=0, parameter_responses=0.0,
     kinds={"effects": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
-NETWORK = ModalConfig(24, 8, 12, response_tables=4, position=4, local=16, response=16, summary=24, expression=32)
-CONFIG = ModalTraining(network=NETWORK, steps=150, frames=4, vertices=42, validate_every=50, validation=0.1)
+NETWORK = ModalConfig(12, 4, 3, position=4, local=16, response=16, effect=16, summary=24, expression=32)
+CONFIG = ModalTraining(network=NETWORK, steps=60, frames=4, vertices=42, validate_every=20, validation=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -155,12 +150,14 @@ def test_networks_of_others_learn_and_are_bound(faces):
 def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
     state = tmp_path / "state.pt"
 
-    def interrupt(*_):
-        raise KeyboardInterrupt
+    def interrupt(text, *_):
+        if "held-out" in text:
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         train_modal(faces["train"], CONFIG, state=state, on_progress=interrupt)
-    assert 0 < torch.load(state, weights_only=True)["step"] < CONFIG.steps
+    of_tables = torch.load(tmp_path / "state.tables.pt", weights_only=True)
+    assert 0 < of_tables["step"] < CONFIG.at_tables().steps
     resumed = train_modal(faces["train"], CONFIG, state=state)
     assert [point["loss"] for point in resumed.note.curve] == [point["loss"] for point in weights.note.curve]
     for name, value in weights.network.items():
@@ -175,24 +172,18 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
 
 
 def test_training_goes_on_from_weights(faces, weights, tmp_path):
+    """Frames alone teach the remainder; more faces, or a corpus without frames, teach tables."""
     weights.save(tmp_path / "weights.safetensors")
     start = Weights.load(tmp_path / "weights.safetensors")
-    more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
-    begun = ModalLesson(faces["train"], CONFIG, start=start).network
-    np.testing.assert_array_equal(begun.pop("tables"), expand(start.network))
-    assert all(np.array_equal(value.detach(), start.network[name]) for name, value in begun.items())
-    kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
-    for name, value in more.network.items():
-        assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
-    whole = train_modal(faces["train"], replace(CONFIG, steps=20, validate_every=20), start=start, more=faces["train"])
-    learned = ("settled", "relaxed", "gain", "modes.0", "modes.1")
-    assert not any(
-        np.array_equal(value, start.network[name])
-        for name, value in whole.network.items()
-        if name.startswith(learned) and start.network[name].any()
-    ), "with neutral faces all that is known of them goes on"
-    assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
-    assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
+    few = replace(CONFIG, steps=10, validate_every=5)
+    more = train_modal(faces["train"], few, start=start)
+    of_remainder = ("gain_", "remainder_", "modes")
+    assert find_learned(more, start) == {name for name in start.network if name.startswith(of_remainder)}
+    whole = train_modal(faces["train"], few, start=start, more=faces["train"])
+    fixed = {"size_remainder", "response_position", "effect_position"}
+    assert find_learned(whole, start) == set(start.network) - fixed
+    assert [point["step"] for point in whole.note.curve] == [20, 40, 45, 50]
+    assert more.note.before["steps"] == weights.note.steps and more.note.steps == 10
     more.save(tmp_path / "more.safetensors")
     assert Weights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
     with pytest.raises(InputError, match="other sizes"):
@@ -202,55 +193,74 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
         train_modal(faces["train"], CONFIG, start=other)
 
 
-def test_tables_are_solved_over_some_faces_in_training_and_over_all_at_its_end(faces, monkeypatch):
-    config, solved = replace(CONFIG, steps=4, validate_every=4, solve_every=2, solved=5), []
-    solve = ModalLesson.solve_tables
-
-    def watch(self, some):
-        solved.append(list(some))
-        return solve(self, solved[-1])
-
-    monkeypatch.setattr(ModalLesson, "solve_tables", watch)
-    train_modal(faces["train"], config, more=faces["test"])
-    *some, every = ([(face.kept.identity, face.kept.parameters.coefficients.sum()) for face in each] for each in solved)
-    assert [len(each) for each in some] == [5, 5, 5]
-    assert some[0] != some[1], "drawn anew"
-    assert len(every) > 5
-    tested = set(faces["test"].groups[:, 0].tolist())
-    assert tested <= {identity for identity, _ in every}, "faces without frames teach, too"
+def find_learned(weights, start):
+    return {name for name, value in weights.network.items() if not np.array_equal(value, start.network[name])}
 
 
-def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
-    lesson = ModalLesson(faces["train"], CONFIG)
-    trainer = Trainer(lesson, CONFIG)
-    trainer.run(3)
-    face, features, w = faces["test"].face(1), lesson.data.features, np.random.default_rng(0).random((3, 52))
-    p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.data.code_size
-    arrays, code = trainer.arrays(), lesson.data.inputs.code(face.code)
-    bound = bind_modal(arrays, arrays["tables"], features, code, face.skin.vertices, p, face.shapes)
-    network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
+def test_faces_without_frames_teach_tables_alone(weights, tmp_path):
+    plan = replace(PLAN, identities=14, frames=0)
+    corpus = Corpus.from_plan(tmp_path / "faces", plan, PEOPLE)
+    corpus.generate()
+    faces = Faces(corpus.folder, "train", heads=Heads(lambda: PEOPLE))
+    few = replace(CONFIG, steps=10, validate_every=5)
+    with pytest.raises(InputError, match="has no frames; give weights"):
+        train_modal(faces, few)
+    learned = find_learned(train_modal(faces, few, start=weights), weights)
+    assert learned and not [name for name in learned if name.startswith(("gain_", "remainder_", "modes", "size_"))]
+
+
+def divide(faces, split="train"):
+    return LessonFaces.divide(faces[split], None, None, validation_share=0.1, rng=np.random.default_rng(0))
+
+
+@pytest.fixture
+def lessons(faces):
+    """Of tables and of the remainder, begun, with tables of all vertices."""
+    data = divide(faces)
+    network = draw_network(data, NETWORK, 20, np.random.default_rng(0))
+    of_tables = TableLesson(data, network, TableTraining(vertices=20), 0, "cpu", lambda *_: None)
+    Trainer(of_tables, CONFIG.at_tables()).run(3)
+    tables = of_tables.solve_all(lambda *_: None)
+    network |= {name: value.detach() for name, value in of_tables.network.items() if name in network}
+    return of_tables, RemainderLesson(data, network, tables, CONFIG, "cpu")
+
+
+def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces, lessons):
+    of_tables, of_remainder = lessons
+    Trainer(of_remainder, CONFIG.at_remainder(is_begun=False)).run(3)
+    data, tables = of_remainder.data, of_remainder.tables
+    face, features, w = faces["test"].face(1), data.features, np.random.default_rng(0).random((3, 52))
+    p, code = features.at_vertices(face.coefficients), data.inputs.code(face.code)
+    network = of_remainder.whole | of_remainder.network
+    arrays = {name: value.detach().numpy() for name, value in network.items()}
+    bound = bind_modal(arrays, tables, features, code, p, face.shapes)
+    local, h, effects, summary = (
+        torch.from_numpy(array.astype(np.float32))[None]
+        for array in (features.local(p), code[None], features.effects(p), features.summary(code, p)[None])
+    )
     with torch.no_grad():
-        for part, values in enumerate((features.without_palsy(p), p)):
-            local, summary, unmoved = lesson.tensors.inputs_of([face.code], [values], every)
-            hidden = hidden_features(network, local, summary[..., :size], every)
-            effects = lesson.tensors.effects_of([NeutralMotion(values, face.skin.vertices, offset)], every)
-            offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
+        strengths = mix_effects(network, local, h, effects)[0]
+        offset = torch.einsum("ve,evc->vc", strengths, torch.from_numpy(tables.effects).flatten(0, 1))
+        factors = np.r_[1.0, code][:, None] * features.bones(p)
+        offset = offset + np.einsum("cb,cbvx->vx", factors, tables.carry)
+        shares, lag = mix_responses(network, local, h)
+        mixed = torch.einsum("vk,kjvc->jvc", shares[0], torch.from_numpy(tables.responses)) - lag * face.shapes
         amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
-        shares, lag = mix(network, local, summary[..., :size], every)
-        mixed = torch.einsum("bvk,kjvc->bjvc", shares, network["tables"]) - lag[:, None] * shapes
-        expected = offset, mixed, amplitudes @ basis(network, 2, hidden, every)
+        expected = offset, mixed, amplitudes @ basis(network, local, h)
     for one, other in zip((bound.offset, bound.responses, bound.remainder(w)), expected, strict=True):
         assert np.abs(one.ravel() - other.numpy().ravel()).max() < 1e-4 * max(1.0, np.abs(one).max())
 
 
-def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
-    lesson = ModalLesson(faces["train"], CONFIG)
-    lesson.network["tables"].copy_(torch.from_numpy(lesson.solve_tables(lesson.every_face())))
+@pytest.mark.parametrize("which", [0, 1], ids=["tables", "remainder"])
+def test_the_gradient_of_the_whole_loss_by_finite_differences(lessons, which):
+    lesson = lessons[which]
     learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
     lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
-    lesson.tensors = replace(lesson.tensors, dtype=np.float64)
+    lesson.dtype = torch.float64
 
     def loss():
+        if which == 0:
+            return lesson.measure(lesson.arrays.take(np.arange(5)), slice(None), scaled=True).sum()
         return lesson.loss_of(lesson.data.training[:3], np.random.default_rng(5), np.arange(N))
 
     for name in learned:
@@ -269,20 +279,33 @@ def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
         assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=1e-4, abs=1e-7), name
 
 
+def test_tables_of_vertices_that_no_step_saw_are_as_good(lessons):
+    of_tables, of_remainder = lessons
+    seen, every = of_tables.sample, np.arange(N)
+    assert 0 < len(seen) < N or len(seen) == N
+    solved = of_tables.solve([of_tables.data.read_held()], every)
+    again = of_tables.solve([of_tables.data.read_held(seen)], seen)
+    for one, other in zip(solved[:2], again[:2], strict=True):
+        np.testing.assert_allclose(one[:, :, seen], other, rtol=1e-2, atol=1e-2 * np.abs(other).max())
+
+
 def test_tables_are_found_again_and_kept_in_bytes():
     """Faces that are mixed from tables give these tables, but for the ridge."""
     rng = np.random.default_rng(0)
-    tables = rng.normal(size=(3, 52, 7, 3)).astype(np.float32)
-    shares = rng.normal(size=(200, 7, 3)).astype(np.float32)
-    moved = np.einsum("fvk,kjvc->fjvc", shares, tables)
-    faces = zip(shares, moved, rng.uniform(0.5, 2.0, len(shares)), strict=True)
-    solved = solve_tables(faces, 7, 3)
-    np.testing.assert_allclose(solved, tables, atol=0.25)
-    assert np.abs(solved - tables).mean() < 0.05
-    kept = compress(tables)
-    assert np.array_equal(kept["response_table"], kept["response_table"].astype(np.int8))
-    largest = np.abs(tables).max(axis=(0, 3))[..., None]
-    assert (np.abs(expand(kept) - tables) <= 0.51 / 127 * largest).all()
+    tables = rng.normal(size=(7, 3, 156)).astype(np.float32)
+    factors = rng.normal(size=(200, 7, 3)).astype(np.float32)
+    values = np.einsum("fvk,vkm->fvm", factors, tables)
+    regression = Regression()
+    regression.add(*map(torch.from_numpy, (factors, values, rng.uniform(0.5, 2.0, 200).astype(np.float32))))
+    solved = regression.solve(0.03, (1, 0.01))
+    assert np.abs(solved - tables).mean(axis=(0, 2)).max() < 0.05
+    assert np.abs(solved - tables)[:, -1].mean() < 0.6 * np.abs(solved - tables)[:, 0].mean(), "a third of the ridge"
+    kept = Tables(*(rng.normal(size=(3, columns, 7, 3)).astype(np.float32) for columns in (52, 12, 6)))
+    arrays = compress(kept)
+    for name, one, other in zip(("response", "effect", "carry"), kept, expand(arrays), strict=True):
+        assert np.array_equal(arrays[f"{name}_table"], arrays[f"{name}_table"].astype(np.int8))
+        assert (np.abs(one - other) <= 0.51 / 127 * np.abs(one).max(axis=(0, 3))[..., None]).all()
+    np.testing.assert_array_equal(expand(arrays).carry[0], kept.carry[0])
 
 
 def test_rest_stays_at_rest_whatever_the_materials(surrogate):
@@ -297,21 +320,6 @@ def test_a_face_is_the_same_wherever_it_lies(surrogate):
     here, other = (bound(surrogate, skin=skin, parameters=parameters) for skin in (SPACE.mean, moved))
     assert np.abs(here.modes.offset).max() > 0.01
     assert np.abs(other.modes.offset - here.modes.offset).max() < 1e-5
-
-
-def test_settling_knows_no_palsy(surrogate):
-    features = surrogate.inputs.features
-    whole, half = (
-        features.at_vertices(np.column_stack([chosen, np.zeros((len(chosen), WAVES))]))
-        for chosen in (_normalised(soft_volume=1.2), _normalised(soft_volume=1.2, paralysis_left=0.8))
-    )
-    assert np.abs(whole - half).max() > 0.1
-    assert np.array_equal(features.without_palsy(half), whole)
-
-
-def _normalised(**changes):
-    chosen = Parameters(**changes)
-    return np.array([Parameters.info(name).normalise(getattr(chosen, name)) for name in STATIC])
 
 
 def test_a_thousand_frames_of_random_weights_stay_near(surrogate):
@@ -550,9 +558,9 @@ def test_features_follow_the_mirror():
     ("name", "change", "words"),
     [
         ("remainder_in.weight", lambda array: array[:, :51], "network remainder_in.weight: expected shape"),
-        ("settled.2.weight", lambda array: array[:-1], "network settled.2.weight: expected shape"),
+        ("effect_share.weight", lambda array: array[:-1], "network effect_share.weight: expected shape"),
         ("lag.weight", lambda array: array * np.nan, "network lag.weight: .* not finite"),
-        ("effects", lambda array: array + 3e4, "network effects: .* is too large"),
+        ("carry_mean", lambda array: array + 3e4, "network carry_mean: .* is too large"),
     ],
 )
 def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, change, words):
@@ -604,7 +612,6 @@ def test_a_mirrored_face_is_what_the_simulator_makes_of_the_mirrored_parameters(
         )
     mirrored, simulated = LessonFace(kept[0], features, True), LessonFace(kept[1], features)
     np.testing.assert_allclose(mirrored.parameters, simulated.parameters, atol=1e-6)
-    assert np.abs(mirrored.skin - simulated.skin).max() < 0.01
     size = np.linalg.norm(simulated.responses, axis=2).mean()
     unlike = np.linalg.norm(kept[0].responses - kept[1].responses, axis=2).mean()
     assert np.linalg.norm(mirrored.responses - simulated.responses, axis=2).mean() < 0.02 * size < 0.1 * unlike

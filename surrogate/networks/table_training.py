@@ -1,0 +1,208 @@
+"""Training of the tables of offset and responses.
+
+Networks and tables descend at a sample of vertices, whose faces are in memory. Then the tables of all vertices are
+solved for, by ridge regression at each. A network sees a vertex by p there, the code and its place, and needs few
+vertices: of those that it never saw it leaves as much. So a step costs a twentieth of one that reads its faces anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...lhm.base.mesh import Floats32, Ints
+from ...lhm.base.progress import OnProgress
+from ..rigs.rig import WEIGHTS
+from .features import BONES, EFFECTS
+from .layers import EVERY
+from .modal_faces import FaceArrays, LessonFaces
+from .tables import Tables, mix_effects, mix_responses, scale_bones
+from .trainer import Lesson, Tensors, torch
+
+LEARNED = ("response", "effect", "lag")
+"""Beginnings of the names of arrays that this training learns."""
+READ = 16
+"""Faces that are read at a time: more are faster, and take 60 MB each where all vertices are."""
+
+
+@dataclass(frozen=True)
+class TableTraining:
+    """Options of the training of tables, each with its reason.
+
+    A ridge is a penalty in shares of the mean square of what a table is multiplied by.
+    """
+
+    learning_rate: float = 8e-3  # the highest, of networks
+    weight_decay: float = 0.03  # of networks: with .2 a third more of the responses is left
+    faces: int = 24  # per step
+    vertices: int = 64  # of each
+    sampled: int = 256  # vertices at which the networks learn: 170 kB a face
+    response_ridge: float = 1e-3
+    effect_ridge: float = 3e-5  # an effect is zero in most faces
+    mixed_ridge: float = 0.1  # of mixed effects, which few faces tell apart
+    carry_ridge: float = 1e-4
+    response_floor: float = 0.002  # [mm] added to a face's responses, by which errors of them count
+    offset_floor: float = 0.1  # [mm] added to how far it moves beyond its bones, by which errors of its offset count
+    rounding: float = 1e-6  # [mm²] added to a squared distance, which at zero has no derivative
+
+
+class TableLesson(Lesson):
+    """The networks that mix tables, and the tables of a sample of vertices, in training there."""
+
+    slow = ("tables.",)
+    """They begin where no network mixes them."""
+
+    def __init__(
+        self,
+        data: LessonFaces,
+        network: Tensors,
+        options: TableTraining,
+        seed: int,
+        device: Any,
+        on_progress: OnProgress,
+    ):
+        self.data, self.options, self.device, self.dtype = data, options, device, torch.float32
+        self.sample = sample_vertices(data, options.sampled, np.random.default_rng([seed, 3]))
+        parts = []
+        for arrays in data.read_teaching(READ, self.sample):
+            parts.append(arrays)
+            on_progress("training: faces read", min(READ * len(parts) / data.count, 1.0))
+        self.arrays = FaceArrays(*map(np.concatenate, zip(*parts, strict=True)))
+        self.held = data.read_held(self.sample)
+        learned = {name: value for name, value in network.items() if name.startswith(LEARNED)}
+        self.network = {name: value.detach().clone().to(device) for name, value in learned.items()}
+        always = self.solve(
+            [self.arrays.take(rows) for rows in _split(len(self.arrays.codes))], self.sample, mixed=False
+        )
+        for name, table in zip(("responses", "effects"), always, strict=False):
+            mixed = len(learned[f"{name[:-1]}_share.weight"])
+            still = torch.zeros(mixed, *table.shape[1:])
+            self.network[f"tables.{name}"] = torch.cat([still, torch.from_numpy(table)]).to(device)
+        for name, value in self.network.items():
+            value.requires_grad_(not name.endswith("_position"))
+        self.about = [f"tables of {data.count} faces"]
+
+    def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
+        """Return mean distances of offsets and responses, in each face's scale."""
+        rows = rng.integers(len(self.arrays.codes), size=self.options.faces)
+        places = np.sort(rng.permutation(len(self.sample))[: self.options.vertices])
+        return self.measure(self.arrays.take(rows, places), places, scaled=True).sum()
+
+    def measure(self, arrays: FaceArrays, places: Any, *, scaled: bool) -> torch.Tensor:
+        """Return the mean distance of offsets beyond bones, and of responses, of faces at places of the sample.
+
+        In each face's scale, or in mm where not `scaled`.
+        """
+        faces, vertices = self._to_tensors(arrays), self.sample[places]
+        shares, lag, strengths = self._mix(faces, vertices)
+        responses, effects = (self.network[f"tables.{name}"][:, :, places] for name in ("responses", "effects"))
+        mixed = torch.einsum("bvk,kjvc->bvjc", shares, responses) - lag[..., None] * faces.shapes
+        beyond = torch.einsum("bve,evc->bvc", strengths, effects.flatten(0, 1))
+        errors = beyond - faces.beyond, mixed - faces.responses
+        squares = [error.square().sum(dim=-1) + self.options.rounding for error in errors]
+        distances = torch.stack([square.sqrt().flatten(1).mean(dim=1) for square in squares], dim=1)
+        relative = distances / self._scales(faces)
+        return (relative if scaled else distances).mean(dim=0)
+
+    def errors(self) -> dict[str, float]:
+        """Return mean errors of offset beyond bones, and of responses [mm], at the sample on held-out people."""
+        with torch.no_grad():
+            offset, responses = self.measure(self.held, EVERY, scaled=False).tolist()
+        return {"offset": offset, "responses": responses}
+
+    def solve_all(self, on_progress: OnProgress) -> Tables:
+        """Solve for the tables of all vertices over all faces."""
+
+        def parts():
+            for number, arrays in enumerate(self.data.read_teaching(READ)):
+                on_progress("training: tables of all vertices", READ * number / self.data.count)
+                yield arrays
+
+        return self.solve(parts(), EVERY)
+
+    def solve(self, parts: Iterable[FaceArrays], vertices: Any, *, mixed: bool = True) -> Tables:
+        """Solve for the tables of some vertices over faces; with `mixed` off, for those that always count, alone."""
+        responses, effects, carry = Regression(), Regression(), Regression()
+        with torch.no_grad():
+            for part in parts:
+                faces = self._to_tensors(part)
+                shares, lag, strengths = self._mix(faces, vertices)
+                moved = faces.responses + lag[..., None] * faces.shapes
+                if not mixed:
+                    shares, strengths = shares[..., -1:], strengths[..., -EFFECTS:]
+                scales = self._scales(faces)
+                responses.add(shares, moved.flatten(2), scales[:, 1])
+                effects.add(strengths, faces.beyond, scales[:, 0])
+                scaled = scale_bones(faces.codes, faces.bones)[:, None]
+                carry.add(scaled, faces.carried.flatten(1)[:, None], torch.ones(len(scaled)))
+        options = self.options
+        carried = carry.solve(options.carry_ridge)
+        return Tables(
+            _order(responses.solve(options.response_ridge), WEIGHTS),
+            _order(effects.solve(options.mixed_ridge, (EFFECTS, options.effect_ridge)), EFFECTS),
+            carried.reshape(-1, BONES, carried.shape[-1] // 3, 3),
+        )
+
+    def _mix(self, faces: FaceArrays, vertices: Any):
+        """Shares of responses, the lag, and strengths of effects of faces at some vertices."""
+        code = faces.codes[:, None]
+        shares, lag = mix_responses(self.network, faces.local, code, vertices)
+        return shares, lag, mix_effects(self.network, faces.local, code, faces.effects, vertices)
+
+    def _scales(self, faces: FaceArrays) -> torch.Tensor:
+        """By what errors of offset and responses count [mm], shape (b, 2)."""
+        floors = [self.options.offset_floor, self.options.response_floor]
+        return faces.sizes + torch.tensor(floors, device=self.device)
+
+    def _to_tensors(self, arrays: FaceArrays) -> FaceArrays:
+        return FaceArrays(*(torch.from_numpy(array).to(self.device, self.dtype) for array in arrays))
+
+
+class Regression:
+    """Normal equations at each vertex, over faces: factors (b, v, k) that multiply a table (v, k, m) give (b, v, m)."""
+
+    def __init__(self):
+        self.gram, self.pulled = torch.zeros(()), torch.zeros(())
+
+    def add(self, factors: torch.Tensor, values: torch.Tensor, scales: torch.Tensor) -> None:
+        """Add faces, whose errors count in their scales (b,)."""
+        left, right = ((array / scales[:, None, None]).transpose(0, 1).contiguous() for array in (factors, values))
+        self.gram = torch.baddbmm(self.gram, left.mT, left)
+        self.pulled = torch.baddbmm(self.pulled, left.mT, right)
+
+    def solve(self, ridge: float, last: tuple[int, float] = (0, 0.0)) -> Floats32:
+        """Return the table under a ridge, and so many last factors under another, in shares of their squares."""
+        size = self.gram.diagonal(dim1=1, dim2=2).double().mean(dim=0).clamp_min(1e-12)
+        count, other = last
+        ridges = torch.full_like(size, ridge)
+        ridges[len(size) - count :] = other
+        answers = []
+        for gram, pulled in zip(self.gram.split(VERTICES), self.pulled.split(VERTICES), strict=True):
+            answers.append(torch.linalg.solve(gram.double() + torch.diag(ridges * size), pulled.double()).float())
+        return torch.cat(answers).cpu().numpy()
+
+
+VERTICES = 256
+"""That are solved for at a time, in double precision."""
+
+
+def _order(table: Floats32, columns: int) -> Floats32:
+    """Return a table (n, k columns, 3), or (n, k, columns 3), as (k, columns, n, 3)."""
+    return np.ascontiguousarray(table.reshape(len(table), -1, columns, 3).transpose(1, 2, 0, 3))
+
+
+def _split(count: int) -> Iterator[Ints]:
+    """Split numbers into as many parts as are read at a time."""
+    return (np.arange(first, min(first + READ, count)) for first in range(0, count, READ))
+
+
+def sample_vertices(data: LessonFaces, count: int, rng: np.random.Generator) -> Ints:
+    """Draw about so many vertices, with each its mirror image; in their order."""
+    drawn, mirror = rng.permutation(data.vertex_count), data.features.mirror
+    if mirror is None:
+        return np.sort(drawn[:count])
+    half = drawn[drawn <= mirror[drawn]][: max(1, count // 2)]
+    return np.unique(np.concatenate([half, mirror[half]]))

@@ -1,0 +1,122 @@
+"""What is linear in w or in effects of p: tables of every vertex, which small networks mix.
+
+    R_j(v) = g(v) Σ_k φ_k(v) M_kj(v) - l(v) S_j(v)
+    o(v)   = Σ_b b Σ_c h_c C_cb(v) + Σ_e e(v) Σ_k ψ_k(v) N_ke(v)
+
+Responses R and offset o have a network each. φ and ψ, the gain g and the lag l come from p at the vertex, the code and
+the vertex' place; the last φ and the last ψ are 1. l is `Features.give` times such a gain; S_j are the person's shapes.
+How far scaled bones b carry a skin is linear in the code h, whose first number is 1 here, but for 0.5 %; what physics
+adds are effects e(v) of p, so nothing of p that moves no neutral face moves it here.
+For given φ and ψ the best tables follow by ridge regression at each vertex: see `table_training`. A file has tables in
+whole numbers of one byte and a scale for each column and vertex: their principal components would need a rank above
+500 for the same error.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ...lhm.base.mesh import Floats32
+from ..rigs.rig import silu
+from .features import GIVE
+from .layers import EVERY, Arrays, concatenate, exp, linear
+
+KEPT = ("response", "effect", "carry")
+"""The tables, in the order of `Tables`, by the names that a file's arrays begin with."""
+IN_FILE = ("_table", "_scale", "carry_mean")
+"""Ends of these arrays' names."""
+
+
+class Tables(NamedTuple):
+    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm]."""
+
+    responses: Floats32
+    effects: Floats32
+    carry: Floats32
+
+
+def mixer_layers(name: str, inputs: int, code_size: int, width: int) -> dict[str, tuple[int, int]]:
+    """Return outputs and inputs of the layers with which network `name` sees vertices."""
+    return {f"{name}_in": (width, inputs), f"{name}_code": (width, code_size), f"{name}_middle": (width, width)}
+
+
+def see_vertices(network: Arrays, name: str, local, code, vertices=EVERY):
+    """Return what network `name` makes of some vertices, (..., v, wide), of local features (..., v, f) and codes."""
+    weight = network[f"{name}_in.weight"]
+    place = network[f"{name}_position"][vertices] @ weight[:, local.shape[-1] :].T + network[f"{name}_in.bias"]
+    hidden = silu(local @ weight[:, : local.shape[-1]].T + place + code @ network[f"{name}_code.weight"].T)
+    return silu(linear(network, f"{name}_middle", hidden) + hidden)
+
+
+def _share(network: Arrays, name: str, hidden):
+    shares = linear(network, f"{name}_share", hidden)
+    return concatenate([shares, 1.0 + 0.0 * shares[..., :1]])
+
+
+def mix_responses(network: Arrays, local, code, vertices=EVERY):
+    """Return g φ (..., v, k) and the lag (..., v, 1) at some vertices, of local features (..., v, f) and codes."""
+    hidden = see_vertices(network, "response", local, code, vertices)
+    shares = _share(network, "response", hidden) * exp(linear(network, "response_gain", hidden))
+    return shares, local[..., [GIVE]] * (1.0 + linear(network, "lag", hidden))
+
+
+def mix_effects(network: Arrays, local, code, effects, vertices=EVERY):
+    """Return ψ_k e_e (..., v, k EFFECTS) at some vertices, of local features, codes and effects (..., v, EFFECTS)."""
+    shares = _share(network, "effect", see_vertices(network, "effect", local, code, vertices))
+    strengths = shares[..., :, None] * effects[..., None, :]
+    return strengths.reshape(*strengths.shape[:-2], -1)
+
+
+def scale_bones(codes, bones):
+    """Return b h_c (..., (1 + c) BONES), of codes (..., c) and by how much bones are scaled (..., BONES)."""
+    factors = concatenate([1.0 + 0.0 * codes[..., :1], codes])
+    scaled = factors[..., :, None] * bones[..., None, :]
+    return scaled.reshape(*scaled.shape[:-2], -1)
+
+
+def find_offset(tables: Tables, strengths: Floats32, scaled: Floats32) -> Floats32:
+    """Return o [mm], shape (n, 3), by strengths (n, k EFFECTS) of `mix_effects` and `scale_bones` of a face."""
+    _, effects, carry = (table.reshape(-1, *table.shape[2:]) for table in tables)
+    return np.einsum("ve,evc->vc", strengths, effects) + np.tensordot(scaled, carry, axes=1)
+
+
+def find_responses(tables: Floats32, shares: Floats32, lag: Floats32, shapes: Floats32) -> Floats32:
+    """Return what each weight adds to T - S [mm], shape (52, n, 3), besides shapes (52, n, 3).
+
+    tables: shape (k, 52, n, 3); shares (n, k) and lag (n, 1) of `mix_responses`.
+    """
+    answer = -lag * shapes
+    _add_mixed(tables, np.ascontiguousarray(shares), answer)
+    return answer
+
+
+@njit(cache=True, fastmath=True)
+def _add_mixed(tables, shares, answer):
+    """Add tables (k, 52, n, 3), weighted at each vertex by shares (n, k), to an answer (52, n, 3)."""
+    for j in range(answer.shape[0]):
+        for k in range(len(tables)):
+            for v in range(answer.shape[1]):
+                for c in range(3):
+                    answer[j, v, c] += shares[v, k] * tables[k, j, v, c]
+
+
+def expand(network: Arrays) -> Tables:
+    """Return the tables of a file's network."""
+    responses, effects, carry = (network[f"{name}_table"] * network[f"{name}_scale"][..., None] for name in KEPT)
+    return Tables(responses, effects, np.concatenate([network["carry_mean"][None], carry]))
+
+
+def compress(tables: Tables) -> dict[str, Floats32]:
+    """Return NAME_table, whole numbers of [-127, 127], and NAME_scale, shape (columns, n), of each of KEPT.
+
+    How bones carry the mean face, by far the largest of all, is `carry_mean`.
+    """
+    arrays = {"carry_mean": tables.carry[0]}
+    for name, table in zip(KEPT, (*tables[:2], tables.carry[1:]), strict=True):
+        scale = np.maximum(np.abs(table).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
+        arrays[f"{name}_table"] = np.rint(table / scale[..., None]).clip(-127, 127)
+        arrays[f"{name}_scale"] = scale
+    return arrays
