@@ -35,7 +35,7 @@ from .written_file import FOLDER
 @click.option(
     "--start",
     type=click.Path(path_type=Path),
-    help="weights to start from; without --more their part for neutral faces is kept",
+    help="weights to start from; what the corpora cannot teach stays theirs",
 )
 @click.option(
     "--share",

@@ -194,6 +194,13 @@ class LessonFaces:
         """How many faces teach tables."""
         return len(self.training) + len(self.more or ())
 
+    def find_framed(self, frames: int) -> Ints:
+        """List the training faces with at least so many frames; InputError where there are none."""
+        counts = np.array([len(rows) for rows in self.corpus.frames_of])
+        if not (framed := self.training[counts[self.training] >= frames]).size:
+            raise InputError(f"training: a step draws {frames} frames of a face, and faces have at most {counts.max()}")
+        return framed
+
     def draw_sides(self, faces: Sequence[KeptFace], rng: np.random.Generator) -> list[LessonFace]:
         """Show each face as it is or mirrored, at random."""
         sides = self.has_mirror & (rng.random(len(faces)) < 0.5)

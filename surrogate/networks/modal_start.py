@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats32
+from ...lhm.base.mesh import Floats32, Ints
 from .modal import QUIET, WITHOUT_BIAS, ModalConfig, modal_layers, modal_shapes
 from .modal_faces import LessonFaces
 from .ridge import find_components
@@ -32,8 +32,8 @@ def continue_network(start: Weights, data: LessonFaces, config: ModalConfig) -> 
     return {name: torch.from_numpy(np.array(value)) for name, value in rest.items()}, tables
 
 
-def draw_network(data: LessonFaces, config: ModalConfig, sampled: int, rng: np.random.Generator) -> Tensors:
-    """Return a network without tables, whose modes are principal components of remainders of so many faces."""
+def draw_network(data: LessonFaces, config: ModalConfig, framed: Ints, rng: np.random.Generator) -> Tensors:
+    """Return a network without tables, whose modes are principal components of the remainders of some faces."""
     network = draw_layers(modal_layers(config, data.features, data.code_size), WITHOUT_BIAS)
     for name in QUIET:
         network[f"{name}.weight"] *= QUIETER
@@ -44,16 +44,16 @@ def draw_network(data: LessonFaces, config: ModalConfig, sampled: int, rng: np.r
         f"{name}_position": draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
         for name in ("gain", "response", "effect")
     }
-    modes, sizes = find_components(_sample_remainders(data, sampled, rng), config.modes, rng)
+    modes, sizes = find_components(_sample_remainders(data, framed, rng), config.modes, rng)
     arrays["modes"] = modes.reshape(len(modes), *mean.vertices.shape) * np.sqrt(np.float32(mean.vertices.size))
     arrays["size_remainder"] = sizes.astype(np.float32)
     return network | {name: torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def _sample_remainders(data: LessonFaces, sampled: int, rng: np.random.Generator) -> Floats32:
-    """Return what frames of so many faces have beyond first order [mm], a row (3 n,) each."""
+def _sample_remainders(data: LessonFaces, framed: Ints, rng: np.random.Generator) -> Floats32:
+    """Return what some frames of faces have beyond first order [mm], a row (3 n,) each."""
     rows = []
-    for number in rng.permutation(data.training)[:sampled].tolist():
+    for number in framed.tolist():
         (face,) = data.draw_sides(data.faces([number]), rng)
         frames = data.corpus.frames(number, rng.permutation(len(data.corpus.frames_of[number]))[:FRAMES])
         rows.append(face.see(frames).remainder(face).reshape(len(frames.weights), -1))

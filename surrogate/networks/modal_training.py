@@ -89,13 +89,13 @@ def train_modal(
 ) -> Weights:
     """Fit the network to a corpus' training faces, and its tables to `more` faces of the same space, where given.
 
-    Where skins and shapes are symmetric, mirrored faces teach, too. Frames teach the remainder, which begins with
-    principal components or with that of `start`, weights of the same space; faces teach the tables, from nothing.
+    Where skins and shapes are symmetric, mirrored faces teach, too. Faces teach the tables, frames the remainder, which
+    begins with principal components; or networks and remainder begin with those of `start`, weights of the same space.
     What the faces at hand cannot teach stays that of `start`: the remainder where the corpus has no frames, and the
     tables where it has frames and there are no `more` faces, since those of a corpus of frames are few. With `state`,
-    a file, the training is kept there now and then, and goes on from there when called again. Raises InputError for
-    fewer than ten people, a corpus without frames and without `start`, a device that is not there, a `start` of another
-    mesh or of other sizes than the config's, and a state of another training.
+    a file, the training is kept there now and then, that of tables beside it, and goes on when called again. Raises
+    InputError for fewer than ten people, a corpus without frames and without `start`, a device that is not there, a
+    `start` of another mesh or of other sizes than the config's, and a state of another training.
     """
     config = ModalTraining() if config is None else config
     if start is None and not faces.has_frames:
@@ -105,7 +105,8 @@ def train_modal(
     torch.manual_seed(config.seed)
     tables: Mapping[str, np.ndarray] = {}
     if start is None:
-        network = draw_network(data, config.network, config.sampled, rng)
+        framed = rng.permutation(data.find_framed(config.frames))[: config.sampled]
+        network = draw_network(data, config.network, framed, rng)
     else:
         network, tables = continue_network(start, data, config.network)
     curve: list[dict[str, float]] = []
@@ -141,18 +142,13 @@ class RemainderLesson(Lesson):
         self.network = {name: value.detach().clone().to(device) for name, value in learned.items()}
         for name, value in self.network.items():
             value.requires_grad_(not name.startswith("size_"))
-        counts = np.array([len(rows) for rows in data.corpus.frames_of])
-        self.training = data.training[counts[data.training] >= config.frames]
-        if not len(self.training):
-            raise InputError(
-                f"training: a step draws {config.frames} frames of a face; faces have {max(counts)} at most"
-            )
+        self.framed = data.find_framed(config.frames)
         self.about = [f"remainder of {len(data.corpus)} faces and {len(data.more or ())} more"]
 
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance of what frames move beyond exact responses, in each face's scale."""
         config, n = self.config, self.data.vertex_count
-        numbers = rng.choice(self.training, min(config.faces, len(self.training)), replace=False)
+        numbers = rng.choice(self.framed, min(config.faces, len(self.framed)), replace=False)
         return self.loss_of(numbers, rng, np.sort(rng.choice(n, min(config.vertices, n), replace=False)))
 
     def loss_of(self, numbers: Sequence[int] | Ints, rng: np.random.Generator, vertices: Ints) -> torch.Tensor:

@@ -125,7 +125,7 @@ class TableLesson(Lesson):
 
     def solve(self, parts: Iterable[FaceArrays], vertices: Any, *, mixed: bool = True) -> Tables:
         """Solve for the tables of some vertices over faces; with `mixed` off, for those that always count, alone."""
-        responses, effects, carry = Regression(), Regression(), Regression()
+        responses, effects, carry = (Regression(self.device) for _ in Tables._fields)
         with torch.no_grad():
             for part in parts:
                 faces = self._to_tensors(part)
@@ -137,7 +137,7 @@ class TableLesson(Lesson):
                 responses.add(shares, moved.flatten(2), scales[:, 1])
                 effects.add(strengths, faces.beyond, scales[:, 0])
                 scaled = scale_bones(faces.codes, faces.bones)[:, None]
-                carry.add(scaled, faces.carried.flatten(1)[:, None], torch.ones(len(scaled)))
+                carry.add(scaled, faces.carried.flatten(1)[:, None], torch.ones_like(scales[:, 0]))
         options = self.options
         carried = carry.solve(options.carry_ridge)
         return Tables(
@@ -164,8 +164,8 @@ class TableLesson(Lesson):
 class Regression:
     """Normal equations at each vertex, over faces: factors (b, v, k) that multiply a table (v, k, m) give (b, v, m)."""
 
-    def __init__(self):
-        self.gram, self.pulled = torch.zeros(()), torch.zeros(())
+    def __init__(self, device: Any):
+        self.gram, self.pulled = torch.zeros((), device=device), torch.zeros((), device=device)
 
     def add(self, factors: torch.Tensor, values: torch.Tensor, scales: torch.Tensor) -> None:
         """Add faces, whose errors count in their scales (b,)."""

@@ -167,6 +167,8 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
     state.write_text("not a state")
     with pytest.raises(InputError, match="state.pt: damaged"):
         train_modal(faces["train"], CONFIG, state=state)
+    with pytest.raises(InputError, match="draws 9 frames of a face, and faces have at most 5"):
+        train_modal(faces["train"], replace(CONFIG, frames=9))
     with pytest.raises(InputError, match="no device 'abacus'"):
         train_modal(faces["train"], ModalTraining(device="abacus"))
 
@@ -217,7 +219,7 @@ def divide(faces, split="train"):
 def lessons(faces):
     """Of tables and of the remainder, begun, with tables of all vertices."""
     data = divide(faces)
-    network = draw_network(data, NETWORK, 20, np.random.default_rng(0))
+    network = draw_network(data, NETWORK, data.training[:20], np.random.default_rng(0))
     of_tables = TableLesson(data, network, TableTraining(vertices=20), 0, "cpu", lambda *_: None)
     Trainer(of_tables, CONFIG.at_tables()).run(3)
     tables = of_tables.solve_all(lambda *_: None)
@@ -295,7 +297,7 @@ def test_tables_are_found_again_and_kept_in_bytes():
     tables = rng.normal(size=(7, 3, 156)).astype(np.float32)
     factors = rng.normal(size=(200, 7, 3)).astype(np.float32)
     values = np.einsum("fvk,vkm->fvm", factors, tables)
-    regression = Regression()
+    regression = Regression("cpu")
     regression.add(*map(torch.from_numpy, (factors, values, rng.uniform(0.5, 2.0, 200).astype(np.float32))))
     solved = regression.solve(0.03, (1, 0.01))
     assert np.abs(solved - tables).mean(axis=(0, 2)).max() < 0.05

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,9 @@ from .methods import Contest, list_learners, load_network, open_contest, parse_p
 
 SEEN = 24
 """Training faces, of people that all networks of a curve know, on which each is tried, too."""
-CURVE = "over the number of people"
+CURVE = "over the number of faces"
+UNSEEN, LEARNED = "people that it has not seen", "people that it has learned from"
+"""Kinds of frames of CURVE."""
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
 
@@ -76,7 +79,7 @@ class SurrogateOnCorpus(Study):
     partial: bool = option(False, "take the people that an incomplete corpus has")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
-    curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")
+    curve: tuple[str, ...] = option((), "weights of `train --share`: errors over faces trained on", name="--curve")
 
     def tasks(self) -> Sequence[Task]:
         """List each question by each method; InputError for no corpus, weights of another mesh, bad options."""
@@ -128,32 +131,34 @@ class SurrogateOnCorpus(Study):
             for score in scores
             if score.kind == ALL
         ]
-        people, note = rows[0].values["people"], rows[0].values["trained_on"]
+        people, trainings = rows[0].values["people"], [rows[0].values["trained_on"]]
+        while before := trainings[-1].get("before"):
+            trainings.append(before)
+        frames = sum(note["frames"] for note in trainings)
+        faces = sum(map(_count_faces, trainings))
         paid = [row.values["breakeven"] for row in rows if row.values.get("breakeven")]
         return describe_defeats(scores).replace("\n", " ") + (
-            f"{people} people that training has not seen ({note['frames']} static frames and the derivatives of "
-            f"{note['faces']} faces of {note['people']} people). Share left of the motion that bones alone do not "
-            f"explain: {'; '.join(sentences)}."
+            f"{people} people that training has not seen ({frames:,} static frames and the derivatives of {faces:,} "
+            f"faces). Share left of the motion that bones alone do not explain: {'; '.join(sentences)}."
         ) + (f" {Breakeven(**paid[0]).sentence}" if paid else "")  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw mean error against the cost before the first frame, and per frame; and over the number of people."""
+        """Draw mean error against the cost before the first frame, and per frame; and over the number of faces."""
         known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
         pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
-        grown = sorted((row.values["trained_on"]["people"], row) for row in rows if row.case == CURVE)
+        grown = {_count_faces(row.values["trained_on"]): row for row in rows if row.case == CURVE}
         if grown:
             figure, axis = subplots(figsize=(6, 3.4))
-            people = [count for count, _ in grown]
-            for kind, line in (("people that it has not seen", "o-"), ("people that it has learned from", "s--")):
-                shares = [
-                    100.0 * score.share for _, row in grown for score in _read_scores([row]) if score.kind == kind
-                ]
-                axis.plot(people, shares, line, label=kind)
-            axis.set(xlabel="people in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0, None))
-            axis.set_xticks(people, [str(count) for count in people])
+            faces = sorted(grown)
+            for kind, line in ((UNSEEN, "o-"), (LEARNED, "s--")):
+                scored = [score for count in faces for score in _read_scores([grown[count]]) if score.kind == kind]
+                if scored:
+                    axis.plot(faces, [100.0 * score.share for score in scored], line, label=kind)
+            axis.set(xlabel="faces in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0, None))
+            axis.set_xticks(faces, [f"{count:,}" for count in faces])
             axis.minorticks_off()
             axis.legend()
-            pictures["Error over the number of people trained on."] = to_svg(figure)
+            pictures["Error over the number of faces trained on."] = to_svg(figure)
         return pictures
 
     def _name_corpus(self) -> str:
@@ -184,33 +189,32 @@ class SurrogateOnCorpus(Study):
             if other.has_motion:
                 asked[f"{case}, in motion"] = Question(other, score_external_motion, tuple(other.methods))
         if self.curve:
-            if len({load_network(Path(path)).weights.note.people for path in self.curve}) < 2:
-                raise InputError("curve: two weights at least, trained on different numbers of people")
+            if len({_count_faces(asdict(load_network(Path(path)).weights.note)) for path in self.curve}) < 2:
+                raise InputError("curve: two weights at least, trained on different numbers of faces")
             asked[CURVE] = Question(contest, self._score_curve, self.curve)
         return asked
 
     def _score_curve(self, contest: Contest, path: str) -> list[Score]:
         """Score a network of the curve on unseen people, and on people from whom all of the curve have learned.
 
-        Where the share of seen people stays far below that of unseen ones, more people help; where both are level,
-        another form would.
+        These are none where all people of the corpus are tested. Where the share of seen people stays far below that
+        of unseen ones, more people help; where both are level, another form would.
         """
-        training, notes = contest.tested.training, [load_network(Path(other)).weights.note for other in self.curve]
-        network = load_network(Path(path))
-        network.weights.check_mesh(training.mean)
+        network, tested = load_network(Path(path)), contest.tested
+        note, method = network.weights.note, ready_methods(network)[NETWORK]
+        network.weights.check_mesh(tested.corpus.mean)
+        name = f"network of {_count_faces(asdict(note)):,} faces"
+        scores = [replace(evaluate([method], tested.static())[0], method=name, kind=UNSEEN)]
+        if tested.split is None:
+            return scores
+        training, notes = tested.training, [load_network(Path(other)).weights.note for other in self.curve]
         fewest = min(notes, key=lambda note: note.people)
         people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
         learned = np.setdiff1d(people, [number for note in notes for number in note.held])
         rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
         seen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
-        method = ready_methods(network)[NETWORK]
-        of_unseen = evaluate([method], contest.tested.static())[0]
         of_seen = evaluate([method], static_trials(training, seen))[0]
-        name = f"network of {network.weights.note.people} people"
-        return [
-            replace(of_unseen, method=name, kind="people that it has not seen"),
-            replace(of_seen, method=name, kind="people that it has learned from"),
-        ]
+        return [*scores, replace(of_seen, method=name, kind=LEARNED)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +268,11 @@ def score_external_motion(contest: Contest, name: str) -> list[Score]:
 
 def _read_scores(rows: Sequence[Row]) -> list[Score]:
     return [Score(**line) for row in rows for line in row.values["rows"]]
+
+
+def _count_faces(note: Mapping[str, Any]) -> int:
+    """Count the faces that a training has learned from."""
+    return int(note["faces"] + note["neutrals"])
 
 
 def _describe_cost(score: Score) -> str:
