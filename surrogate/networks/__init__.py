@@ -2,7 +2,7 @@
 
 | file           | T - S                                                | of           |
 |----------------|------------------------------------------------------|--------------|
-| modal          | modes with local gains; what is shipped              | this project |
+| modal          | `tables` that are mixed, and modes; what is shipped  | this project |
 | hypernetwork   | z(w) L(p, h) by deformation gradients, printed and ours | SoftDECA  |
 | recurrence     | α, β and γ of frames with inertia                    | SoftDECA     |
 | vertices_only  | z(w) L(p, h) at each vertex                          | SoftDECA's ablation |
@@ -14,6 +14,7 @@
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
 
+Offset and responses of `modal` are trained by `table_training`, its remainder by `modal_training`.
 `gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained,
 `gradient_start` where our hypernetwork begins, and `frames` the batches.
 """

@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -67,16 +66,10 @@ class Lesson(ABC):
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
     about: Sequence[str] = ()
     """What a kept state has to be of."""
-    renewed: int = 0
-    """Steps from one `renew` to the next; 0: there is none."""
 
     @abstractmethod
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the loss of a step's batch; `done`: the share of all steps that lies behind."""
-
-    def renew(self, step: int) -> None:
-        """Solve before a step for what does not descend, in lessons that are `renewed`."""
-        raise NotImplementedError
 
     def errors(self) -> Mapping[str, float]:
         """Return mean vertex errors [mm] on held-out people; by default nobody is held out."""
@@ -129,8 +122,6 @@ class Trainer:
         first = self.step
         for _ in range(steps):
             rng = np.random.default_rng([self.config.seed, 1, self.step])
-            if self.lesson.renewed and self.step % self.lesson.renewed == 0:
-                self.lesson.renew(self.step)
             loss = self.lesson.loss(self.step / self.steps, rng)
             self.optimiser.zero_grad()
             loss.backward()
@@ -204,19 +195,12 @@ TRIED = range(5)
 
 def count_steps(lesson: Lesson, hours: float) -> int:
     """Count the steps that fit into processor hours, validation aside, by how long some take."""
-    seconds = float(np.median([_time(partial(_descend, lesson)) for _ in TRIED]))
-    if lesson.renewed:
-        seconds += _time(lambda: lesson.renew(0)) / lesson.renewed
-    return max(1, int(3600.0 * hours / seconds))
+    return max(1, int(3600.0 * hours / float(np.median([_time_step(lesson) for _ in TRIED]))))
 
 
-def _descend(lesson: Lesson) -> None:
-    lesson.loss(0.0, np.random.default_rng(0)).backward()
-
-
-def _time(call: Callable[[], object]) -> float:
+def _time_step(lesson: Lesson) -> float:
     begin = time.process_time()
-    call()
+    lesson.loss(0.0, np.random.default_rng(0)).backward()
     return time.process_time() - begin
 
 

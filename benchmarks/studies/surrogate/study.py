@@ -131,6 +131,8 @@ class SurrogateOnCorpus(Study):
             for score in scores
             if score.kind == ALL
         ]
+        if not sentences:
+            return ""
         people, trainings = rows[0].values["people"], [rows[0].values["trained_on"]]
         while before := trainings[-1].get("before"):
             trainings.append(before)
