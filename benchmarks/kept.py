@@ -109,6 +109,7 @@ KEPT: Mapping[str, Kept] = {
 SINGLE: Mapping[str, str] = {
     "surrogate/table-1": "its corpus and its trainings take hours",
     "surrogate/corpus": "its corpus takes an hour",
+    "surrogate/curve": "its trainings take half an hour, and their corpora two hours",
     "further/corotated": "its study is no more",
     "further/scaling": "its study is no more",
     "further/timing": "its study is no more",
