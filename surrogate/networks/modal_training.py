@@ -215,11 +215,10 @@ def _export(
     if start is not None:
         seen.append(start.note.seen)
     joined = {name: [end for ranges in seen for end in ranges[name]] for name in seen[0]}
-    frames = corpus.frames_of if corpus.has_frames else ()
     note = TrainingNote(
         people=len(np.unique(corpus.groups[data.training, 0])),
         faces=len(data.training),
-        frames=int(sum(len(frames[number]) for number in data.training)) if len(frames) else 0,
+        frames=sum(len(corpus.frames_of[number]) for number in data.training) if corpus.has_frames else 0,
         steps=int(curve[-1]["step"]),
         config=asdict(config),
         curve=tuple(curve),

@@ -7,7 +7,7 @@ vertices: of those that it never saw it leaves as much. So a step costs a twenti
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,13 +70,11 @@ class TableLesson(Lesson):
         for arrays in data.read_teaching(READ, self.sample):
             parts.append(arrays)
             on_progress("training: faces read", min(READ * len(parts) / data.count, 1.0))
-        self.arrays = FaceArrays(*map(np.concatenate, zip(*parts, strict=True)))
-        self.held = data.read_held(self.sample)
         learned = {name: value for name, value in network.items() if name.startswith(LEARNED)}
         self.network = {name: value.detach().clone().to(device) for name, value in learned.items()}
-        always = self.solve(
-            [self.arrays.take(rows) for rows in _split(len(self.arrays.codes))], self.sample, mixed=False
-        )
+        always = self.solve(parts, self.sample, mixed=False)
+        self.arrays = FaceArrays(*map(np.concatenate, zip(*parts, strict=True)))
+        self.held = data.read_held(self.sample)
         for name, table in zip(("responses", "effects"), always, strict=False):
             mixed = len(learned[f"{name[:-1]}_share.weight"])
             still = torch.zeros(mixed, *table.shape[1:])
@@ -192,11 +190,6 @@ VERTICES = 256
 def _order(table: Floats32, columns: int) -> Floats32:
     """Return a table (n, k columns, 3), or (n, k, columns 3), as (k, columns, n, 3)."""
     return np.ascontiguousarray(table.reshape(len(table), -1, columns, 3).transpose(1, 2, 0, 3))
-
-
-def _split(count: int) -> Iterator[Ints]:
-    """Split numbers into as many parts as are read at a time."""
-    return (np.arange(first, min(first + READ, count)) for first in range(0, count, READ))
 
 
 def sample_vertices(data: LessonFaces, count: int, rng: np.random.Generator) -> Ints:
