@@ -57,12 +57,19 @@ class TrainingNote:
     before: Mapping[str, Any] | None = None
 
     @property
+    def trainings(self) -> tuple[TrainingNote, ...]:
+        """List all that was trained, from the last one back."""
+        return (self,) if self.before is None else (self, *TrainingNote(**self.before).trainings)
+
+    @property
     def seconds(self) -> float:
         """Seconds of this training and of all before it."""
-        total, before = float(self.curve[-1]["seconds"]), self.before
-        while before is not None:
-            total, before = total + float(before["curve"][-1]["seconds"]), before.get("before")
-        return total
+        return sum(float(note.curve[-1]["seconds"]) for note in self.trainings)
+
+    @property
+    def all_faces(self) -> int:
+        """How many faces this training learned from, with frames or without."""
+        return self.faces + self.neutrals
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +222,7 @@ def _read_note(said: Mapping[str, Any]) -> TrainingNote:
     if not isinstance(config, dict) or not isinstance(before, (dict, type(None))):
         raise InputError("note config and before: expected objects")
     if before is not None:
-        _read_note(before)
+        before = asdict(_read_note(before))
     return TrainingNote(**counts, config=config, curve=tuple(curve), seen=seen, held=tuple(held), before=before)
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
 from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
 from ....surrogate.motion import evaluate_motion, evaluate_played
+from ....surrogate.networks.weights import TrainingNote
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
 from ...harness.study import Column, Row, Study, Task, Values
@@ -133,11 +133,8 @@ class SurrogateOnCorpus(Study):
         ]
         if not sentences:
             return ""
-        people, trainings = rows[0].values["people"], [rows[0].values["trained_on"]]
-        while before := trainings[-1].get("before"):
-            trainings.append(before)
-        frames = sum(note["frames"] for note in trainings)
-        faces = sum(map(_count_faces, trainings))
+        people, trainings = rows[0].values["people"], _read_note(rows[0]).trainings
+        frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
         paid = [row.values["breakeven"] for row in rows if row.values.get("breakeven")]
         return describe_defeats(scores).replace("\n", " ") + (
             f"{people} people that training has not seen ({frames:,} static frames and the derivatives of {faces:,} "
@@ -148,7 +145,7 @@ class SurrogateOnCorpus(Study):
         """Draw mean error against the cost before the first frame, and per frame; and over the number of faces."""
         known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
         pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
-        grown = {_count_faces(row.values["trained_on"]): row for row in rows if row.case == CURVE}
+        grown = {_read_note(row).all_faces: row for row in rows if row.case == CURVE}
         if grown:
             figure, axis = subplots(figsize=(6, 3.4))
             faces = sorted(grown)
@@ -191,7 +188,7 @@ class SurrogateOnCorpus(Study):
             if other.has_motion:
                 asked[f"{case}, in motion"] = Question(other, score_external_motion, tuple(other.methods))
         if self.curve:
-            if len({_count_faces(asdict(load_network(Path(path)).weights.note)) for path in self.curve}) < 2:
+            if len({load_network(Path(path)).weights.note.all_faces for path in self.curve}) < 2:
                 raise InputError("curve: two weights at least, trained on different numbers of faces")
             asked[CURVE] = Question(contest, self._score_curve, self.curve)
         return asked
@@ -203,9 +200,9 @@ class SurrogateOnCorpus(Study):
         of unseen ones, more people help; where both are level, another form would.
         """
         network, tested = load_network(Path(path)), contest.tested
-        note, method = network.weights.note, ready_methods(network)[NETWORK]
+        method = ready_methods(network)[NETWORK]
         network.weights.check_mesh(tested.corpus.mean)
-        name = f"network of {_count_faces(asdict(note)):,} faces"
+        name = f"network of {network.weights.note.all_faces:,} faces"
         scores = [replace(evaluate([method], tested.static())[0], method=name, kind=UNSEEN)]
         if tested.split is None:
             return scores
@@ -272,9 +269,8 @@ def _read_scores(rows: Sequence[Row]) -> list[Score]:
     return [Score(**line) for row in rows for line in row.values["rows"]]
 
 
-def _count_faces(note: Mapping[str, Any]) -> int:
-    """Count the faces that a training has learned from."""
-    return int(note["faces"] + note["neutrals"])
+def _read_note(row: Row) -> TrainingNote:
+    return TrainingNote(**row.values["trained_on"])
 
 
 def _describe_cost(score: Score) -> str:
