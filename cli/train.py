@@ -20,8 +20,8 @@ from .written_file import FOLDER
     "--network",
     type=click.Choice(["modal", "hyper", "paper", "softsmpl-small", "softsmpl-large", "face-wise"]),
     default="modal",
-    help="modal: the shipped form; paper: SoftDECA's hypernetwork as printed, by its protocol; hyper: ours of it, "
-    "quick; softsmpl-small, softsmpl-large, face-wise: its rivals",
+    help="modal: the shipped form; paper: SoftDECA's hypernetwork as printed, by its protocol; hyper: the same beyond "
+    "modal's tables, quick; softsmpl-small, softsmpl-large, face-wise: its rivals",
 )
 @click.option("--steps", type=count_range(TRAINING_STEPS), help="training steps; default: the network's own number")
 @click.option("--batch", type=click.IntRange(1, 4096), help="frames a step, not of modal; default: the network's own")
@@ -70,14 +70,17 @@ def train(
     }
     given = {name: value for name, value in options.items() if value is not None}
     read = {"partial": partial, "share": share}
-    of_modal = {"--more": more, "--start": start}
-    of_gradients = {"--batch": batch, "--recurrence-steps": recurrence_steps}
-    _refuse(network, of_gradients if network == "modal" else of_modal)
+    if network == "modal":
+        _refuse(network, {"--batch": batch, "--recurrence-steps": recurrence_steps})
+    elif network != "hyper":
+        _refuse(network, {"--more": more, "--start": start})
     with show_progress() as progress:
         if network == "modal":
             path, curve = _modal(corpus, more, start, out, given, read, progress)
         else:
-            path, curve = _gradients(network, corpus, out, given, batch, recurrence_steps or 0, read, progress)
+            path, curve = _gradients(
+                network, corpus, more, start, out, given, batch, recurrence_steps or 0, read, progress
+            )
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
     write_whole(out / "curve.png", draw_learning_curve(curve))
@@ -114,13 +117,23 @@ def _refuse(network: str, options: dict) -> None:
 
 
 def _gradients(
-    network: str, corpus: Path, out: Path, options: dict, batch: int | None, recurrence_steps: int, read: dict, progress
+    network: str,
+    corpus: Path,
+    more: Path | None,
+    start: Path | None,
+    out: Path,
+    options: dict,
+    batch: int | None,
+    recurrence_steps: int,
+    read: dict,
+    progress,
 ):
     from ..surrogate import Surrogate
     from ..surrogate.corpus.heads import Heads
     from ..surrogate.corpus.reading import Faces, Table
     from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
     from ..surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
+    from ..surrogate.networks.weights import Weights
 
     config = replace(NETWORKS[network], **options)
     config = config if batch is None else with_batch(config, batch)
@@ -129,7 +142,14 @@ def _gradients(
     sequences = Table(corpus, "sequences", "train", **read) if recurrence_steps else None
     pivot = find_mean_pivot(Heads.from_corpus(corpus, progress)) if recurrence_steps else None
     out.mkdir(parents=True, exist_ok=True)
-    weights = train_gradients(faces, config, state=out / f"{network}.pt", on_progress=progress)
+    weights = train_gradients(
+        faces,
+        config,
+        more=None if more is None else Faces(more, "train", **read),
+        start=None if start is None else Weights.load(start),
+        state=out / f"{network}.pt",
+        on_progress=progress,
+    )
     if sequences is not None and pivot is not None:
         moving = RecurrenceTraining(steps=recurrence_steps)
         weights = train_recurrence(

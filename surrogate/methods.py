@@ -42,6 +42,7 @@ LEARNED_RESPONSES = "learned responses (kernel ridge)"
 RIDGE, RIDGE_DIMENSIONLESS = "ridge regression, raw", "ridge regression, dimensionless"
 VERTICES_ONLY = "vertices only, z(w) L(p, h)"
 SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
+SOFTDECA_BEGUN, TABLES = "SoftDECA, our form, on the network's tables", "the network's tables alone"
 SOFTSMPL_SMALL, SOFTSMPL_LARGE, SOFTSMPL_GRU = "SoftSMPL, small", "SoftSMPL, large", "SoftSMPL, dynamic (GRU)"
 SNP, TRAINED_BY_ENERGY = "SNP", "trained by the energy"
 
@@ -265,13 +266,13 @@ def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> 
 def certify(face: Face, surrogate: Surrogate | None = None) -> CertifiedFace:
     """Bind a face that tells each frame's error to the simulator; some seconds.
 
-    The surrogate, by default the shipped one, adds what is not linear where it can be bound to the head and the
-    parameters; elsewhere it is left out. Raises what the simulator raises.
+    The surrogate, by default the shipped one, adds what is not linear where it is modal and can be bound to the head
+    and the parameters; elsewhere it is left out. Raises what the simulator raises.
     """
     network = Surrogate.load() if surrogate is None else surrogate
     if network.has_derivatives and network.knows(face.skin):
         with suppress(InputError):  # a skin unlike its people's, or parameters beyond what it has seen
             rig = network.bind_face(face, exact=True)
-            assert isinstance(rig, BoundSurrogate)
-            return CertifiedFace(face, rig, NETWORK_AND_DERIVATIVES)
+            if isinstance(rig, BoundSurrogate):
+                return CertifiedFace(face, rig, NETWORK_AND_DERIVATIVES)
     return CertifiedFace(face, differentiate(face), DERIVATIVES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cache, cached_property
 from importlib.resources import files
 from os import PathLike
@@ -32,7 +31,7 @@ from .networks.features import Inputs
 from .networks.forms import FORMS
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
-from .networks.tables import Tables, expand
+from .networks.tables import Tables, expand, find_first_order
 from .networks.weights import Weights
 from .rigs.baked import compress
 from .rigs.bound import BoundSurrogate
@@ -195,7 +194,7 @@ class Surrogate:
     @property
     def has_derivatives(self) -> bool:
         """Whether the network has an offset and responses, which the simulator's can replace."""
-        return self.weights.kind == "modal"
+        return self.weights.kind == "modal" or FORMS[self.weights.kind].has_tables
 
     def check_exact(self) -> None:
         """Raise InputError for a network that has no offset and responses which the simulator could replace."""
@@ -206,18 +205,18 @@ class Surrogate:
         """Bind what describes a face; with a `simulated` one, by its own offset and responses."""
         skin, code, at_vertices, shapes, swing, carry = described
         code = self.inputs.code(code)
-        if self.weights.kind in FORMS:
-            form = FORMS[self.weights.kind]
-            carried = carry().astype(np.float32)
-            return GradientRig(
-                form, self.weights.network, self._transfer, code, at_vertices, skin, carried, shapes, swing
-            )
+        if not self.has_derivatives:
+            return self._bind_gradients(described, code, carry().astype(np.float32))
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            modes = self._find_modes(code, at_vertices, shapes)
-            if simulated is not None:
-                offset, responses = simulated.offset, simulated.responses
-                modes = replace(modes, offset=offset.astype(np.float32), responses=responses.astype(np.float32))
-            rig = BoundSurrogate(skin, modes, shapes, swing)
+            if simulated is None:
+                first = self._find_first_order(code, at_vertices, shapes)
+            else:
+                first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
+            rig: BoundRig
+            if self.weights.kind == "modal":
+                rig = BoundSurrogate(skin, self._find_modes(first, code, at_vertices), shapes, swing)
+            else:
+                rig = self._bind_gradients(described, code, *first)
             farthest = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
         if not farthest <= MOVED:
             raise InputError(
@@ -226,15 +225,32 @@ class Surrogate:
             )
         return rig
 
-    def _find_modes(self, code: Floats, at_vertices: Floats, shapes: Floats32) -> FaceModes:
-        """Return what the network gives for a face, in few modes; InputError unless it is finite."""
+    def _bind_gradients(
+        self, described: Described, code: Floats, offset: Floats32, responses: Floats32 | None = None
+    ) -> GradientRig:
+        form = FORMS[self.weights.kind]
+        skin, _, at_vertices, shapes, swing, _ = described
+        return GradientRig(
+            form, self.weights.network, self._transfer, code, at_vertices, skin, shapes, offset, responses, swing
+        )
+
+    def _find_first_order(self, code: Floats, at_vertices: Floats, shapes: Floats32) -> tuple[Floats32, Floats32]:
+        """Return what the tables give for a face; InputError unless it is finite."""
         features = self.inputs.features
-        modes = bind_modal(self.weights.network, self._tables, features, code, at_vertices, shapes)
+        first = find_first_order(self.weights.network, self._tables, features, code, at_vertices, shapes)
+        _check_finite(*first)
+        return first
+
+    def _find_modes(self, first: tuple[Floats32, Floats32], code: Floats, at_vertices: Floats) -> FaceModes:
+        """Return what the network gives for a face, in few modes; InputError unless it is finite."""
+        modes = bind_modal(self.weights.network, first, self.inputs.features, code, at_vertices)
+        _check_finite(modes.modes)
         try:
-            modes = compress(_check_finite(modes))
+            modes = compress(modes)
         except np.linalg.LinAlgError:
             raise InputError("weights: their remainder for this face is not finite; they are damaged") from None
-        return _check_finite(modes)
+        _check_finite(modes.modes)
+        return modes
 
     @cached_property
     def _tables(self) -> Tables:
@@ -294,11 +310,10 @@ def _from_array(parameters: Floats, skin: Surface) -> Parameters:
     )
 
 
-def _check_finite(modes: FaceModes) -> FaceModes:
-    """Return what weights give for a face; InputError unless it is finite."""
-    if not all(np.isfinite(array).all() for array in (modes.offset, modes.responses, modes.modes)):
+def _check_finite(*arrays: Floats32) -> None:
+    """Raise InputError unless what weights give for a face is finite."""
+    if not all(np.isfinite(array).all() for array in arrays):
         raise InputError("weights: what they give for this face is not finite; they are damaged")
-    return modes
 
 
 def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:

@@ -3,7 +3,7 @@
 | file           | T - S                                                | of           |
 |----------------|------------------------------------------------------|--------------|
 | modal          | `tables` that are mixed, and modes; what is shipped  | this project |
-| hypernetwork   | z(w) L(p, h) by deformation gradients, printed and ours | SoftDECA  |
+| hypernetwork   | z(w) L(p, h) by deformation gradients; ours beyond `tables` | SoftDECA |
 | recurrence     | α, β and γ of frames with inertia                    | SoftDECA     |
 | vertices_only  | z(w) L(p, h) at each vertex                          | SoftDECA's ablation |
 | face_wise      | a network at each face, in each frame                | SoftDECA's ablation |
@@ -14,7 +14,7 @@
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
 
-Offset and responses of `modal` are trained by `table_training`, its remainder by `modal_training`.
-`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained,
-`gradient_start` where our hypernetwork begins, and `frames` the batches.
+`table_training` trains the tables of `modal` and of our hypernetwork, `modal_training` the rest of the first.
+`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and
+`frames` the batches.
 """

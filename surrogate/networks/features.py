@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -56,11 +56,8 @@ class Features:
     """Features on the n vertices of a space's mean skin; all of p is mapped to [-1, 1], P columns of STATIC."""
 
     mean: Surface
-
-    @property
-    def local_size(self) -> int:
-        """Columns of `local`."""
-        return len(STATIC) + 7
+    local_size: ClassVar[int] = len(STATIC) + 7
+    """Columns of `local`."""
 
     @property
     def summary_size(self) -> int:

@@ -19,8 +19,8 @@ PEOPLE = 32
 class FrameBatch:
     """Frames as arrays: face and person (N,), code (N, c), weights (N, 52), coefficients of STATIC (N, P, 1 + WAVES).
 
-    blended and simulated (N, n, 3) [mm]: the linear blendshapes' S, carried along by scaled bones, and the simulator's
-    T.
+    blended and simulated (N, n, 3) [mm]: the S on which a network's J acts, and the simulator's T. moved (N,) [mm]: how
+    far T is on average from blendshapes that are carried along by scaled bones.
     """
 
     face: Ints
@@ -30,6 +30,7 @@ class FrameBatch:
     coefficients: Floats32
     blended: Floats32
     simulated: Floats32
+    moved: Floats32
 
     def __len__(self) -> int:
         return len(self.face)
@@ -38,12 +39,13 @@ class FrameBatch:
 class FrameSource:
     """The accepted static frames of faces: with `fields` of all, else under uniform parameters, as the paper has them.
 
+    S are blendshapes carried along by scaled bones, or with `first_order` right to first order by the simulator.
     face (F,): numbers among `faces`; codes (F, c), coefficients (F, P, 1 + WAVES) of STATIC and counts (F,) of frames.
     All else is read when it is asked for. Raises InputError where there is no such frame.
     """
 
-    def __init__(self, faces: Faces, chosen: Ints | None = None, *, fields: bool = False):
-        self.faces = faces
+    def __init__(self, faces: Faces, chosen: Ints | None = None, *, fields: bool = False, first_order: bool = False):
+        self.faces, self.first_order = faces, first_order
         numbers = range(len(faces)) if chosen is None else map(int, chosen)
         rows = [(k, faces.coefficients(k)) for k in numbers if len(faces.frames_of[k])]
         rows = [(k, coefficients) for k, coefficients in rows if fields or not coefficients[:, 1:].any()]
@@ -81,18 +83,24 @@ class FrameSource:
         faces, n = self.faces, len(self.faces.mean.vertices)
         weights = np.empty((len(picked), 52), dtype=np.float32)
         blended = np.empty((len(picked), n, 3), dtype=np.float32)
-        simulated = np.empty_like(blended)
+        simulated, moved = np.empty_like(blended), np.empty(len(picked), dtype=np.float32)
         for k in np.unique(picked):
             of_face = np.flatnonzero(picked == k)
-            read = faces.frames(int(self.face[k]), frame[of_face])
-            skin, shapes = self._neutral(int(faces.groups[self.face[k], 0]))
-            weights[of_face] = read.weights
-            moved = read.weights @ shapes.reshape(52, -1).astype(np.float32)
-            expression = skin + moved.reshape(-1, n, 3)
-            blended[of_face] = expression + faces.carried(int(self.face[k]))
-            simulated[of_face] = expression + read.corrected.astype(np.float32)
+            number = int(self.face[k])
+            read, carried = faces.frames(number, frame[of_face]), faces.carried(number)
+            skin, shapes = self._neutral(int(faces.groups[number, 0]))
+            weights[of_face], corrected = read.weights, read.corrected.astype(np.float32)
+            expression = skin + (read.weights @ shapes.reshape(52, -1).astype(np.float32)).reshape(-1, n, 3)
+            simulated[of_face] = expression + corrected
+            moved[of_face] = np.linalg.norm(corrected - carried, axis=2).mean(axis=1)
+            if self.first_order:
+                blended[of_face] = simulated[of_face] - read.remainder(faces.face(number))
+            else:
+                blended[of_face] = expression + carried
         person = faces.groups[self.face[picked], 0]
-        return FrameBatch(picked, person, self.codes[picked], weights, self.coefficients[picked], blended, simulated)
+        return FrameBatch(
+            picked, person, self.codes[picked], weights, self.coefficients[picked], blended, simulated, moved
+        )
 
     def _read_neutral(self, identity: int) -> tuple[Floats32, np.ndarray]:
         person = self.faces.person(identity)

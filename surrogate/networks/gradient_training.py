@@ -2,7 +2,7 @@
 
 | name           | form                                   | protocol                                     |
 |----------------|----------------------------------------|----------------------------------------------|
-| hyper          | the hypernetwork with tables and gains | from a regression on, quick                  |
+| hyper          | the hypernetwork beyond first order    | quick, after its tables                      |
 | paper          | the hypernetwork as it is printed      | the paper's, 200,000 steps of 128 frames     |
 | softsmpl-small | one perceptron, the paper's widths     | the paper's                                  |
 | softsmpl-large | one perceptron, wider                  | the paper's                                  |
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.geometry.deformation import DeformationTransfer
+from ...lhm.base.geometry.deformation import DeformationTransfer, least_gradients
 from ...lhm.base.geometry.topology import connected_parts
 from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
@@ -30,9 +30,12 @@ from ..corpus.reading import Faces
 from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
-from .gradient_start import LEAST_MOTION, regress
 from .gradients import HELD, GradientForm, Sizes, Widths
+from .modal_faces import LessonFaces
+from .ridge import find_components
 from .softsmpl import LARGE, SMALL
+from .table_training import TableTraining, after_tables, continue_network, draw_mixers, train_tables
+from .tables import table_shapes
 from .trainer import (
     Lesson,
     Tensors,
@@ -41,11 +44,14 @@ from .trainer import (
     draw_layers,
     draw_positions,
     hold_out_people,
+    join_curves,
     open_device,
     torch,
 )
 from .weights import TrainingNote, Weights
 
+LEAST_MOTION = 0.02
+"""[mm] Added to a frame's own size: a still one must not decide."""
 SAMPLED, JUDGED = 400, 200
 """Frames that tell which vertices stand still, and those of held-out people by which a training is judged, at most."""
 
@@ -55,13 +61,14 @@ class GradientTraining(TrainerConfig):
     """Options of one training, each with its reason: those of our hypernetwork."""
 
     form: str = "hypernetwork"
-    network: Widths = field(default_factory=lambda: Widths(latent=64, hidden=96, position=48))
+    network: Widths = field(default_factory=lambda: Widths(latent=64, hidden=32, position=16))
+    tables: TableTraining = field(default_factory=TableTraining)  # where the form has some
     steps: int = 3000
     batch: int = 24  # frames per step; a larger one takes proportionally longer on a CPU
     frames: int = 6  # of one face among these, for which p and h are evaluated once
     fields: bool = True  # faces under p that vary over them teach, too
     in_own_size: bool = True  # errors count in shares of how far a frame is from carried blendshapes
-    learning_rate: float = 3e-3
+    learning_rate: float = 6e-3
     warm_up: int = 100
     final_rate: float = 1e-4
     weight_decay: float = 0.01
@@ -104,26 +111,64 @@ def train_gradients(
     faces: Faces,
     config: GradientTraining | None = None,
     *,
+    more: Faces | None = None,
+    start: Weights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
 ) -> Weights:
     """Fit a network to a corpus' training frames; return the weights of least error on held-out people.
 
-    Frames are read as batches need them. With `state`, a file, the training is kept there now and then and goes on from
-    there when called again. Raises InputError for fewer than two people, a device that is not there, a loss that is
-    not finite, and for a state of another training.
+    Frames are read as batches need them. A form with tables learns these first, from the corpus' faces and `more`; or
+    they are those of `start`, weights of either kind that has them. With `state`, a file, the training is kept there
+    now and then, that of tables beside it, and goes on from there when called again. Raises InputError for fewer than
+    two people, or ten where tables are learned, a device that is not there, a loss that is not finite, a `start`
+    without tables of these sizes, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
-    lesson = GradientLesson(faces, config)
-    trainer = Trainer(lesson, config)
+    form, inputs = FORMS[config.form], None
+    first: dict[str, np.ndarray] = {}
+    curve: list[dict[str, float]] = []
+    if not form.has_tables and (more is not None or start is not None):
+        raise InputError(f"training: a {form.kind} network has no tables that more faces or a start could teach")
+    if form.has_tables:
+        torch.manual_seed(config.seed)
+        data = LessonFaces.divide(
+            faces, more, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
+        )
+        inputs = data.inputs
+        if start is None:
+            first = draw_mixers(config.network, faces.mean, data.code_size, np.random.default_rng([config.seed, 3]))
+        else:
+            first = continue_network(start, data, table_shapes(config.network, data.vertex_count, data.code_size))
+        if start is None or more is not None:
+            learned, curve = train_tables(data, first, config.tables, config, state, on_progress)
+            first |= learned
+    lesson = GradientLesson(faces, config, inputs)
+    trainer = Trainer(lesson, after_tables(config) if curve else config)
     trainer.train(state, on_progress)
-    return lesson.weights(trainer)
+    note = TrainingNote(
+        people=len(lesson.source.people),
+        faces=len(lesson.source.face),
+        frames=len(lesson.source),
+        neutrals=len(more or ()),
+        steps=trainer.step,
+        config=asdict(config),
+        curve=tuple(join_curves(curve, trainer.curve)),
+        seen=lesson.seen,
+        held=tuple(lesson.held.tolist()),
+        before=None if start is None else asdict(start.note),
+    )
+    inputs, arrays = lesson.inputs, first | trainer.arrays()
+    looseness = None if start is None else start.looseness
+    return Weights(
+        form.kind, faces.space, faces.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness
+    )  # fmt: skip
 
 
 class GradientLesson(Lesson):
     """A form's tensors, the loss of a batch of frames, and the error on those of held-out people."""
 
-    def __init__(self, faces: Faces, config: GradientTraining):
+    def __init__(self, faces: Faces, config: GradientTraining, inputs: Inputs | None = None):
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
@@ -131,46 +176,41 @@ class GradientLesson(Lesson):
         people = np.unique(faces.groups[:, 0])
         if len(people) < 2:
             raise InputError(f"training needs frames of at least two people, there are {len(people)}")
-        self.held = hold_out_people(people, config.validation, np.random.default_rng(config.seed))
+        self.held = hold_out_people(people, config.validation, np.random.default_rng([config.seed, 0]))
         is_held = np.isin(faces.groups[:, 0], self.held)
         self.training = np.flatnonzero(~is_held)
-        self.source = FrameSource(faces, self.training, fields=config.fields)
-        codes = self.source.codes
-        mean = codes.mean(axis=0).astype(np.float64)
-        # All of a code counts as much as one parameter: with fewer people than numbers it is mostly learnt by heart.
-        scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
-        self.inputs = Inputs(Features(faces.mean), mean, scale)
+        self.source = self._open(self.training)
+        self.inputs = _normalise_codes(faces.mean, self.source.codes) if inputs is None else inputs
         self.seen = seen_ranges(faces, self.training, self.inputs.features)
         self.followed = np.ptp(self.source.coefficients[:, :, 0], axis=0) > 0.0
         torch.manual_seed(config.seed)
         rng = np.random.default_rng([config.seed, 2])
         sample = self.source.sample(SAMPLED, rng)
         anchors = still_vertices(faces.mean, sample.simulated - sample.blended)
-        self.network = self._start(sample, anchors)
+        self.network = draw_form(self.form, config, faces.mean, sample.codes.shape[1], self.followed)
+        self.network["anchored"][anchors] = 1.0
+        if "modes" in self.network:
+            self.network |= _begin_modes(sample, faces.mean, config.network.latent, rng)
+        self.network = {name: value.to(self.device) for name, value in self.network.items()}
+        for name, value in self.network.items():
+            value.requires_grad_(name not in HELD)
         transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
         self.transfer = open_differentiable(transfer, self.device)
-        held = FrameSource(faces, np.flatnonzero(is_held), fields=config.fields)
-        self.judged = self._tensors(held.sample(JUDGED, rng), 1)
+        self.judged = self._tensors(self._open(np.flatnonzero(is_held)).sample(JUDGED, rng), 1)
         self.about = [f"{len(faces)} faces"]
 
-    def _start(self, sample: FrameBatch, anchors: Ints) -> Tensors:
-        config = self.config
-        network = draw_form(self.form, config, self.faces.mean, sample.codes.shape[1], self.followed)
-        if "responses" in network:
-            rng, parameters = np.random.default_rng([config.seed, 3]), self.inputs.features.at_vertices
-            begun = regress(self.faces, self.training, parameters, self.followed, config.network.latent, rng)
-            network |= {name: torch.from_numpy(value).reshape(network[name].shape) for name, value in begun.items()}
-        network["anchored"][anchors] = 1.0
-        network = {name: value.to(self.device) for name, value in network.items()}
-        for name, value in network.items():
-            value.requires_grad_(name not in HELD)
-        return network
+    def _open(self, chosen: Ints) -> FrameSource:
+        return FrameSource(self.faces, chosen, fields=self.config.fields, first_order=self.form.has_tables)
 
     def _tensors(self, batch: FrameBatch, frames: int) -> tuple[torch.Tensor, ...]:
-        """Weights (g, m, 52), codes (g, c), parameters (g, 1 or faces, k), S and T (g m, n, 3), m frames a face."""
+        """Weights (g, m, 52), codes (g, c), parameters (g, 1 or faces, k), S and T (g m, n, 3), and how far T moved.
+
+        Of m frames a face.
+        """
         codes = np.array([self.inputs.code(code) for code in batch.codes[::frames]]).astype(np.float32)
         weights = batch.weights.reshape(len(codes), frames, -1)
-        parts = weights, codes, self._parameters(batch.coefficients[::frames]), batch.blended, batch.simulated
+        parameters = self._parameters(batch.coefficients[::frames])
+        parts = weights, codes, parameters, batch.blended, batch.simulated, batch.moved
         return tuple(torch.from_numpy(np.ascontiguousarray(part)).to(self.device) for part in parts)
 
     def _parameters(self, coefficients: Floats32) -> Floats32:
@@ -185,46 +225,28 @@ class GradientLesson(Lesson):
         """Return the mean error of a batch's vertices (Eq. 16) [mm], or in shares of each frame's own size."""
         config = self.config
         batch = self.source.draw(config.batch // config.frames, config.frames, rng)
-        weights, codes, parameters, blended, simulated = self._tensors(batch, config.frames)
+        weights, codes, parameters, blended, simulated, moved = self._tensors(batch, config.frames)
         gradients = self.form.gradients(self.network, weights, codes, parameters).flatten(0, 1)
         delta = self.transfer(gradients, blended)
         error = torch.linalg.vector_norm(delta + blended - simulated, dim=-1).mean(dim=-1)
         if config.in_own_size:
-            error = error / (torch.linalg.vector_norm(simulated - blended, dim=-1).mean(dim=-1) + LEAST_MOTION)
+            error = error / (moved + LEAST_MOTION)
         return error.mean()
 
     def errors(self) -> dict[str, float]:
-        """Return errors on held-out people: of the network and of T = S, carried, [mm], and the network's share."""
-        weights, codes, parameters, blended, simulated = self.judged
-        sums = {"network": 0.0, "blendshapes": 0.0, "share": 0.0}
+        """Return errors on held-out people [mm]: of the network, of S and of carried blendshapes; and its share."""
+        weights, codes, parameters, blended, simulated, moved = self.judged
+        sums = {"network": 0.0, "still": 0.0, "blendshapes": 0.0, "share": 0.0}
         with torch.no_grad():
             for part in torch.arange(len(weights)).split(8):
                 gradients = self.form.gradients(self.network, weights[part], codes[part], parameters[part])
-                moved = simulated[part] - blended[part]
+                left = simulated[part] - blended[part]
                 delta = self.transfer(gradients.flatten(0, 1), blended[part])
-                missed, motion = (torch.linalg.vector_norm(x, dim=-1).mean(dim=-1) for x in (delta - moved, moved))
-                parts = missed, motion, missed / (motion + LEAST_MOTION)
+                missed, still = (torch.linalg.vector_norm(x, dim=-1).mean(dim=-1) for x in (delta - left, left))
+                parts = missed, still, moved[part], missed / (moved[part] + LEAST_MOTION)
                 for name, error in zip(sums, parts, strict=True):
                     sums[name] += float(error.sum()) / len(weights)
         return sums
-
-    def weights(self, trainer: Trainer) -> Weights:
-        """Return the trained network with what it was made from."""
-        note = TrainingNote(
-            people=len(self.source.people),
-            faces=len(self.source.face),
-            frames=len(self.source),
-            neutrals=0,
-            steps=trainer.step,
-            config=asdict(self.config),
-            curve=tuple(trainer.curve),
-            seen=self.seen,
-            held=tuple(self.held.tolist()),
-        )
-        return Weights(
-            self.form.kind, self.faces.space, self.faces.mean, self.inputs.code_mean, self.inputs.code_scale,
-            trainer.arrays(), note,
-        )  # fmt: skip
 
 
 def draw_form(form: GradientForm, config: GradientTraining, mean: Surface, code_size: int, followed) -> Tensors:
@@ -241,6 +263,23 @@ def draw_form(form: GradientForm, config: GradientTraining, mean: Surface, code_
     network["followed"] = torch.from_numpy(followed.astype(np.float32))
     network["anchored"] = torch.zeros(len(mean.vertices))
     return network
+
+
+def _begin_modes(sample: FrameBatch, mean: Surface, count: int, rng: np.random.Generator) -> Tensors:
+    """Return the gradients by which the mean skin moves along principal components of T - S, and their size."""
+    left = sample.simulated - sample.blended
+    left /= (np.linalg.norm(left, axis=2).mean(axis=1) + LEAST_MOTION)[:, None, None]
+    components, sizes = find_components(left.reshape(len(left), -1), count, rng)
+    fields = (LEAST_MOTION * sizes[:, None] * components).reshape(count, *mean.vertices.shape)
+    modes = least_gradients(mean.vertices, fields, mean.triangles).swapaxes(0, 1).astype(np.float32)
+    scale = max(np.sqrt(np.mean(modes**2)), 1e-9)
+    return {"modes": torch.from_numpy(modes / scale), "scale": torch.full((1,), scale)}
+
+
+def _normalise_codes(mean: Surface, codes: Floats32) -> Inputs:
+    """Return inputs by which all of a code counts as much as one parameter: of few people it is learnt by heart."""
+    scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
+    return Inputs(Features(mean), codes.mean(axis=0).astype(np.float64), scale)
 
 
 class _Transfer(torch.autograd.Function):

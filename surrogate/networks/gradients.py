@@ -4,7 +4,8 @@
 
 Each form says how z (k,) and L (faces, 9, k) follow from w, p, h and the face. The paper names no identity in Eq. 18;
 with it a network that has learned nothing leaves S as it is. S are the blendshapes carried along by scaled bones, which
-the paper does not scale: no network has to learn what the head itself tells.
+the paper does not scale: no network has to learn what the head itself tells. Or they are right to first order, where a
+form has tables.
 """
 
 from __future__ import annotations
@@ -24,16 +25,17 @@ from ..corpus.mixture import STATIC
 from ..rigs.inertia import DynamicRig, Swings, dynamic_rig
 from ..rigs.rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
 from .layers import Arrays, check_network, layer_shapes
+from .tables import TableSizes, table_shapes
 
 Bound = Callable[[Floats32], tuple[Floats32, Floats32]]
 """L (faces, 9, k) and z (k,), with J - I = z L, for weights (52,)."""
-HELD = ("followed", "anchored", "responses", "scale")
-"""Arrays that are not trained: which of STATIC a form follows, which vertices the transfer holds, tables as found."""
+HELD = ("followed", "anchored", "scale")
+"""Arrays that are not trained: which of STATIC a form follows, which vertices the transfer holds, the size of modes."""
 
 
 @dataclass(frozen=True)
-class Widths:
-    """Widths of layers, each with its reason; InputError for one that is not positive.
+class Widths(TableSizes):
+    """Sizes of layers, and of tables where a form has them, each with its reason; InputError for one not positive.
 
     The paper's are in its supplement, which is not public; `latent` is told in its Eq. 18.
     """
@@ -42,11 +44,6 @@ class Widths:
     expression: int = 128  # hidden width of what runs once per frame
     position: int = 32  # length of π(i)
     hidden: int = 16  # of what every face evaluates: time grows with its square
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if not isinstance(value, int) or value < 1:
-                raise InputError(f"network width {name}: expected a positive integer, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -69,6 +66,8 @@ class GradientForm(ABC):
     """Arrays that begin so many times smaller than usual."""
     follows_fields: ClassVar[bool] = True
     """Whether p may vary over the face."""
+    has_tables: ClassVar[bool] = False
+    """Whether S is right to first order, by `tables`; otherwise it is blendshapes, carried along by scaled bones."""
 
     @abstractmethod
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
@@ -80,8 +79,9 @@ class GradientForm(ABC):
 
     def shapes(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
         """Return the shape of each array of a network."""
+        first = table_shapes(sizes.widths, sizes.vertices, sizes.code) if self.has_tables else {}
         held = {"followed": (len(STATIC),), "anchored": (sizes.vertices,)}
-        return {**self.tables(sizes), **held, **layer_shapes(self.layers(sizes), self.without_bias)}
+        return {**first, **self.tables(sizes), **held, **layer_shapes(self.layers(sizes), self.without_bias)}
 
     def check(
         self, network: Mapping[str, np.ndarray], widths: Mapping[str, int], mean: Surface, code_size: int
@@ -108,11 +108,11 @@ class GradientRig:
 
     def __init__(
         self, form: GradientForm, network: Arrays, transfer: DeformationTransfer, code: Floats, at_vertices: Floats,
-        skin: Surface, carried: Floats32, shapes: Floats32, swing: Swings | None = None,
+        skin: Surface, shapes: Floats32, offset: Floats32, responses: Floats32 | None, swing: Swings | None = None,
     ):  # fmt: skip
         """Bind parameters mapped to [-1, 1] at vertices (n, P), a normalised code (c,) and shapes (52, n, 3).
 
-        carried (n, 3) [mm]: how far scaled bones carry the neutral skin.
+        offset (n, 3) and responses (52, n, 3) [mm]: what is added to the blendshapes before J acts on them.
 
         Raises InputError for parameters that vary over the face where the form cannot follow.
         """
@@ -123,8 +123,9 @@ class GradientRig:
         parameters = followed[0] if is_uniform else followed[skin.triangles].mean(axis=1)
         self._bound, self._transfer = form.bind(network, code.astype(np.float32), parameters), transfer
         self.skin, self.swing = skin, swing
-        self._skin, self._carried = skin.vertices.astype(np.float32), carried
+        self._skin, self._offset = skin.vertices.astype(np.float32), offset
         self._shapes = shapes.reshape(WEIGHTS, -1)
+        self._responses = None if responses is None else responses.reshape(WEIGHTS, -1)
 
     @property
     def neutral(self) -> Floats32:
@@ -135,7 +136,9 @@ class GradientRig:
         """Return the simulated skin [mm], shape (n, 3), for 52 ARKit weights; see `Rig.frame`."""
         weights, surface = check_weights(weights), check_out(out, self._skin.shape)
         surface[:] = self.blend(weights) if blended is None else check_blended(blended, self.skin)
-        surface += self._carried
+        surface += self._offset
+        if self._responses is not None:
+            add_combination(weights, self._responses, surface.reshape(-1))
         forces = np.zeros_like(surface)
         latents, latent = self._bound(weights)
         _latent_forces(latents, latent, surface, self._transfer.triangles, self._transfer.stiffness, forces)

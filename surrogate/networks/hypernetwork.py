@@ -1,11 +1,13 @@
-"""SoftDECA's hypernetwork: z_t = f_w(w_t) and L_i = f_ph(p, h, π(i)) (Eq. 18-20), in its printed form and in ours.
+"""SoftDECA's hypernetwork: z_t = f_w(w_t) and L_i = f_ph(p, h, π(i)) (Eq. 18-20), as it is printed and as ours.
 
 The printed form is Eq. 18 and 19 and nothing else: two perceptrons and a trained table π.
 
-Ours has J_i - I = O_i + z L_i: O_i is what p does to the face at rest, L_i what it makes of expressions. Both are sums
-of tables of each mesh face. Their factors are what one perceptron makes of (p_i, h, π(i)), and for O also p_i itself;
-its gains multiply L. So p may vary over the face. z = f_w(w) + W w. Tables and W begin by regression on the corpus'
-faces, at what is linear in w and, at rest, in p; L's tables stay as they are.
+Ours starts from a skin that is right to first order: S is what `tables` make of the blendshapes, and z is zero at
+w = 0. Gradients that are linear in w could not do that. J acts from the left on S, so what is right at rest is
+multiplied by how S stretches, at lids and lips by many times: with the simulator's own offset and responses as J, 35 %
+of the motion is left, and by adding them to S 7. Nor are tables of gradients learned as well as those of displacements:
+the transfer turns errors that are small in J into drift of the whole face. What is left is small, and L begins with its
+principal components: L_i = g_i M_i, modes M of each mesh face with gains g_i = exp(f_ph(p_i, h, π(i))).
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class PrintedHypernetwork(GradientForm):
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`: z meets the last layer before the faces do, 9 outputs per face instead of 288."""
         latent = perceptron(network, "expression", weights, elu)
-        hidden = _list_printed_features(network, code[:, None], parameters)
+        hidden = _list_features(network, code[:, None], parameters)
         last = network["last.weight"].reshape(latent.shape[-1], 9, -1)
         contracted = einsum("gml,lch->gmhc", latent, last)
         still = latent @ network["last.bias"].reshape(-1, 9)
@@ -48,86 +50,67 @@ class PrintedHypernetwork(GradientForm):
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
         """See `GradientForm`: L is all of it."""
-        hidden = _list_printed_features(network, code, parameters)
+        hidden = _list_features(network, code, parameters)
         local = linear(network, "last", hidden).reshape(len(hidden), -1, 9)
         latents = np.ascontiguousarray(local.transpose(0, 2, 1))
         return lambda weights: (latents, perceptron(network, "expression", weights, elu))
 
 
-def _list_printed_features(network: Arrays, code, parameters):
+def _list_features(network: Arrays, code, parameters):
     """Return f_ph's last hidden layer at all faces, shape (..., faces, hidden)."""
+    return elu(perceptron(network, "middle", _list_inputs(network, code, parameters), elu))
+
+
+def _list_inputs(network: Arrays, code, parameters):
+    """Return f_ph's first hidden layer at all faces, shape (..., faces, hidden)."""
     first = network["position"] @ network["from_position.weight"].T
-    first = first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))
-    return elu(perceptron(network, "middle", elu(first), elu))
-
-
-RESPONSES, OFFSETS = 5, 8
-"""Tables of L, of which the first has factor 1, and those of O beside that of rest and those of p."""
+    return elu(first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters)))
 
 
 class Hypernetwork(GradientForm):
-    """Ours: z with a part that is linear in w, and tables whose factors follow p and h at each face."""
+    """Ours: beyond first order, in modes."""
 
     kind = "hypernetwork"
-    without_bias = ("expression_linear", "from_position", "from_code")
+    without_bias = ("from_position", "from_code")
     quiet = {
-        "expression.4.weight": 0.1, "expression.4.bias": 0.0,
-        "gain.weight": 0.1, "gain.bias": 0.0, "mixing.weight": 0.1, "mixing.bias": 0.0,
+        "expression.4.weight": 0.1, "expression.4.bias": 0.0, "from_code.weight": 0.1,
+        "gain.weight": 0.1, "gain.bias": 0.0,
     }  # fmt: skip
+    has_tables = True
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
-        """See `GradientForm`. Most of what tissue does is linear in the weights."""
+        """See `GradientForm`."""
         widths, hidden = sizes.widths, sizes.widths.hidden
         return {
-            "expression_linear": (widths.latent, WEIGHTS),
-            "expression.4": (widths.latent, widths.expression),
-            "expression.0": (widths.expression, WEIGHTS),
-            "expression.2": (widths.expression, widths.expression),
+            **perceptron_layers("expression", WEIGHTS, widths.expression, widths.expression, widths.latent),
             "from_position": (hidden, widths.position),
             "from_code": (hidden, sizes.code),
             "from_parameters": (hidden, sizes.parameters),
-            "middle": (hidden, hidden),
             "gain": (widths.latent, hidden),
-            "mixing": (RESPONSES - 1 + OFFSETS, hidden),
         }
 
     def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-        """See `GradientForm`. scale: the tables' size, by which Adam steps all weights alike."""
-        return {
-            "responses": (sizes.faces, RESPONSES, sizes.widths.latent * 9),
-            "offsets": (sizes.faces, 1 + sizes.parameters + OFFSETS, 9),
-            **super().tables(sizes),
-            "scale": (1,),
-        }
+        """See `GradientForm`. scale: the size of modes, by which Adam steps all weights alike."""
+        return {**super().tables(sizes), "modes": (sizes.faces, sizes.widths.latent, 9), "scale": (1,)}
 
     def gradients(self, network: Arrays, weights, code, parameters):
         """See `GradientForm`."""
-        offsets, latents = _local(network, code[:, None], parameters)
-        return offsets[:, None] + einsum("gml,gflc->gmfc", _latent(network, weights), latents)
+        latent, gains = _find_latent(network, weights), _find_gains(network, code[:, None], parameters)
+        return einsum("gml,gfl,flc->gmfc", latent, gains, network["modes"])
 
     def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
-        """See `GradientForm`: O and L are all of it, and z begins with O's 1."""
-        offsets, latents = _local(network, code, np.atleast_2d(parameters))
-        both = np.concatenate([offsets[..., None], latents.swapaxes(-1, -2)], axis=-1)
-        one = np.ones(1, dtype=np.float32)
-        return lambda weights: (both, np.concatenate([one, _latent(network, weights)]))
+        """See `GradientForm`: L is all of it."""
+        gains = _find_gains(network, code, np.atleast_2d(parameters))
+        latents = np.ascontiguousarray((gains[..., None] * network["modes"]).transpose(0, 2, 1))
+        return lambda weights: (latents, _find_latent(network, weights))
 
 
-def _latent(network: Arrays, weights):
-    """Return z_t = f_w(w_t), shape (..., latent), of weights (..., 52)."""
-    return perceptron(network, "expression", weights, elu) + weights @ network["expression_linear.weight"].T
+def _find_latent(network: Arrays, weights):
+    """Return z (..., latent) of weights (..., 52), which is zero at zero."""
+    moved, still = (perceptron(network, "expression", w, elu) for w in (weights, 0.0 * weights))
+    return moved - still
 
 
-def _local(network: Arrays, code, parameters):
-    """Return O (..., faces, 9) and L (..., faces, latent, 9) of codes (..., c) and parameters (..., 1 or faces, k)."""
-    first = network["position"] @ network["from_position.weight"].T
-    first = first + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))
-    hidden = elu(first)
-    hidden = hidden + elu(linear(network, "middle", hidden))
-    gains, mixing = exp(linear(network, "gain", hidden)), linear(network, "mixing", hidden)
-    tables, offsets, size = network["responses"], network["offsets"], 1 + parameters.shape[-1]
-    mixed = tables[:, 0] + einsum("...fm,fmk->...fk", mixing[..., : RESPONSES - 1], tables[:, 1:])
-    rest = offsets[:, 0] + einsum("...fm,fmk->...fk", parameters, offsets[:, 1:size])
-    rest = rest + einsum("...fm,fmk->...fk", mixing[..., RESPONSES - 1 :], offsets[:, size:])
-    scale = network["scale"]
-    return scale * rest, scale * gains[..., None] * mixed.reshape(*gains.shape, 9)
+def _find_gains(network: Arrays, code, parameters):
+    """Return g (..., faces, latent) of codes (..., c) and parameters (..., 1 or faces, k)."""
+    return network["scale"] * exp(linear(network, "gain", _list_inputs(network, code, parameters)))

@@ -17,61 +17,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats, Surface
+from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
-from .features import BONES, EFFECTS, Features
+from . import tables
+from .features import Features
 from .layers import EVERY, Arrays, check_network, exp, layer_shapes, linear, scale_modes
-from .tables import (
-    Tables,
-    find_offset,
-    find_responses,
-    mix_effects,
-    mix_responses,
-    mixer_layers,
-    scale_bones,
-    see_vertices,
-)
+from .tables import TableSizes, mixer_layers, see_vertices, table_layers, table_shapes
 
-WITHOUT_BIAS = ("gain_code", "response_code", "effect_code", "remainder_out", "remainder_linear")
-QUIET = ("gain_out", "lag", "response_gain", "remainder_gain", "remainder_modulation")
+WITHOUT_BIAS = (*tables.WITHOUT_BIAS, "gain_code", "remainder_out", "remainder_linear")
+QUIET = (*tables.QUIET, "gain_out", "remainder_gain", "remainder_modulation")
 """Layers that begin near zero."""
 
 
 @dataclass(frozen=True)
-class ModalConfig:
+class ModalConfig(TableSizes):
     """Sizes, each with its reason; InputError for one that is not positive."""
 
     modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
-    response_tables: int = 28  # besides the one that always counts: 34 leave a fiftieth less
-    effect_tables: int = 10  # likewise
-    position: int = 16  # place of a vertex
     local: int = 64  # hidden width of the modes' gains, which every vertex evaluates at bind
-    response: int = 256  # hidden width of the shares of responses' tables, likewise
-    effect: int = 128  # hidden width of the shares of effects' tables, likewise
     summary: int = 96  # hidden width of what the whole face evaluates
     expression: int = 256  # hidden width over w, once per frame
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if not isinstance(value, int) or value < 1:
-                raise InputError(f"modal network {name}: expected a positive integer, got {value!r}")
 
 
 def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
     """Return outputs and inputs of each layer, in the order in which training draws them."""
-    at_vertex, summary = features.local_size + config.position, code_size + features.summary_size
     hidden, expression = config.summary, config.expression
     return {
-        **mixer_layers("response", at_vertex, code_size, config.response),
-        "response_share": (config.response_tables, config.response),
-        "response_gain": (1, config.response),
-        "lag": (1, config.response),
-        **mixer_layers("effect", at_vertex, code_size, config.effect),
-        "effect_share": (config.effect_tables, config.effect),
-        **mixer_layers("gain", at_vertex, code_size, config.local),
+        **table_layers(config, code_size),
+        **mixer_layers("gain", config.position, code_size, config.local),
         "gain_out": (config.modes, config.local),
-        "remainder_summary.0": (hidden, summary),
+        "remainder_summary.0": (hidden, code_size + features.summary_size),
         "remainder_gain": (config.modes, hidden),
         "remainder_modulation": (2 * expression, hidden),
         "remainder_in": (expression, WEIGHTS),
@@ -82,19 +57,13 @@ def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dic
 
 
 def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array of a network: of its tables, then of its layers."""
+    """Return the shape of each array of a network."""
     n, layers = len(features.mean.vertices), modal_layers(config, features, code_size)
     return {
+        **table_shapes(config, n, code_size),
         "modes": (config.modes, n, 3),
         "size_remainder": (config.modes,),
-        **{f"{name}_position": (n, config.position) for name in ("gain", "response", "effect")},
-        "response_table": (config.response_tables + 1, WEIGHTS, n, 3),
-        "response_scale": (WEIGHTS, n),
-        "effect_table": (config.effect_tables + 1, EFFECTS, n, 3),
-        "effect_scale": (EFFECTS, n),
-        "carry_mean": (BONES, n, 3),
-        "carry_table": (code_size, BONES, n, 3),
-        "carry_scale": (BONES, n),
+        "gain_position": (n, config.position),
         **layer_shapes(layers, WITHOUT_BIAS),
     }
 
@@ -130,24 +99,17 @@ def remainder(network: Arrays, summary) -> Remainder:
 
 
 def bind_modal(
-    network: Arrays,
-    tables: Tables,
-    features: Features,
-    code: Floats,
-    at_vertices: Floats,
-    shapes: np.ndarray,
+    network: Arrays, first: tuple[Floats32, Floats32], features: Features, code: Floats, at_vertices: Floats
 ) -> FaceModes:
     """Return offset, responses and remainder of a person under parameters mapped to [-1, 1] at vertices (n, P).
 
-    tables: of `tables.expand`. code (c,): normalised. shapes: what the 52 weights add to the skin [mm], shape
-    (52, n, 3).
+    first: offset (n, 3) and responses (52, n, 3) [mm]; see `tables.find_first_order`. code (c,): normalised.
     """
-    local, code = features.local(at_vertices), code.astype(np.float32)
-    shares, lag = mix_responses(network, local, code)
-    strengths = mix_effects(network, local, code, features.effects(at_vertices))
+    offset, responses = first
+    code = code.astype(np.float32)
     return FaceModes(
-        offset=find_offset(tables, strengths, scale_bones(code, features.bones(at_vertices))),
-        responses=find_responses(tables.responses, shares, lag, shapes.astype(np.float32, copy=False)),
-        modes=basis(network, local, code).reshape(-1, *shapes.shape[1:]),
+        offset=offset,
+        responses=responses,
+        modes=basis(network, features.local(at_vertices), code).reshape(-1, *offset.shape),
         remainder_of=remainder(network, features.summary(code, at_vertices)),
     )

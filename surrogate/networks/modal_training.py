@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,20 +17,16 @@ from ...lhm.base.mesh import Ints
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
 from .features import seen_ranges
-from .modal import ModalConfig, basis, bind_modal, remainder
+from .modal import ModalConfig, basis, bind_modal, modal_shapes, remainder
 from .modal_faces import LessonFaces
-from .modal_start import continue_network, draw_network
-from .table_training import TableLesson, TableTraining
-from .tables import Tables, compress, expand
-from .trainer import Lesson, Tensors, Trainer, TrainerConfig, open_device, torch
+from .modal_start import draw_network
+from .table_training import TableTraining, after_tables, continue_network, train_tables
+from .tables import expand, find_first_order
+from .trainer import Lesson, Trainer, TrainerConfig, join_curves, open_device, to_tensors, torch
 from .weights import TrainingNote, Weights
 
 OF_REMAINDER = ("gain_", "remainder_", "modes", "size_")
 """Beginnings of the names of arrays that frames teach."""
-OF_TABLES = 4
-"""Steps at the tables for each at the remainder, which reads its faces and costs ten times as much."""
-FOR_TABLES = 0.5
-"""Of a training's processor hours."""
 
 
 @dataclass(frozen=True)
@@ -49,25 +43,6 @@ class ModalTraining(TrainerConfig):
     clip: float | None = 1.0
     validation: float = 0.04  # share of people held out, for the learning curve alone
     sampled: int = 240  # faces whose principal components the modes start from
-
-    def at_tables(self) -> TrainerConfig:
-        """The options with which the trainer makes the steps at the tables."""
-        return TrainerConfig(
-            seed=self.seed,
-            steps=OF_TABLES * self.steps,
-            learning_rate=self.tables.learning_rate,
-            one_cycle=self.one_cycle,
-            weight_decay=self.tables.weight_decay,
-            clip=self.clip,
-            validate_every=OF_TABLES * self.validate_every,
-            hours=None if self.hours is None else FOR_TABLES * self.hours,
-            device=self.device,
-        )
-
-    def at_remainder(self, *, is_begun: bool) -> ModalTraining:
-        """The options of the steps at the remainder, slower where it begins with weights, which know most already."""
-        rate = BEGUN_RATE * self.learning_rate if is_begun else self.learning_rate
-        return replace(self, learning_rate=rate, hours=None if self.hours is None else (1.0 - FOR_TABLES) * self.hours)
 
 
 BEGUN_RATE = 0.3
@@ -103,30 +78,23 @@ def train_modal(
     device, rng = open_device(config.device), np.random.default_rng([config.seed, 0])
     data = LessonFaces.divide(faces, more, start, validation_share=config.validation, rng=rng)
     torch.manual_seed(config.seed)
-    tables: Mapping[str, np.ndarray] = {}
     if start is None:
         framed = rng.permutation(data.find_framed(config.frames))[: config.sampled]
         network = draw_network(data, config.network, framed, rng)
     else:
-        network, tables = continue_network(start, data, config.network)
+        network = continue_network(start, data, modal_shapes(config.network, data.features, data.code_size))
     curve: list[dict[str, float]] = []
-    if not tables or more is not None or not faces.has_frames:
-        at_tables = TableLesson(data, network, config.tables, config.seed, device, on_progress)
-        trainer = Trainer(at_tables, config.at_tables())
-        trainer.train(None if state is None else Path(state).with_suffix(".tables.pt"), on_progress)
-        begin = time.perf_counter()
-        tables = compress(at_tables.solve_all(on_progress))
-        trainer.curve[-1]["seconds"] += time.perf_counter() - begin
-        network |= {name: value.detach() for name, value in at_tables.network.items() if name in network}
-        curve += trainer.curve
+    if start is None or more is not None or not faces.has_frames:
+        learned, curve = train_tables(data, network, config.tables, config, state, on_progress)
+        network |= learned
     if faces.has_frames:
-        at_remainder = RemainderLesson(data, network, expand(tables), config, device)
-        trainer = Trainer(at_remainder, config.at_remainder(is_begun=start is not None))
+        at_remainder = RemainderLesson(data, network, config, device)
+        rest = config if start is None else replace(config, learning_rate=BEGUN_RATE * config.learning_rate)
+        trainer = Trainer(at_remainder, after_tables(rest))
         trainer.train(state, on_progress)
-        network |= {name: value.detach() for name, value in at_remainder.network.items()}
-        curve += trainer.curve if not curve else [_count_on(curve[-1], point) for point in trainer.curve]
-    arrays = {name: value.cpu().numpy() for name, value in network.items()} | dict(tables)
-    return _export(data, arrays, curve, config, start)
+        network |= trainer.arrays()
+        curve = join_curves(curve, trainer.curve)
+    return _export(data, network, curve, config, start)
 
 
 class RemainderLesson(Lesson):
@@ -135,11 +103,10 @@ class RemainderLesson(Lesson):
     slow = ("modes", "gain_position")
     """Tables over the vertices, which start near where they end."""
 
-    def __init__(self, data: LessonFaces, network: Tensors, tables: Tables, config: ModalTraining, device: Any):
-        self.data, self.config, self.device, self.tables, self.dtype = data, config, device, tables, torch.float32
-        self.whole = network
-        learned = {name: value for name, value in network.items() if name.startswith(OF_REMAINDER)}
-        self.network = {name: value.detach().clone().to(device) for name, value in learned.items()}
+    def __init__(self, data: LessonFaces, network: Mapping[str, np.ndarray], config: ModalTraining, device: Any):
+        self.data, self.config, self.device, self.dtype = data, config, device, torch.float32
+        self.whole, self.tables = network, expand(network)
+        self.network = to_tensors({k: value for k, value in network.items() if k.startswith(OF_REMAINDER)}, device)
         for name, value in self.network.items():
             value.requires_grad_(not name.startswith("size_"))
         self.framed = data.find_framed(config.frames)
@@ -180,11 +147,12 @@ class RemainderLesson(Lesson):
         Of the network alone, with exact derivatives (`hybrid`), of these derivatives alone, and of T = S.
         """
         data, sums, count = self.data, dict.fromkeys(("network", "hybrid", "linearised", "blendshapes"), 0.0), 0
-        arrays = {name: value.detach().cpu().numpy() for name, value in (self.whole | self.network).items()}
+        arrays = {**self.whole, **{name: value.detach().cpu().numpy() for name, value in self.network.items()}}
         for number in data.held.tolist():
             face, frames = data.corpus.face(number), data.corpus.frames(number)
             at_vertices, code = data.features.at_vertices(face.coefficients), data.inputs.code(face.code)
-            modes = bind_modal(arrays, self.tables, data.features, code, at_vertices, face.shapes)
+            first = find_first_order(arrays, self.tables, data.features, code, at_vertices, face.shapes)
+            modes = bind_modal(arrays, first, data.features, code, at_vertices)
             nonlinear, predicted = frames.remainder(face), modes.remainder(frames.weights)
             motion = frames.corrected.astype(np.float32)
             linear = motion - modes.offset - np.tensordot(frames.weights, modes.responses, axes=1)
@@ -193,11 +161,6 @@ class RemainderLesson(Lesson):
                 sums[name] += float(np.linalg.norm(error, axis=2).mean(axis=1).sum())
             count += len(frames.weights)
         return {name: value / max(count, 1) for name, value in sums.items()}
-
-
-def _count_on(last: Mapping[str, float], point: Mapping[str, float]) -> dict[str, float]:
-    """Return a point of a curve that goes on where another has ended."""
-    return dict(point) | {name: last[name] + point[name] for name in ("step", "seconds")}
 
 
 def _export(

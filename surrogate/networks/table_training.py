@@ -7,21 +7,49 @@ vertices: of those that it never saw it leaves as much. So a step costs a twenti
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats32, Ints
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress
 from ..rigs.rig import WEIGHTS
 from .features import BONES, EFFECTS
 from .layers import EVERY
 from .modal_faces import FaceArrays, LessonFaces
-from .tables import Tables, mix_effects, mix_responses, scale_bones
-from .trainer import Lesson, Tensors, torch
+from .tables import (
+    IN_FILE,
+    MIXERS,
+    QUIET,
+    WITHOUT_BIAS,
+    Tables,
+    TableSizes,
+    compress,
+    mix_effects,
+    mix_responses,
+    scale_bones,
+    table_layers,
+)
+from .trainer import (
+    Lesson,
+    Trainer,
+    TrainerConfig,
+    draw_layers,
+    draw_positions,
+    open_device,
+    quieten,
+    to_tensors,
+    torch,
+)
+from .weights import Weights
 
+Options = TypeVar("Options", bound=TrainerConfig)
 LEARNED = ("response", "effect", "lag")
 """Beginnings of the names of arrays that this training learns."""
 READ = 16
@@ -48,6 +76,74 @@ class TableTraining:
     offset_floor: float = 0.1  # [mm] added to how far it moves beyond its bones, by which errors of its offset count
     rounding: float = 1e-6  # [mm²] added to a squared distance, which at zero has no derivative
 
+    def schedule(self, rest: TrainerConfig) -> TrainerConfig:
+        """Return the options of the steps at the tables, by those of the steps that follow: half of the time goes."""
+        return TrainerConfig(
+            seed=rest.seed,
+            steps=OF_TABLES * rest.steps,
+            learning_rate=self.learning_rate,
+            one_cycle=True,
+            weight_decay=self.weight_decay,
+            clip=1.0,
+            validate_every=OF_TABLES * rest.validate_every,
+            hours=None if rest.hours is None else FOR_TABLES * rest.hours,
+            device=rest.device,
+        )
+
+
+def after_tables(rest: Options) -> Options:
+    """Return the options of steps that follow on those at the tables, which had half of the hours."""
+    return rest if rest.hours is None else replace(rest, hours=(1.0 - FOR_TABLES) * rest.hours)
+
+
+OF_TABLES = 4
+"""Steps at the tables for each of those that follow, which read their faces and cost ten times as much."""
+FOR_TABLES = 0.5
+"""Of a training's processor hours."""
+
+
+def draw_mixers(sizes: TableSizes, mean: Surface, code_size: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Draw the layers that mix tables, and the places of vertices."""
+    layers = draw_layers(table_layers(sizes, code_size), WITHOUT_BIAS)
+    quieten(layers, QUIET)
+    places = {f"{k}_position": draw_positions(mean.vertices, mean.vertex_normals, sizes.position, rng) for k in MIXERS}
+    return {name: value.numpy() for name, value in layers.items()} | places
+
+
+def continue_network(
+    start: Weights, data: LessonFaces, expected: Mapping[str, tuple[int, ...]]
+) -> dict[str, np.ndarray]:
+    """Return the arrays of earlier weights that a network has; InputError where there are none of these shapes."""
+    start.check_mesh(data.corpus.mean)
+    if any(name not in start.network or start.network[name].shape != shape for name, shape in expected.items()):
+        raise InputError(
+            f"training: weights of a {start.kind} network of other sizes than this one's; begin with others"
+        )
+    return {name: start.network[name] for name in expected}
+
+
+def train_tables(
+    data: LessonFaces,
+    network: Mapping[str, np.ndarray],
+    options: TableTraining,
+    rest: TrainerConfig,
+    state: str | PathLike[str] | None,
+    on_progress: OnProgress,
+) -> tuple[dict[str, np.ndarray], list[dict[str, float]]]:
+    """Teach the layers of `network` that mix tables, then solve for the tables of all vertices.
+
+    Return both as a file has them, and the curve. rest: options of the steps that follow. With `state`, a file of those
+    steps, these are kept beside it.
+    """
+    lesson = TableLesson(data, network, options, rest.seed, open_device(rest.device), on_progress)
+    trainer = Trainer(lesson, options.schedule(rest))
+    trainer.train(None if state is None else Path(state).with_suffix(".tables.pt"), on_progress)
+    begin = time.perf_counter()
+    tables = compress(lesson.solve_all(on_progress))
+    trainer.curve[-1]["seconds"] += time.perf_counter() - begin
+    mixers = {name: value for name, value in trainer.arrays().items() if name in network}
+    return mixers | tables, trainer.curve
+
 
 class TableLesson(Lesson):
     """The networks that mix tables, and the tables of a sample of vertices, in training there."""
@@ -58,7 +154,7 @@ class TableLesson(Lesson):
     def __init__(
         self,
         data: LessonFaces,
-        network: Tensors,
+        network: Mapping[str, np.ndarray],
         options: TableTraining,
         seed: int,
         device: Any,
@@ -70,8 +166,8 @@ class TableLesson(Lesson):
         for arrays in data.read_teaching(READ, self.sample):
             parts.append(arrays)
             on_progress("training: faces read", min(READ * len(parts) / data.count, 1.0))
-        learned = {name: value for name, value in network.items() if name.startswith(LEARNED)}
-        self.network = {name: value.detach().clone().to(device) for name, value in learned.items()}
+        learned = {k: value for k, value in network.items() if k.startswith(LEARNED) and not k.endswith(IN_FILE)}
+        self.network = to_tensors(learned, device)
         always = self.solve(parts, self.sample, mixed=False)
         self.arrays = FaceArrays(*map(np.concatenate, zip(*parts, strict=True)))
         self.held = data.read_held(self.sample)

@@ -14,16 +14,23 @@ whole numbers of one byte and a scale for each column and vertex: their principa
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from ...lhm.base.mesh import Floats32
-from ..rigs.rig import silu
-from .features import GIVE
-from .layers import EVERY, Arrays, concatenate, exp, linear
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32
+from ..rigs.rig import WEIGHTS, silu
+from .features import BONES, EFFECTS, GIVE, Features
+from .layers import EVERY, Arrays, concatenate, exp, layer_shapes, linear
 
+WITHOUT_BIAS = ("response_code", "effect_code")
+QUIET = ("lag", "response_gain")
+"""Layers that begin near zero."""
+MIXERS = ("response", "effect")
+"""The networks that mix tables, by the names that their arrays begin with."""
 KEPT = ("response", "effect", "carry")
 """The tables, in the order of `Tables`, by the names that a file's arrays begin with."""
 IN_FILE = ("_table", "_scale", "carry_mean")
@@ -38,9 +45,53 @@ class Tables(NamedTuple):
     carry: Floats32
 
 
-def mixer_layers(name: str, inputs: int, code_size: int, width: int) -> dict[str, tuple[int, int]]:
+@dataclass(frozen=True)
+class TableSizes:
+    """Sizes, each with its reason; InputError for one that is not positive."""
+
+    response_tables: int = 28  # besides the one that always counts: 34 leave a fiftieth less
+    effect_tables: int = 10  # likewise
+    response: int = 256  # hidden width of the shares of responses' tables, which every vertex evaluates at bind
+    effect: int = 128  # hidden width of the shares of effects' tables, likewise
+    position: int = 16  # place of a vertex
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            if not isinstance(value, int) or value < 1:
+                raise InputError(f"network {name}: expected a positive integer, got {value!r}")
+
+
+def mixer_layers(name: str, position: int, code_size: int, width: int) -> dict[str, tuple[int, int]]:
     """Return outputs and inputs of the layers with which network `name` sees vertices."""
-    return {f"{name}_in": (width, inputs), f"{name}_code": (width, code_size), f"{name}_middle": (width, width)}
+    at_vertex = Features.local_size + position
+    return {f"{name}_in": (width, at_vertex), f"{name}_code": (width, code_size), f"{name}_middle": (width, width)}
+
+
+def table_layers(sizes: TableSizes, code_size: int) -> dict[str, tuple[int, int]]:
+    """Return outputs and inputs of each layer, in the order in which training draws them."""
+    return {
+        **mixer_layers("response", sizes.position, code_size, sizes.response),
+        "response_share": (sizes.response_tables, sizes.response),
+        "response_gain": (1, sizes.response),
+        "lag": (1, sizes.response),
+        **mixer_layers("effect", sizes.position, code_size, sizes.effect),
+        "effect_share": (sizes.effect_tables, sizes.effect),
+    }
+
+
+def table_shapes(sizes: TableSizes, vertices: int, code_size: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of tables and of what mixes them."""
+    return {
+        **{f"{name}_position": (vertices, sizes.position) for name in MIXERS},
+        "response_table": (sizes.response_tables + 1, WEIGHTS, vertices, 3),
+        "response_scale": (WEIGHTS, vertices),
+        "effect_table": (sizes.effect_tables + 1, EFFECTS, vertices, 3),
+        "effect_scale": (EFFECTS, vertices),
+        "carry_mean": (BONES, vertices, 3),
+        "carry_table": (code_size, BONES, vertices, 3),
+        "carry_scale": (BONES, vertices),
+        **layer_shapes(table_layers(sizes, code_size), WITHOUT_BIAS),
+    }
 
 
 def see_vertices(network: Arrays, name: str, local, code, vertices=EVERY):
@@ -75,6 +126,21 @@ def scale_bones(codes, bones):
     factors = concatenate([1.0 + 0.0 * codes[..., :1], codes])
     scaled = factors[..., :, None] * bones[..., None, :]
     return scaled.reshape(*scaled.shape[:-2], -1)
+
+
+def find_first_order(
+    network: Arrays, tables: Tables, features: Features, code: Floats, at_vertices: Floats, shapes: np.ndarray
+) -> tuple[Floats32, Floats32]:
+    """Return offset (n, 3) and responses (52, n, 3) [mm] of a person under parameters mapped to [-1, 1] at vertices.
+
+    tables: of `expand`. code (c,): normalised. at_vertices: shape (n, P). shapes: what the 52 weights add to the skin
+    [mm], shape (52, n, 3).
+    """
+    local, code = features.local(at_vertices), code.astype(np.float32)
+    shares, lag = mix_responses(network, local, code)
+    strengths = mix_effects(network, local, code, features.effects(at_vertices))
+    offset = find_offset(tables, strengths, scale_bones(code, features.bones(at_vertices)))
+    return offset, find_responses(tables.responses, shares, lag, shapes.astype(np.float32, copy=False))
 
 
 def find_offset(tables: Tables, strengths: Floats32, scaled: Floats32) -> Floats32:

@@ -31,8 +31,11 @@ __all__ = [
     "draw_layers",
     "draw_positions",
     "hold_out_people",
+    "join_curves",
     "nn",
     "open_device",
+    "quieten",
+    "to_tensors",
     "torch",
 ]
 
@@ -189,6 +192,8 @@ class Trainer:
 
 _VALUES = ("steps", "step", "seconds", "curve", "best", "least")
 """Attributes of a trainer that its state has as they are."""
+QUIETER = 0.1
+"""Of the usual weights, in layers that begin near zero."""
 TRIED = range(5)
 """Steps by which it is found how long one takes."""
 
@@ -202,6 +207,14 @@ def _time_step(lesson: Lesson) -> float:
     begin = time.process_time()
     lesson.loss(0.0, np.random.default_rng(0)).backward()
     return time.process_time() - begin
+
+
+def join_curves(first: list[dict[str, float]], then: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Return a curve that goes on where another, which may have no point, has ended."""
+    if not first:
+        return then
+    last = first[-1]
+    return first + [point | {name: last[name] + point[name] for name in ("step", "seconds")} for point in then]
 
 
 def hold_out_people(people: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
@@ -218,6 +231,13 @@ def draw_layers(layers: Mapping[str, tuple[int, int]], without_bias: Iterable[st
     return network
 
 
+def quieten(network: Tensors, layers: Iterable[str]) -> None:
+    """Let layers begin near zero: QUIETER of their usual weights, and no bias."""
+    for name in layers:
+        network[f"{name}.weight"] *= QUIETER
+        network[f"{name}.bias"] *= 0.0
+
+
 def draw_positions(places: Floats, normals: Floats, size: int, rng: np.random.Generator) -> Floats32:
     """Draw random Fourier features of places [mm] and their normals, both (n, 3), unit variance, shape (n, size).
 
@@ -230,6 +250,11 @@ def draw_positions(places: Floats, normals: Floats, size: int, rng: np.random.Ge
     frequencies = rng.normal(size=(inputs.shape[1], size))
     features = np.cos(inputs @ frequencies + rng.uniform(0.0, 2.0 * np.pi, size))
     return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)
+
+
+def to_tensors(arrays: Mapping[str, np.ndarray], device: torch.device) -> Tensors:
+    """Copy arrays to a device."""
+    return {name: torch.tensor(value, device=device) for name, value in arrays.items()}
 
 
 def open_device(name: str) -> torch.device:

@@ -36,6 +36,11 @@ class BoundSurrogate:
         modes = replace(self.modes, offset=offset, responses=responses)
         return BoundSurrogate(self.skin, modes, self._expressions, self.swing)
 
+    def to_first_order(self) -> BoundSurrogate:
+        """Return the same rig without its remainder."""
+        modes = FaceModes.linear(self.modes.offset, self.modes.responses)
+        return BoundSurrogate(self.skin, modes, self._expressions, self.swing)
+
     @property
     def neutral(self) -> Floats32:
         """The settled neutral skin [mm], shape (n, 3)."""

@@ -89,15 +89,19 @@ def recorder() -> bytes:
     return "\n".join(map(",".join, rows)).encode()
 
 
+SMALL = {"response_tables": 3, "effect_tables": 3, "response": 4, "effect": 4, "position": 2}
+"""Sizes of tables."""
+
+
 def rough_weights(kind: str) -> Weights:
     """A network of random numbers, a digit each, on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
     n, faces, code_size = len(SPACE.mean.vertices), len(SPACE.mean.triangles), SPACE.code_size
     if kind == "modal":
-        config = ModalConfig(3, 3, 3, 2, 4, 4, 4, 4, 4)
+        config = ModalConfig(**SMALL, modes=3, local=4, summary=4, expression=4)
         shapes = modal_shapes(config, features, code_size)
     else:
-        config = Widths(2, 2, 2, 2)
+        config = Widths(**SMALL, latent=2, expression=2, hidden=2)
         shapes = FORMS[kind].shapes(Sizes(config, n, faces, code_size, len(STATIC)))
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}

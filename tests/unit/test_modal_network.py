@@ -31,8 +31,8 @@ from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderL
 from softdeca.surrogate.networks.responses import LearnedResponses
 from softdeca.surrogate.networks.ridge import Ridge
 from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining
-from softdeca.surrogate.networks.tables import Tables, compress, expand, mix_effects, mix_responses
-from softdeca.surrogate.networks.trainer import Trainer
+from softdeca.surrogate.networks.tables import Tables, compress, expand, find_first_order, mix_effects, mix_responses
+from softdeca.surrogate.networks.trainer import Trainer, to_tensors
 from softdeca.surrogate.networks.vertex_network import TRAINING
 from softdeca.surrogate.networks.vertices_only import VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
@@ -48,7 +48,17 @@ PLAN = CorpusPlan(
     identities=20, groups=4, frames=5, sequences=0, references=0, parameter_responses=0.0,
     kinds={"effects": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
-NETWORK = ModalConfig(12, 4, 3, position=4, local=16, response=16, effect=16, summary=24, expression=32)
+NETWORK = ModalConfig(
+    modes=12,
+    response_tables=4,
+    effect_tables=3,
+    position=4,
+    local=16,
+    response=16,
+    effect=16,
+    summary=24,
+    expression=32,
+)
 CONFIG = ModalTraining(network=NETWORK, steps=60, frames=4, vertices=42, validate_every=20, validation=0.1)
 
 
@@ -157,7 +167,7 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
     with pytest.raises(KeyboardInterrupt):
         train_modal(faces["train"], CONFIG, state=state, on_progress=interrupt)
     of_tables = torch.load(tmp_path / "state.tables.pt", weights_only=True)
-    assert 0 < of_tables["step"] < CONFIG.at_tables().steps
+    assert 0 < of_tables["step"] < CONFIG.tables.schedule(CONFIG).steps
     resumed = train_modal(faces["train"], CONFIG, state=state)
     assert [point["loss"] for point in resumed.note.curve] == [point["loss"] for point in weights.note.curve]
     for name, value in weights.network.items():
@@ -188,7 +198,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     assert more.note.before["steps"] == weights.note.steps and more.note.steps == 10
     more.save(tmp_path / "more.safetensors")
     assert Weights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
-    with pytest.raises(InputError, match="other sizes"):
+    with pytest.raises(InputError, match="of other sizes"):
         train_modal(faces["train"], replace(CONFIG, network=replace(NETWORK, local=8)), start=start)
     other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
     with pytest.raises(InputError, match="space and level"):
@@ -221,21 +231,22 @@ def lessons(faces):
     data = divide(faces)
     network = draw_network(data, NETWORK, data.training[:20], np.random.default_rng(0))
     of_tables = TableLesson(data, network, TableTraining(vertices=20), 0, "cpu", lambda *_: None)
-    Trainer(of_tables, CONFIG.at_tables()).run(3)
-    tables = of_tables.solve_all(lambda *_: None)
-    network |= {name: value.detach() for name, value in of_tables.network.items() if name in network}
-    return of_tables, RemainderLesson(data, network, tables, CONFIG, "cpu")
+    trainer = Trainer(of_tables, CONFIG.tables.schedule(CONFIG))
+    trainer.run(3)
+    network |= {name: value for name, value in trainer.arrays().items() if name in network}
+    network |= compress(of_tables.solve_all(lambda *_: None))
+    return of_tables, RemainderLesson(data, network, CONFIG, "cpu")
 
 
 def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces, lessons):
     of_tables, of_remainder = lessons
-    Trainer(of_remainder, CONFIG.at_remainder(is_begun=False)).run(3)
+    Trainer(of_remainder, CONFIG).run(3)
     data, tables = of_remainder.data, of_remainder.tables
     face, features, w = faces["test"].face(1), data.features, np.random.default_rng(0).random((3, 52))
     p, code = features.at_vertices(face.coefficients), data.inputs.code(face.code)
-    network = of_remainder.whole | of_remainder.network
+    network = to_tensors(of_remainder.whole, "cpu") | of_remainder.network
     arrays = {name: value.detach().numpy() for name, value in network.items()}
-    bound = bind_modal(arrays, tables, features, code, p, face.shapes)
+    bound = bind_modal(arrays, find_first_order(arrays, tables, features, code, p, face.shapes), features, code, p)
     local, h, effects, summary = (
         torch.from_numpy(array.astype(np.float32))[None]
         for array in (features.local(p), code[None], features.effects(p), features.summary(code, p)[None])

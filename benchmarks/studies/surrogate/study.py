@@ -18,6 +18,7 @@ from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
 from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
 from ....surrogate.motion import evaluate_motion, evaluate_played
+from ....surrogate.networks.forms import FORMS
 from ....surrogate.networks.weights import TrainingNote
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
@@ -119,8 +120,8 @@ class SurrogateOnCorpus(Study):
         scores = _read_scores(rows)
         if not any(score.method == NETWORK for score in scores):
             return []
-        # Networks of deformation gradients have no offset and responses that the simulator could replace.
-        has_derivatives = all("form" not in row.values["trained_on"]["config"] for row in rows)
+        forms = [row.values["trained_on"]["config"].get("form") for row in rows]
+        has_derivatives = all(form is None or FORMS[form].has_tables for form in forms)
         return make_gates(scores, has_derivatives=has_derivatives)
 
     def words(self, rows: Sequence[Row]) -> str:

@@ -20,6 +20,9 @@ from ..mesh import Floats, Ints, Surface
 from .cholesky import factorise
 from .topology import connected_parts, directed_edges
 
+FLOOR = 1e-4
+"""Added to each squared singular value of a face's edges, relative to their sum."""
+
 
 def sumner_frames(vertices: Floats, triangles) -> Floats:
     """Return [e1, e2, n/√|n|] per face as columns [mm], n = e1 × e2, shape (m, 3, 3) (Sumner & Popović 2004, Eq. 2)."""
@@ -37,6 +40,23 @@ def deformation_gradients(before: Floats, after: Floats, triangles) -> Floats:
     check_areas("before", before, triangles)
     frames, moved = sumner_frames(before, triangles), sumner_frames(after, triangles)
     return moved @ np.linalg.inv(frames)
+
+
+def least_gradients(before: NDArray, moves: NDArray, triangles) -> NDArray:
+    """Return the smallest J - I per face that moves the edges of `before` (n, 3) along `moves` (..., n, 3) [mm].
+
+    Shape (..., m, 9). Faces that are nearly flat are moved less: FLOOR.
+    """
+    edges, moved = (_edges(positions, triangles) for positions in (before, moves))
+    gram = edges.swapaxes(-1, -2) @ edges
+    gram += FLOOR * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(2, dtype=gram.dtype)
+    return (moved @ np.linalg.solve(gram, edges.swapaxes(-1, -2))).reshape(*moves.shape[:-2], len(triangles), 9)
+
+
+def _edges(positions: NDArray, triangles) -> NDArray:
+    """Return the two edges of each face from its first corner as columns, shape (..., m, 3, 2)."""
+    corners = positions[..., triangles, :]
+    return (corners[..., 1:, :] - corners[..., :1, :]).swapaxes(-1, -2)
 
 
 def check_areas(name: str, vertices: Floats, triangles) -> None:
