@@ -209,7 +209,7 @@ class Surrogate:
             return self._bind_gradients(described, code, carry().astype(np.float32))
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
             if simulated is None:
-                first = self._find_first_order(code, at_vertices, shapes)
+                first = self._find_first_order(code, at_vertices, shapes, carry)
             else:
                 first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
             rig: BoundRig
@@ -234,10 +234,13 @@ class Surrogate:
             form, self.weights.network, self._transfer, code, at_vertices, skin, shapes, offset, responses, swing
         )
 
-    def _find_first_order(self, code: Floats, at_vertices: Floats, shapes: Floats32) -> tuple[Floats32, Floats32]:
+    def _find_first_order(
+        self, code: Floats, at_vertices: Floats, shapes: Floats32, carry: Callable[[], Floats | Floats32]
+    ) -> tuple[Floats32, Floats32]:
         """Return what the tables give for a face; InputError unless it is finite."""
-        features = self.inputs.features
-        first = find_first_order(self.weights.network, self._tables, features, code, at_vertices, shapes)
+        network, tables, features = self.weights.network, self._tables, self.inputs.features
+        carried = carry().astype(np.float32) if tables.carry is None else None
+        first = find_first_order(network, tables, features, code, at_vertices, shapes, carried)
         _check_finite(*first)
         return first
 

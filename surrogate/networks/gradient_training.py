@@ -135,14 +135,14 @@ def train_gradients(
         data = LessonFaces.divide(
             faces, more, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
         )
-        inputs = data.inputs
+        inputs, shapes = data.inputs, table_shapes(config.network, data.vertex_count, data.code_size)
         if start is None:
             first = draw_mixers(config.network, faces.mean, data.code_size, np.random.default_rng([config.seed, 3]))
         else:
-            first = continue_network(start, data, table_shapes(config.network, data.vertex_count, data.code_size))
+            first = continue_network(start, data, shapes)
         if start is None or more is not None:
             learned, curve = train_tables(data, first, config.tables, config, state, on_progress)
-            first |= learned
+            first |= {name: learned[name] for name in shapes if name in learned}
     lesson = GradientLesson(faces, config, inputs)
     trainer = Trainer(lesson, after_tables(config) if curve else config)
     trainer.train(state, on_progress)

@@ -2,8 +2,8 @@
 
 The printed form is Eq. 18 and 19 and nothing else: two perceptrons and a trained table π.
 
-Ours starts from a skin that is right to first order: S is what `tables` make of the blendshapes, and z is zero at
-w = 0. Gradients that are linear in w could not do that. J acts from the left on S, so what is right at rest is
+Ours starts from a skin that is right to first order: S is what `tables` make of the carried blendshapes, and z is zero
+at w = 0. Gradients that are linear in w could not do that. J acts from the left on S, so what is right at rest is
 multiplied by how S stretches, at lids and lips by many times: with the simulator's own offset and responses as J, 35 %
 of the motion is left, and by adding them to S 7. Nor are tables of gradients learned as well as those of displacements:
 the transfer turns errors that are small in J into drift of the whole face. What is left is small, and L begins with its

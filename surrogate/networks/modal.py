@@ -22,7 +22,7 @@ from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from . import tables
 from .features import Features
 from .layers import EVERY, Arrays, check_network, exp, layer_shapes, linear, scale_modes
-from .tables import TableSizes, mixer_layers, see_vertices, table_layers, table_shapes
+from .tables import TableSizes, carry_shapes, mixer_layers, see_vertices, table_layers, table_shapes
 
 WITHOUT_BIAS = (*tables.WITHOUT_BIAS, "gain_code", "remainder_out", "remainder_linear")
 QUIET = (*tables.QUIET, "gain_out", "remainder_gain", "remainder_modulation")
@@ -61,6 +61,7 @@ def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dic
     n, layers = len(features.mean.vertices), modal_layers(config, features, code_size)
     return {
         **table_shapes(config, n, code_size),
+        **carry_shapes(n, code_size),
         "modes": (config.modes, n, 3),
         "size_remainder": (config.modes,),
         "gain_position": (n, config.position),

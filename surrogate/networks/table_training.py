@@ -71,7 +71,7 @@ class TableTraining:
     response_ridge: float = 1e-3
     effect_ridge: float = 3e-5  # an effect is zero in most faces
     mixed_ridge: float = 0.1  # of mixed effects, which few faces tell apart
-    carry_ridge: float = 1e-4
+    carry_ridge: float = 5.0  # over the number of faces: a hundred with scaled bones are fewer than the columns
     response_floor: float = 0.002  # [mm] added to a face's responses, by which errors of them count
     offset_floor: float = 0.1  # [mm] added to how far it moves beyond its bones, by which errors of its offset count
     rounding: float = 1e-6  # [mm²] added to a squared distance, which at zero has no derivative
@@ -171,7 +171,7 @@ class TableLesson(Lesson):
         always = self.solve(parts, self.sample, mixed=False)
         self.arrays = FaceArrays(*map(np.concatenate, zip(*parts, strict=True)))
         self.held = data.read_held(self.sample)
-        for name, table in zip(("responses", "effects"), always, strict=False):
+        for name, table in (("responses", always.responses), ("effects", always.effects)):
             mixed = len(learned[f"{name[:-1]}_share.weight"])
             still = torch.zeros(mixed, *table.shape[1:])
             self.network[f"tables.{name}"] = torch.cat([still, torch.from_numpy(table)]).to(device)
@@ -233,7 +233,7 @@ class TableLesson(Lesson):
                 scaled = scale_bones(faces.codes, faces.bones)[:, None]
                 carry.add(scaled, faces.carried.flatten(1)[:, None], torch.ones_like(scales[:, 0]))
         options = self.options
-        carried = carry.solve(options.carry_ridge)
+        carried = carry.solve(options.carry_ridge / carry.count)
         return Tables(
             _order(responses.solve(options.response_ridge), WEIGHTS),
             _order(effects.solve(options.mixed_ridge, (EFFECTS, options.effect_ridge)), EFFECTS),
@@ -259,13 +259,14 @@ class Regression:
     """Normal equations at each vertex, over faces: factors (b, v, k) that multiply a table (v, k, m) give (b, v, m)."""
 
     def __init__(self, device: Any):
-        self.gram, self.pulled = torch.zeros((), device=device), torch.zeros((), device=device)
+        self.gram, self.pulled, self.count = torch.zeros((), device=device), torch.zeros((), device=device), 0
 
     def add(self, factors: torch.Tensor, values: torch.Tensor, scales: torch.Tensor) -> None:
         """Add faces, whose errors count in their scales (b,)."""
         left, right = ((array / scales[:, None, None]).transpose(0, 1).contiguous() for array in (factors, values))
         self.gram = torch.baddbmm(self.gram, left.mT, left)
         self.pulled = torch.baddbmm(self.pulled, left.mT, right)
+        self.count += len(scales)
 
     def solve(self, ridge: float, last: tuple[int, float] = (0, 0.0)) -> Floats32:
         """Return the table under a ridge, and so many last factors under another, in shares of their squares."""

@@ -31,18 +31,19 @@ QUIET = ("lag", "response_gain")
 """Layers that begin near zero."""
 MIXERS = ("response", "effect")
 """The networks that mix tables, by the names that their arrays begin with."""
-KEPT = ("response", "effect", "carry")
-"""The tables, in the order of `Tables`, by the names that a file's arrays begin with."""
 IN_FILE = ("_table", "_scale", "carry_mean")
 """Ends of these arrays' names."""
 
 
 class Tables(NamedTuple):
-    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm]."""
+    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm].
+
+    C is None where a head tells how far bones carry its skin.
+    """
 
     responses: Floats32
     effects: Floats32
-    carry: Floats32
+    carry: Floats32 | None
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,16 @@ def table_shapes(sizes: TableSizes, vertices: int, code_size: int) -> dict[str, 
         "response_scale": (WEIGHTS, vertices),
         "effect_table": (sizes.effect_tables + 1, EFFECTS, vertices, 3),
         "effect_scale": (EFFECTS, vertices),
+        **layer_shapes(table_layers(sizes, code_size), WITHOUT_BIAS),
+    }
+
+
+def carry_shapes(vertices: int, code_size: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of how bones carry a skin, for a network that asks no head."""
+    return {
         "carry_mean": (BONES, vertices, 3),
         "carry_table": (code_size, BONES, vertices, 3),
         "carry_scale": (BONES, vertices),
-        **layer_shapes(table_layers(sizes, code_size), WITHOUT_BIAS),
     }
 
 
@@ -129,24 +136,29 @@ def scale_bones(codes, bones):
 
 
 def find_first_order(
-    network: Arrays, tables: Tables, features: Features, code: Floats, at_vertices: Floats, shapes: np.ndarray
+    network: Arrays,
+    tables: Tables,
+    features: Features,
+    code: Floats,
+    at_vertices: Floats,
+    shapes: np.ndarray,
+    carried: Floats32 | None = None,
 ) -> tuple[Floats32, Floats32]:
     """Return offset (n, 3) and responses (52, n, 3) [mm] of a person under parameters mapped to [-1, 1] at vertices.
 
     tables: of `expand`. code (c,): normalised. at_vertices: shape (n, P). shapes: what the 52 weights add to the skin
-    [mm], shape (52, n, 3).
+    [mm], shape (52, n, 3). carried: how far bones carry the skin [mm], shape (n, 3), where tables do not know it.
     """
     local, code = features.local(at_vertices), code.astype(np.float32)
     shares, lag = mix_responses(network, local, code)
     strengths = mix_effects(network, local, code, features.effects(at_vertices))
-    offset = find_offset(tables, strengths, scale_bones(code, features.bones(at_vertices)))
+    offset = np.einsum("ve,evc->vc", strengths, tables.effects.reshape(-1, *tables.effects.shape[2:]))
+    if tables.carry is None:
+        offset += carried
+    else:
+        scaled = scale_bones(code, features.bones(at_vertices))
+        offset += np.tensordot(scaled, tables.carry.reshape(len(scaled), -1), axes=1).reshape(offset.shape)
     return offset, find_responses(tables.responses, shares, lag, shapes.astype(np.float32, copy=False))
-
-
-def find_offset(tables: Tables, strengths: Floats32, scaled: Floats32) -> Floats32:
-    """Return o [mm], shape (n, 3), by strengths (n, k EFFECTS) of `mix_effects` and `scale_bones` of a face."""
-    _, effects, carry = (table.reshape(-1, *table.shape[2:]) for table in tables)
-    return np.einsum("ve,evc->vc", strengths, effects) + np.tensordot(scaled, carry, axes=1)
 
 
 def find_responses(tables: Floats32, shares: Floats32, lag: Floats32, shapes: Floats32) -> Floats32:
@@ -171,17 +183,24 @@ def _add_mixed(tables, shares, answer):
 
 def expand(network: Arrays) -> Tables:
     """Return the tables of a file's network."""
-    responses, effects, carry = (network[f"{name}_table"] * network[f"{name}_scale"][..., None] for name in KEPT)
-    return Tables(responses, effects, np.concatenate([network["carry_mean"][None], carry]))
+
+    def read(name: str) -> Floats32:
+        table: Floats32 = network[f"{name}_table"] * network[f"{name}_scale"][..., None]
+        return table
+
+    carry = np.concatenate([network["carry_mean"][None], read("carry")]) if "carry_mean" in network else None
+    return Tables(read("response"), read("effect"), carry)
 
 
 def compress(tables: Tables) -> dict[str, Floats32]:
-    """Return NAME_table, whole numbers of [-127, 127], and NAME_scale, shape (columns, n), of each of KEPT.
+    """Return NAME_table, whole numbers of [-127, 127], and NAME_scale, shape (columns, n), of each.
 
     How bones carry the mean face, by far the largest of all, is `carry_mean`.
     """
-    arrays = {"carry_mean": tables.carry[0]}
-    for name, table in zip(KEPT, (*tables[:2], tables.carry[1:]), strict=True):
+    arrays, kept = {}, {"response": tables.responses, "effect": tables.effects}
+    if tables.carry is not None:
+        arrays["carry_mean"], kept["carry"] = tables.carry[0], tables.carry[1:]
+    for name, table in kept.items():
         scale = np.maximum(np.abs(table).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
         arrays[f"{name}_table"] = np.rint(table / scale[..., None]).clip(-127, 127)
         arrays[f"{name}_scale"] = scale

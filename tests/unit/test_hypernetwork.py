@@ -121,12 +121,12 @@ def test_ours_begins_at_first_order(faces):
 
 def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
     few = replace(CONFIG, steps=4, validate_every=4)
-    of_tables = {name for name in weights.network if name.startswith(("response_", "effect_", "lag", "carry_"))}
+    of_tables = {name for name in weights.network if name.startswith(("response_", "effect_", "lag"))}
     kept = train_gradients(faces["train"], few, start=weights)
     assert all(kept.network[name] is weights.network[name] for name in of_tables) and len(kept.note.curve) == 1
     more = train_gradients(faces["train"], few, start=weights, more=faces["test"])
     moved = {name for name in of_tables if not np.array_equal(more.network[name], weights.network[name])}
-    assert of_tables - moved == {"response_position", "effect_position", "carry_mean", "carry_table", "carry_scale"}
+    assert of_tables - moved == {"response_position", "effect_position"}
     assert more.note.all_faces == more.note.faces + len(faces["test"])
     with pytest.raises(InputError, match="a softsmpl network has no tables"):
         train_gradients(faces["train"], replace(NETWORKS["softsmpl-small"], **QUICK), start=weights)
@@ -135,9 +135,8 @@ def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
         train_gradients(faces["train"], other, start=weights)
 
 
-def test_scaled_bones_carry_the_skin_before_a_network_moves_it(faces):
-    """A network without tables, that has not seen them, gives what it gives to the carried skin."""
-    surrogate = Surrogate(train_gradients(faces["train"], replace(NETWORKS["paper"], **QUICK)))
+def test_scaled_bones_carry_the_skin_before_a_network_moves_it(surrogate):
+    """A network that has not seen them gives what it gives to the carried skin."""
     scaled = Parameters(mandible_scale_y=1.1)
     with pytest.raises(InputError, match="mandible_scale_y = 1.1 is beyond"):
         bind(surrogate, parameters=scaled)
