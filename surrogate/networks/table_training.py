@@ -71,7 +71,8 @@ class TableTraining:
     response_ridge: float = 1e-3
     effect_ridge: float = 3e-5  # an effect is zero in most faces
     mixed_ridge: float = 0.1  # of mixed effects, which few faces tell apart
-    carry_ridge: float = 5.0  # over the number of faces: a hundred with scaled bones are fewer than the columns
+    carry_ridge: float = 1e-5  # of how bones carry the mean face
+    coded_ridge: float = 5.0  # of how that follows the code, over the number of faces: few tell its columns apart
     response_floor: float = 0.002  # [mm] added to a face's responses, by which errors of them count
     offset_floor: float = 0.1  # [mm] added to how far it moves beyond its bones, by which errors of its offset count
     rounding: float = 1e-6  # [mm²] added to a squared distance, which at zero has no derivative
@@ -233,7 +234,8 @@ class TableLesson(Lesson):
                 scaled = scale_bones(faces.codes, faces.bones)[:, None]
                 carry.add(scaled, faces.carried.flatten(1)[:, None], torch.ones_like(scales[:, 0]))
         options = self.options
-        carried = carry.solve(options.carry_ridge / carry.count)
+        coded = BONES * self.data.code_size, options.coded_ridge / carry.count
+        carried = carry.solve(options.carry_ridge, coded)
         return Tables(
             _order(responses.solve(options.response_ridge), WEIGHTS),
             _order(effects.solve(options.mixed_ridge, (EFFECTS, options.effect_ridge)), EFFECTS),
