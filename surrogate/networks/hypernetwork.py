@@ -4,10 +4,11 @@ The printed form is Eq. 18 and 19 and nothing else: two perceptrons and a traine
 
 Ours starts from a skin that is right to first order: S is what `tables` make of the carried blendshapes, and z is zero
 at w = 0. Gradients that are linear in w could not do that. J acts from the left on S, so what is right at rest is
-multiplied by how S stretches, at lids and lips by many times: with the simulator's own offset and responses as J, 35 %
-of the motion is left, and by adding them to S 7. Nor are tables of gradients learned as well as those of displacements:
-the transfer turns errors that are small in J into drift of the whole face. What is left is small, and L begins with its
-principal components: L_i = g_i M_i, modes M of each mesh face with gains g_i = exp(f_ph(p_i, h, π(i))).
+multiplied by how S stretches, at lids by up to 2.6, and the transfer spreads it over the face: with the simulator's own
+offset and responses as J, 35 % of the motion is left, and by adding them to S 7 (the preset `study`). Nor are tables of
+gradients learned as well as those of displacements: the transfer turns errors that are small in J into drift of the
+whole face. What is left beyond first order is small, and L begins with its principal components: L_i = g_i M_i, modes M
+of each mesh face with gains g_i = exp(f_ph(p_i, h, π(i))).
 """
 
 from __future__ import annotations
