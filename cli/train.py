@@ -75,11 +75,12 @@ def train(
     elif network != "hyper":
         _refuse(network, {"--more": more, "--start": start})
     with show_progress() as progress:
+        teachers = _read_teachers(more, start, read)
         if network == "modal":
-            path, curve = _modal(corpus, more, start, out, given, read, progress)
+            path, curve = _modal(corpus, teachers, out, given, read, progress)
         else:
             path, curve = _gradients(
-                network, corpus, more, start, out, given, batch, recurrence_steps or 0, read, progress
+                network, corpus, teachers, out, given, batch, recurrence_steps or 0, read, progress
             )
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
@@ -89,18 +90,26 @@ def train(
     return 0
 
 
-def _modal(corpus: Path, more: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
+def _read_teachers(more: Path | None, start: Path | None, read: dict) -> dict:
+    """Read what teaches a network beside its corpus, as trainings take it."""
+    from ..surrogate.corpus.reading import Faces
+    from ..surrogate.networks.weights import Weights
+
+    return {
+        "more": None if more is None else Faces(more, "train", **read),
+        "start": None if start is None else Weights.load(start),
+    }
+
+
+def _modal(corpus: Path, teachers: dict, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
     from ..surrogate.networks.modal_training import ModalTraining, train_modal
-    from ..surrogate.networks.weights import Weights
     from ..surrogate.rigs.inertia import Looseness
 
     config, faces = ModalTraining(**options), Faces(corpus, "train", **read)
-    without_frames = None if more is None else Faces(more, "train", **read)
     out.mkdir(parents=True, exist_ok=True)
-    begun = None if start is None else Weights.load(start)
-    weights = train_modal(faces, config, more=without_frames, start=begun, state=out / "modal.pt", on_progress=progress)
+    weights = train_modal(faces, config, **teachers, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
         weights = replace(weights, looseness=Looseness.from_people(people_from_text("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
@@ -119,8 +128,7 @@ def _refuse(network: str, options: dict) -> None:
 def _gradients(
     network: str,
     corpus: Path,
-    more: Path | None,
-    start: Path | None,
+    teachers: dict,
     out: Path,
     options: dict,
     batch: int | None,
@@ -133,7 +141,6 @@ def _gradients(
     from ..surrogate.corpus.reading import Faces, Table
     from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
     from ..surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
-    from ..surrogate.networks.weights import Weights
 
     config = replace(NETWORKS[network], **options)
     config = config if batch is None else with_batch(config, batch)
@@ -142,14 +149,7 @@ def _gradients(
     sequences = Table(corpus, "sequences", "train", **read) if recurrence_steps else None
     pivot = find_mean_pivot(Heads.from_corpus(corpus, progress)) if recurrence_steps else None
     out.mkdir(parents=True, exist_ok=True)
-    weights = train_gradients(
-        faces,
-        config,
-        more=None if more is None else Faces(more, "train", **read),
-        start=None if start is None else Weights.load(start),
-        state=out / f"{network}.pt",
-        on_progress=progress,
-    )
+    weights = train_gradients(faces, config, **teachers, state=out / f"{network}.pt", on_progress=progress)
     if sequences is not None and pivot is not None:
         moving = RecurrenceTraining(steps=recurrence_steps)
         weights = train_recurrence(

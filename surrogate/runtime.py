@@ -28,7 +28,7 @@ from ..reference.face.local import at_vertices as spread_over
 from .corpus.face import MOVED, KeptFace
 from .corpus.mixture import BONES, NAMES, STATIC, basis
 from .networks.features import Inputs
-from .networks.forms import FORMS
+from .networks.forms import FORMS, MODAL, has_tables
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
 from .networks.tables import Tables, expand, find_first_order
@@ -194,7 +194,7 @@ class Surrogate:
     @property
     def has_derivatives(self) -> bool:
         """Whether the network has an offset and responses, which the simulator's can replace."""
-        return self.weights.kind == "modal" or FORMS[self.weights.kind].has_tables
+        return has_tables(self.weights.kind)
 
     def check_exact(self) -> None:
         """Raise InputError for a network that has no offset and responses which the simulator could replace."""
@@ -213,7 +213,7 @@ class Surrogate:
             else:
                 first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
             rig: BoundRig
-            if self.weights.kind == "modal":
+            if self.weights.kind == MODAL:
                 rig = BoundSurrogate(skin, self._find_modes(first, code, at_vertices), shapes, swing)
             else:
                 rig = self._bind_gradients(described, code, *first)

@@ -161,12 +161,15 @@ class Table:
     def face(self, index: int, heads: Heads | None = None) -> KeptFace:
         """Read the face of a row; with derivatives where the table is of responses."""
         identity, group = self.groups[index].tolist()
-        person, derivatives = self._people[identity], None
+        person = self._people[identity]
         settled, carried = person.settled.row(person.path, group), self.carried(index)
-        if self.table == "responses":
-            row = self[index]
-            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
+        derivatives = self.derivatives(index) if self.table == "responses" else None
         return KeptFace(identity, self.person(identity), self.parameters(index), settled, carried, derivatives, heads)
+
+    def derivatives(self, index: int) -> Derivatives:
+        """Read the face of a row to first order; of the table of responses alone."""
+        row = self[index]
+        return Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
@@ -240,6 +243,10 @@ class Faces:
     def face(self, index: int) -> KeptFace:
         """Read one face."""
         return self._table.face(index, self.heads)
+
+    def derivatives(self, index: int) -> Derivatives:
+        """Read one face to first order."""
+        return self._table.derivatives(index)
 
     def carried(self, index: int) -> Floats32:
         """Read how far scaled bones carry a face [mm], shape (n, 3)."""

@@ -125,7 +125,7 @@ def train_gradients(
     without tables of these sizes, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
-    form, inputs = FORMS[config.form], None
+    form, data = FORMS[config.form], None
     first: dict[str, np.ndarray] = {}
     curve: list[dict[str, float]] = []
     if not form.has_tables and (more is not None or start is not None):
@@ -135,7 +135,7 @@ def train_gradients(
         data = LessonFaces.divide(
             faces, more, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
         )
-        inputs, shapes = data.inputs, table_shapes(config.network, data.vertex_count, data.code_size)
+        shapes = table_shapes(config.network, data.vertex_count, data.code_size)
         if start is None:
             first = draw_mixers(config.network, faces.mean, data.code_size, np.random.default_rng([config.seed, 3]))
         else:
@@ -143,7 +143,7 @@ def train_gradients(
         if start is None or more is not None:
             learned, curve = train_tables(data, first, config.tables, config, state, on_progress)
             first |= {name: learned[name] for name in shapes if name in learned}
-    lesson = GradientLesson(faces, config, inputs)
+    lesson = GradientLesson(faces, config, data)
     trainer = Trainer(lesson, after_tables(config) if curve else config)
     trainer.train(state, on_progress)
     note = TrainingNote(
@@ -168,7 +168,11 @@ def train_gradients(
 class GradientLesson(Lesson):
     """A form's tensors, the loss of a batch of frames, and the error on those of held-out people."""
 
-    def __init__(self, faces: Faces, config: GradientTraining, inputs: Inputs | None = None):
+    def __init__(self, faces: Faces, config: GradientTraining, data: LessonFaces | None = None):
+        """Learn from a corpus' faces. `data`, of a form with tables, tells its inputs and who is held out.
+
+        Raises InputError as `train_gradients`.
+        """
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
@@ -176,11 +180,14 @@ class GradientLesson(Lesson):
         people = np.unique(faces.groups[:, 0])
         if len(people) < 2:
             raise InputError(f"training needs frames of at least two people, there are {len(people)}")
-        self.held = hold_out_people(people, config.validation, np.random.default_rng([config.seed, 0]))
+        if data is None:
+            self.held = hold_out_people(people, config.validation, np.random.default_rng([config.seed, 0]))
+        else:
+            self.held = data.held_out
         is_held = np.isin(faces.groups[:, 0], self.held)
         self.training = np.flatnonzero(~is_held)
         self.source = self._open(self.training)
-        self.inputs = _normalise_codes(faces.mean, self.source.codes) if inputs is None else inputs
+        self.inputs = _normalise_codes(faces.mean, self.source.codes) if data is None else data.inputs
         self.seen = seen_ranges(faces, self.training, self.inputs.features)
         self.followed = np.ptp(self.source.coefficients[:, :, 0], axis=0) > 0.0
         torch.manual_seed(config.seed)

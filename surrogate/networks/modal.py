@@ -19,13 +19,12 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
-from . import tables
 from .features import Features
 from .layers import EVERY, Arrays, check_network, exp, layer_shapes, linear, scale_modes
-from .tables import TableSizes, carry_shapes, mixer_layers, see_vertices, table_layers, table_shapes
+from .tables import TableSizes, carry_shapes, mixer_layers, see_vertices, table_shapes
 
-WITHOUT_BIAS = (*tables.WITHOUT_BIAS, "gain_code", "remainder_out", "remainder_linear")
-QUIET = (*tables.QUIET, "gain_out", "remainder_gain", "remainder_modulation")
+WITHOUT_BIAS = ("gain_code", "remainder_out", "remainder_linear")
+QUIET = ("gain_out", "remainder_gain", "remainder_modulation")
 """Layers that begin near zero."""
 
 
@@ -39,11 +38,10 @@ class ModalConfig(TableSizes):
     expression: int = 256  # hidden width over w, once per frame
 
 
-def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
-    """Return outputs and inputs of each layer, in the order in which training draws them."""
+def remainder_layers(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, int]]:
+    """Return outputs and inputs of each layer but those of tables, in the order in which training draws them."""
     hidden, expression = config.summary, config.expression
     return {
-        **table_layers(config, code_size),
         **mixer_layers("gain", config.position, code_size, config.local),
         "gain_out": (config.modes, config.local),
         "remainder_summary.0": (hidden, code_size + features.summary_size),
@@ -58,7 +56,7 @@ def modal_layers(config: ModalConfig, features: Features, code_size: int) -> dic
 
 def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of a network."""
-    n, layers = len(features.mean.vertices), modal_layers(config, features, code_size)
+    n, layers = len(features.mean.vertices), remainder_layers(config, features, code_size)
     return {
         **table_shapes(config, n, code_size),
         **carry_shapes(n, code_size),

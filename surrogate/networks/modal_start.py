@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats32, Ints
-from .modal import QUIET, WITHOUT_BIAS, ModalConfig, modal_layers
+from .modal import QUIET, WITHOUT_BIAS, ModalConfig, remainder_layers
 from .modal_faces import LessonFaces
 from .ridge import find_components
-from .tables import MIXERS
+from .table_training import draw_mixers
 from .trainer import draw_layers, draw_positions, quieten
 
-POSITIONS = tuple(f"{name}_position" for name in ("gain", *MIXERS))
 FRAMES = 4
 """Of each face whose remainders the modes start from."""
 
@@ -20,13 +19,16 @@ def draw_network(
     data: LessonFaces, config: ModalConfig, framed: Ints, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Return a network without tables, whose modes are principal components of the remainders of some faces."""
-    layers = draw_layers(modal_layers(config, data.features, data.code_size), WITHOUT_BIAS)
-    quieten(layers, QUIET)
-    layers["remainder_linear.weight"] *= 0.0
     mean = data.corpus.mean
     modes, sizes = find_components(_sample_remainders(data, framed, rng), config.modes, rng)
-    return {name: value.numpy() for name, value in layers.items()} | {
-        **{name: draw_positions(mean.vertices, mean.vertex_normals, config.position, rng) for name in POSITIONS},
+    place = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
+    mixers = draw_mixers(config, mean, data.code_size, rng)
+    layers = draw_layers(remainder_layers(config, data.features, data.code_size), WITHOUT_BIAS)
+    quieten(layers, QUIET)
+    layers["remainder_linear.weight"] *= 0.0
+    return mixers | {
+        **{name: value.numpy() for name, value in layers.items()},
+        "gain_position": place,
         "modes": modes.reshape(len(modes), *mean.vertices.shape) * np.sqrt(np.float32(mean.vertices.size)),
         "size_remainder": sizes.astype(np.float32),
     }

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from softdeca.lhm import InputError, Surface
-from softdeca.lhm.base.geometry.deformation import DeformationTransfer
+from softdeca.lhm.base.geometry.deformation import DeformationTransfer, least_gradients
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Frames, Person
@@ -148,6 +148,15 @@ def test_scaled_bones_carry_the_skin_before_a_network_moves_it(surrogate):
         frame = bind(surrogate, parameters=scaled, head=head, beyond="clamp").frame(w)
     plain = bind(surrogate).frame(w)
     assert np.abs(frame - plain - carried).max() < 0.3 * np.abs(carried).max()
+
+
+def test_least_gradients_reproduce_the_simulated_skins(samples):
+    moved = samples.simulated - samples.blended
+    pairs = zip(samples.blended, moved, strict=True)
+    gradients = np.array([least_gradients(before, moves, SPACE.mean.triangles) for before, moves in pairs])
+    delta = DeformationTransfer(SPACE.mean, [0]).delta(gradients.astype(np.float64), samples.blended.astype(np.float64))
+    relative = delta - delta[:, :1] - (moved - moved[:, :1]).astype(np.float64)
+    assert np.abs(relative).max() < 0.01 * np.abs(moved).max()
 
 
 def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weights, faces):

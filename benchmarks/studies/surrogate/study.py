@@ -18,7 +18,7 @@ from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
 from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
 from ....surrogate.motion import evaluate_motion, evaluate_played
-from ....surrogate.networks.forms import FORMS
+from ....surrogate.networks.forms import MODAL, has_tables
 from ....surrogate.networks.weights import TrainingNote
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
@@ -120,8 +120,7 @@ class SurrogateOnCorpus(Study):
         scores = _read_scores(rows)
         if not any(score.method == NETWORK for score in scores):
             return []
-        forms = [row.values["trained_on"]["config"].get("form") for row in rows]
-        has_derivatives = all(form is None or FORMS[form].has_tables for form in forms)
+        has_derivatives = all(has_tables(_read_note(row).config.get("form", MODAL)) for row in rows)
         return make_gates(scores, has_derivatives=has_derivatives)
 
     def words(self, rows: Sequence[Row]) -> str:
