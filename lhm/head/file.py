@@ -26,7 +26,6 @@ from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
 from .detail import Detail
-from .gates import check_regions, measure_face
 from .head import LayeredHead
 from .skin import check_outward
 
@@ -133,7 +132,6 @@ def read_masks(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.nda
     names = [name for name in arrays if name.startswith("region_")]
     REGIONS.check("it has", len(names))
     masks = {name.removeprefix("region_"): checks.mask(name, arrays[name], (count,)) for name in names}
-    check_regions(masks)
     return masks
 
 
@@ -172,18 +170,6 @@ def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) ->
                 f"is it of another head?"
             )
     return ties
-
-
-def _check_bones(head: LayeredHead) -> None:
-    """Raise InputError where cranium and mandible lie as in no head."""
-    values = measure_face(head.skin_wrap.vertices, head.skull_wrap.vertices, head.bone, head.regions)
-    for name, words in (
-        ("mandible_over_eyes", "the mandible reaches {:.3g} mm above the eyes"),
-        ("cranium_under_mouth", "the face's cranium reaches {:.3g} mm below the mouth"),
-    ):
-        value = values[name]
-        if value is not None and value >= 0.0:
-            raise InputError(f"bone: {words.format(value)}; are cranium and mandible exchanged?")
 
 
 @check_arguments
@@ -241,7 +227,6 @@ def _head_from_arrays(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
         muscles=more["muscles"],
         skull=more["skull"],
     )
-    _check_bones(head)
     return head
 
 

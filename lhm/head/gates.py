@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
 from ..base.checks import check_arguments
 from ..base.errors import MeshError
@@ -23,18 +22,7 @@ from ..expressions.rig import Rig
 from ..identities.arkit import ARKIT, weights_of
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
-from .openings import (
-    BLINK,
-    EYES,
-    MOUTH,
-    OPEN,
-    find_face_axes,
-    lid_path,
-    lip_path,
-    measure_folded,
-    measure_torn,
-    triangles_at,
-)
+from .openings import BLINK, OPEN, find_face_axes, lid_path, lip_path
 
 Direction = Literal["at least", "at most", "above", "below"]
 
@@ -105,18 +93,9 @@ class HeadReport:
     the bound of `wrap_to_skin_mean` grows in a face larger than the template's.
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
-    `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
-    lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
-    of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
     `jaw_drop`: how far jawOpen lowers the skin of the lower lip, on average. `sideways`: how far jawLeft, jawRight,
     mouthLeft and mouthRight move the lips to their own side, on average; the least of the four. `own_side`: share of
     the other Left and Right expressions' motion that is on their own side of the face, on average.
-    `lips_off_mouth`, `lids_off_eyes`: distance of the lips' farthest vertex from the mouth's lining, and of the lids'
-    from the sockets.
-    `turned`: angle between the axes of the face, by its mouth and eyes, and those of the file: +y up, +z the front.
-    `eyes_across`: extent of both eye sockets, `eyes_to_mouth`: height of their middle over the mouth's.
-    `mandible_over_eyes`: height of the highest vertex of the mandible over the eyes' middle, `cranium_under_mouth`:
-    depth of the face's lowest vertex of the cranium under the mouth's; both negative, as bones lie in a head.
     `cranium_`, `mandible_`, `free_vertices`: of the skull wrap, by bone; a rigid motion needs three. `regions_unknown`:
     how many of a face's regions are missing or empty.
     `wrap_vertices`: of each wrap; below 3,000 `COARSE_BOUNDS` hold instead: edges twice as long leave flatter tets
@@ -159,29 +138,10 @@ class HeadReport:
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
     lid_detour: float | None = _figure("", "at least", 1.4)
-    # Lips that are one surface: 1,100 to 3,200; parted ones 0 to 120, those of a scan's own shapes too.
-    jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
-    # Lids drawn over a closed eye: 490 and more; heads have 0.
-    blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Heads 0 to 5, by a scan's own shapes 20; corners that tear or crumple, lips that streaks cross: 220 and more.
-    jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
-    # Random identities and scans 14 to 61; jagged lids 240.
-    blink_folded: float | None = _figure("mm")
     # Random identities and scans: 10 to 26 mm, 2.6 to 7 mm, and 0.85 to 0.92.
     jaw_drop: float | None = _figure("mm", "at least", 1.0)
     sideways: float | None = _figure("mm", "above", 0.0)
     own_side: float | None = _figure("", "at least", 0.7)
-    # Random identities and scans: 9 to 17 mm, and 7 to 22 mm.
-    lips_off_mouth: float | None = _figure("mm", "at most", 40.0)
-    lids_off_eyes: float | None = _figure("mm", "at most", 40.0)
-    # Fits are refused from 45 degrees on; a face's own axes lie up to 10 degrees beside the template's.
-    turned: float | None = _figure("°", "at most", 60.0)
-    # Random identities and scans: 75 to 104 mm, and 50 to 79 mm.
-    eyes_across: float | None = _figure("mm", "at most", 140.0)
-    eyes_to_mouth: float | None = _figure("mm", "at least", 30.0)
-    # Random identities and scans: -104 to -23 mm, and -30 to -10 mm.
-    mandible_over_eyes: float | None = _figure("mm", "below", 0.0)
-    cranium_under_mouth: float | None = _figure("mm", "below", 0.0)
     cranium_vertices: int = _figure("", "at least", 3)
     mandible_vertices: int = _figure("", "at least", 3)
     free_vertices: int = _figure()
@@ -219,6 +179,8 @@ EDGE, COARSE_EDGE = 3.64, 7.21
 OUTSIDE_TOLERANCE = 0.2
 CROSSINGS = 10_000
 """Pairs after which no more are counted: a head of noise has millions, and its check would take minutes."""
+REGIONS = ("face", "lips", "lids", "mouth", "eyes", "teeth", "ears", "neck")
+"""What a face's wrap has by name."""
 _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
@@ -253,7 +215,6 @@ def check_layers(
     for name, mask in [("bone", bone), *regions.items()]:
         if np.shape(mask) != (n,):
             raise MeshError(f"{name}: expected shape ({n},), got {np.shape(mask)}")
-    check_regions(regions)
     if not is_closed(triangles):
         raise MeshError("wraps: the triangulation is not one closed surface, consistently oriented")
     inside = [SignedDistance(wrap) for wrap in wraps]
@@ -269,54 +230,10 @@ def check_layers(
         lip_path=lip_path(wraps[0].vertices, triangles, regions),
         lid_path=lids,
         lid_detour=detour,
-        **_measure_parting(skin, rigged, regions),
         **_measure_sideways(skin, rigged, wraps[0].vertices, regions),
-        **_off(wraps[0].vertices, regions),
-        **measure_face(wraps[0].vertices, wraps[2].vertices, bone, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
-        regions_unknown=sum(not np.any(regions.get(name, False)) for name in LARGEST_SHARE),
+        regions_unknown=sum(not np.any(regions.get(name, False)) for name in REGIONS),
     )
-
-
-LARGEST_SHARE = {"face": 0.9} | dict.fromkeys(("lips", "lids", "mouth", "eyes", "teeth", "ears", "neck"), 0.4)
-"""Of a wrap's vertices, that a region of the face has: 0.52 and up to 0.1 in the default head."""
-NEVER_EMPTY = ("face", "lips", "lids", "mouth", "eyes")
-
-
-def check_regions(regions: Mapping[str, NDArray[np.bool_]]) -> None:
-    """Raise MeshError for a region, a mask (n,) of the wrap's vertices, that no face has: empty, or too large."""
-    for name, mask in regions.items():
-        share = float(np.mean(mask))
-        if name in NEVER_EMPTY and not share:
-            raise MeshError(f"region {name!r}: no vertex of the wrap belongs to it")
-        if share > LARGEST_SHARE.get(name, 1.0):
-            raise MeshError(
-                f"region {name!r}: {100 * share:.0f} % of the wrap's vertices belong to it; "
-                f"expected at most {100 * LARGEST_SHARE[name]:.0f} %"
-            )
-
-
-def measure_face(skin: Floats, skull: Floats, bone: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
-    """Measure how a face is turned, how large it is, and where its bones lie; None where it has no mouth or eyes.
-
-    `skin`, `skull`: vertices (n, 3) [mm] of the wraps; names and units as in HeadReport.
-    """
-    values: dict[str, Any] = dict.fromkeys(
-        ("turned", "eyes_across", "eyes_to_mouth", "mandible_over_eyes", "cranium_under_mouth")
-    )
-    face_axes = find_face_axes(skin, regions)
-    if face_axes is None:
-        return values
-    middle, axes = face_axes
-    eyes, mouth = ((skin[regions[name]] - middle) @ axes for name in ("eyes", "mouth"))
-    height, in_face = (skull - middle) @ axes[:, 1], np.asarray(regions.get("face", np.zeros(len(bone), bool)))
-    values["turned"] = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0))))
-    values["eyes_across"], values["eyes_to_mouth"] = float(np.ptp(eyes[:, 0])), float(-mouth[:, 1].mean())
-    if (bone == MANDIBLE).any():
-        values["mandible_over_eyes"] = float(height[bone == MANDIBLE].max())
-    if (in_face & (bone == CRANIUM)).any():
-        values["cranium_under_mouth"] = float(mouth[:, 1].mean() - height[in_face & (bone == CRANIUM)].min())
-    return values
 
 
 def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:
@@ -391,23 +308,6 @@ def _spread(distance: Floats) -> dict[str, Any]:
     return {"mean": float(distance.mean()), "95": float(np.quantile(distance, 0.95)), "max": float(distance.max())}
 
 
-def _measure_parting(
-    skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, Any]:
-    """Skin torn and folded where lips and lids part; None where the head has no rig, or not these shapes or regions."""
-    values: dict[str, Any] = {}
-    for name, (shapes, places) in {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}.items():
-        torn = folded = None
-        if rigged is not None and any(place in regions for place in places):
-            rig, weights = rigged
-            if not set(shapes) & set(rig.missing):
-                triangles = triangles_at(skin, weights, regions, places)
-                torn = measure_torn(skin, rig, triangles, shapes)
-                folded = measure_folded(skin, rig, triangles, shapes)
-        values |= {f"{name}_torn": torn, f"{name}_folded": folded}
-    return values
-
-
 SIDEWAYS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
 SIDED = tuple(name for name in ARKIT if name.endswith(("Left", "Right")) and name not in SIDEWAYS)
 
@@ -441,16 +341,6 @@ def _measure_sideways(
 def _side(name: str) -> float:
     """The sign of x on an expression's side: the subject's left is +x."""
     return 1.0 if name.endswith("Left") else -1.0
-
-
-def _off(wrap: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for rim, inside in (MOUTH, EYES):
-        far = None
-        if np.any(regions.get(rim, False)) and np.any(regions.get(inside, False)):
-            far = float(cKDTree(wrap[regions[inside]]).query(wrap[regions[rim]])[0].max())
-        values[f"{rim}_off_{inside}"] = far
-    return values
 
 
 INVERTED = 100

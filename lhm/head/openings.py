@@ -1,23 +1,17 @@
-"""Whether mouth and eyes are open: ways along a wrap from lip to lip, and skin torn or folded where they part."""
+"""Whether mouth and eyes are open: ways along a wrap from lip to lip."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from ..base.geometry.deformation import folded_length, torn_area
 from ..base.geometry.topology import directed_edges
-from ..base.mesh import Floats, Ints, Surface
-from ..expressions.rig import Rig
-from ..identities.arkit import ARKIT
+from ..base.mesh import Floats, Ints
 from .columns import edge_graph
 
-MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
-"""Regions of a wrap."""
 OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
@@ -114,30 +108,3 @@ def _ring(triangles: Ints, inside: NDArray[np.bool_]) -> Ints:
 def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
     """Length [mm] of the shortest way along edges from `start` to every vertex, shape (n,)."""
     return dijkstra(edge_graph(vertices, triangles), directed=False, indices=start, min_only=True)
-
-
-def triangles_at(
-    skin: Surface, skin_from_wrap: csr_matrix, regions: Mapping[str, NDArray[np.bool_]], names: Sequence[str]
-) -> Ints:
-    """Find the skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
-    masks = [regions[name] for name in names if name in regions]
-    if not masks:
-        return skin.triangles[:0]
-    there = skin_from_wrap @ np.any(masks, axis=0).astype(np.float64) > 0.5
-    return skin.triangles[there[skin.triangles].any(axis=1)]
-
-
-def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """Measure the area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
-    return torn_area(skin.vertices, _move(skin, rig, names), triangles)
-
-
-def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """Measure the length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
-    return folded_length(skin.vertices, _move(skin, rig, names), triangles)
-
-
-def _move(skin: Surface, rig: Rig, names: Sequence[str]) -> Floats:
-    weights = np.zeros(len(ARKIT))
-    weights[[ARKIT.index(name) for name in names]] = 1.0
-    return skin.vertices + rig.moved(weights)

@@ -36,7 +36,6 @@ def test_the_gallery_shows_a_head_as_it_moves(two):
     shown = results.rows[2].values["shown"]
     assert results.rows[2].case == "seed 0" and shown["gates missed at rest"] == "none"
     assert shown["crossings of the wraps"] == shown["openings of the skin"] == 0
-    assert 0 <= shown["skin torn by jawOpen [mm²]"] < 900
     # A jaw opens by centimetres, lids close by one.
     assert 20 < shown["jawOpen: farthest motion [mm]"] < 60 and 4 < shown["blink: farthest motion [mm]"] < 25
     text = (out / "index.html").read_text()

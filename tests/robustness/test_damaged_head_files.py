@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import check_head, identities, load_template
 from softdeca.lhm.base.errors import InputError
@@ -74,13 +73,6 @@ HEADS = {
         rows("skin_from_wrap", "indices", lambda row: np.full_like(row, row[0])),
         "skin_from_wrap_indices: row 0 names column .* twice",
     ),
-    "cranium and mandible exchanged": (
-        other("bone", lambda a: np.array([0, 2, 1])[a]),
-        "bone: the mandible reaches .* mm above the eyes",
-    ),
-    "cranium for free": (other("bone", lambda a: np.where(a == 0, 1, a)), "bone: the face's cranium reaches"),
-    "no lips": (other("region_lips", lambda a: a & False), "region 'lips': no vertex of the wrap"),
-    "ears everywhere": (other("region_ears", lambda a: a | True), "region 'ears': 100 % of the wrap.*at most 40 %"),
     "skin inside out": (other("skin_triangles", lambda a: a[:, ::-1]), "skin: its triangles face inwards"),
     "skin of a head aside": (other("skin_vertices", lambda a: a + 500.0), "skin_wrap: it lies .* mm from the skin"),
     "three times as large": (times(*POINTS, by=3.0), "skin_wrap is 752.* mm across, a head 100 to 600 mm"),
@@ -117,28 +109,13 @@ def test_a_damaged_head_is_refused_by_loading_and_by_check(tmp_path, whole, comm
     assert said.status == 1 and len(said.errors) == 1 and time.process_time() - began < 10
 
 
-def turned(*angles):
-    """Turn all of a head by Euler angles [degrees] about x, y and z."""
-    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-    return lambda arrays: {name: arrays[name] @ turn.T for name in POINTS}
-
-
 TOLD = {
-    "lying": (turned(90, 0, 0), "turned: "),
-    "looking back": (turned(0, 180, 0), "turned: 180"),
-    "twice as large": (times(*POINTS, by=2.0), "mm (at most 140 mm)"),
-    "nearly half as large": (times(*POINTS, by=0.45), "mm (at least 30 mm)"),
     "rig negated": (times("rig_deltas", by=np.float32(-1)), "jaw drop: -"),
     "rig of expressions in another order": (
         other("rig_deltas", lambda a: np.random.default_rng(0).permutation(a)),
         "own side: ",
     ),
     "rig mirrored": (times("rig_deltas", by=np.float32([-1, 1, 1])), "sideways: -"),
-    "lips anywhere": (other("region_lips", lambda a: np.random.default_rng(0).permutation(a)), "lips off mouth: "),
-    "lips and lids exchanged": (
-        lambda arrays: {"region_lips": arrays["region_lids"], "region_lids": arrays["region_lips"]},
-        "lids off eyes: ",
-    ),
 }
 
 
@@ -167,7 +144,6 @@ def test_a_head_that_no_command_would_read_is_not_written(tmp_path, sphere_head)
     for odd, words in (
         (replace(sphere_head, skin_from_wrap=sphere_head.skin_from_wrap[::-1].tocsr()), "skin_from_wrap: it ties"),
         (replace(sphere_head, notes=("x" * 3000,)), "notes: 3,?000 letters"),
-        (replace(sphere_head, regions={"lids": sphere_head.bone < 0}), "region 'lids': no vertex"),
     ):
         refused(f"head.npz: not written, since it could not be read: {words}", save_head, path, odd)
         assert not path.exists()

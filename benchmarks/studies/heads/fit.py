@@ -60,8 +60,6 @@ def draw_moving_head(head: LayeredHead) -> Values:
         "smallest dihedral [°]": report.smallest_dihedral,
         "crossings of the wraps": int(crossings),
         "gates missed at rest": "; ".join(report.problems) or "none",
-        "skin torn by jawOpen [mm²]": report.jaw_open_torn,
-        "skin torn by blinks [mm²]": report.blink_torn,
     }
     for pose, names in POSES.items():
         shape = head.expression(expressions.weights_of(dict.fromkeys(names, 1.0)))
