@@ -44,7 +44,7 @@ VERTICES_ONLY = "vertices only, z(w) L(p, h)"
 SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
 SOFTDECA_BEGUN, TABLES = "SoftDECA, our form, on the network's tables", "the network's tables alone"
 SOFTSMPL_SMALL, SOFTSMPL_LARGE, SOFTSMPL_GRU = "SoftSMPL, small", "SoftSMPL, large", "SoftSMPL, dynamic (GRU)"
-SNP, TRAINED_BY_ENERGY = "SNP", "trained by the energy"
+SNP = "SNP"
 
 AnyFace = Face | KeptFace
 Binder = Callable[[Any], Rig]

@@ -10,7 +10,6 @@
 | softsmpl       | one perceptron of w, p and h to all faces            | SoftSMPL     |
 | softsmpl_gru   | the same with a GRU, of sequences                    | SoftSMPL     |
 | snp            | sequences alone, step by step in one subspace        | Subspace Neural Physics |
-| energy         | all vertices, trained by the energy alone            | Corigliano et al. 2025 |
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
 

@@ -108,22 +108,6 @@ def test_a_gru_between_perceptron_and_gradients_learns_sequences(corpus):
     np.testing.assert_array_equal(before, method.play(row, train))
 
 
-def test_a_network_learns_from_the_energy_and_reads_no_simulated_frame(corpus, monkeypatch):
-    pytest.importorskip("torch")
-    from softdeca.surrogate.networks.energy import EnergyTrained, EnergyTraining
-
-    def refuse(*arguments):
-        raise AssertionError("a frame was read")
-
-    monkeypatch.setattr(Faces, "frames", refuse)
-    options = {"steps": 60, "faces": 4, "differentiated": 3, "modes": 24, "validate_every": 20}
-    method = EnergyTrained(EnergyTraining(**options))
-    faces = Faces(corpus, "train", heads=HEADS)
-    method.fit(faces)
-    assert method.curve[-1]["loss"] < method.curve[0]["loss"] and method.curve[-1]["loss"] < 0.0
-    assert np.isfinite(method.bind(faces.face(0)).frame(np.full(52, 0.1))).all()
-
-
 def score_by_fenicsx(tested):
     table = measure_frames([SIMULATED, *map(by_frame, READY)], tested.by_fenicsx())
     return table.scores(table.parts())

@@ -33,7 +33,6 @@ from ....surrogate.methods import (
     SOFTSMPL_LARGE,
     SOFTSMPL_SMALL,
     TABLES,
-    TRAINED_BY_ENERGY,
     VERTICES_ONLY,
     AnyFace,
     Binder,
@@ -59,7 +58,7 @@ GRADIENTS = {
 TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
 LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_BEGUN)
 """Networks that learn Eq. 21 where the corpus has sequences, in a tenth of the time."""
-STEPWISE = (*GRADIENTS, NETWORK_ALIKE, VERTICES_ONLY, TRAINED_BY_ENERGY)
+STEPWISE = (*GRADIENTS, NETWORK_ALIKE, VERTICES_ONLY)
 """What learns static frames by steps, as many as fit into the time."""
 SEPARATE = (SOFTDECA, VERTICES_ONLY)
 """Networks of the form z(w) L(p, h, π(i)) alone, whose z has a floor."""
@@ -126,7 +125,7 @@ class Table1(Study):
             raise InputError(f"corpus {self.corpus}: no test people")
         plan = tested.corpus.plan
         moving = [SOFTSMPL_GRU, SNP] if plan.sequences else []
-        names = [*TRIVIAL, NETWORK, TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, TRAINED_BY_ENERGY, *list_learners()]
+        names = [*TRIVIAL, NETWORK, TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
         names += [SIMULATOR] if plan.references else []
         return [Task(Path(self.corpus).name, name) for name in names]
 
@@ -172,7 +171,7 @@ class Table1(Study):
         yield from score_static(method, tested)
         if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
             yield from score_static(method, tested, varying=True)
-        if contest.has_motion and method.name != TRAINED_BY_ENERGY:
+        if contest.has_motion:
             assert contest.looseness is not None
             moving = evaluate_motion([method], tested, contest.looseness)
             yield from (score for score in moving if score.kind == DYNAMIC)
@@ -233,12 +232,6 @@ def train(name: str, contest: Contest, hours: float) -> tuple[Method, dict[str, 
         surrogate = train_gradients_in(name, contest, hours)
         numbers = sum(int(np.prod(array.shape)) for array in surrogate.weights.network.values())
         return Method(name, use_network(surrogate)), {"steps": surrogate.weights.note.steps, "numbers": numbers}
-    if name == TRAINED_BY_ENERGY:
-        from ....surrogate.networks.energy import EnergyTrained, EnergyTraining
-
-        by_energy = EnergyTrained(EnergyTraining(hours=hours))
-        by_energy.fit(faces)
-        return Method(name, by_energy.bind, by_energy.needs), {"steps": by_energy.steps}
     if name == VERTICES_ONLY:
         from ....surrogate.networks.vertex_network import TRAINING
         from ....surrogate.networks.vertices_only import VerticesOnly
