@@ -10,8 +10,6 @@
 | softsmpl       | one perceptron of w, p and h to all faces            | SoftSMPL     |
 | softsmpl_gru   | the same with a GRU, of sequences                    | SoftSMPL     |
 | snp            | sequences alone, step by step in one subspace        | Subspace Neural Physics |
-| ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
-| responses      | offset and responses by kernel ridge regression      | a baseline   |
 
 `table_training` trains the tables of `modal` and of our hypernetwork, `modal_training` the rest of the first.
 `gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and

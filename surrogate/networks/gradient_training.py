@@ -27,12 +27,12 @@ from ...lhm.base.geometry.topology import connected_parts
 from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
+from .components import find_components
 from .features import Features, Inputs, seen_ranges
 from .forms import FORMS
 from .frames import FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
 from .modal_faces import LessonFaces
-from .ridge import find_components
 from .softsmpl import LARGE, SMALL
 from .table_training import TableTraining, after_tables, continue_network, draw_mixers, train_tables
 from .tables import table_shapes

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats32, Ints
+from .components import find_components
 from .modal import QUIET, WITHOUT_BIAS, ModalConfig, remainder_layers
 from .modal_faces import LessonFaces
-from .ridge import find_components
 from .table_training import draw_mixers
 from .trainer import draw_layers, draw_positions, quieten
 

@@ -12,9 +12,9 @@ import numpy as np
 from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
+from .components import find_components
 from .features import Features, Inputs
 from .layers import perceptron, perceptron_layers
-from .ridge import find_components
 from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 
 MODES, WIDTH, BATCH = 128, 512, 16

@@ -14,10 +14,10 @@ from ...lhm.base.geometry.deformation import DeformationTransfer
 from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
+from .components import find_components
 from .features import Features, Inputs
 from .gradient_training import SparseTransfer, still_vertices
 from .layers import elu, perceptron, perceptron_layers
-from .ridge import find_components
 from .softsmpl import LARGE
 from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 

@@ -48,7 +48,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert json.loads(ended.out) == kept and set(list_missing(kept)) <= OF_THE_CHECKOUT
     told = {row["method"]: row["values"] for row in kept["rows"]}
     methods = {name: values["rows"][0] for name, values in told.items()}
-    assert set(READY) < set(methods) and len(methods) == 10
+    assert set(READY) < set(methods) and len(methods) == 7
     assert methods["bones carried"]["share"] == pytest.approx(1.0, rel=1e-5)  # skins in single precision
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.

@@ -28,13 +28,10 @@ from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, re
 from softdeca.surrogate.networks.modal_faces import LessonFace, LessonFaces
 from softdeca.surrogate.networks.modal_start import draw_network
 from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, train_modal
-from softdeca.surrogate.networks.responses import LearnedResponses
-from softdeca.surrogate.networks.ridge import Ridge
 from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining
 from softdeca.surrogate.networks.tables import Tables, compress, expand, find_first_order, mix_effects, mix_responses
 from softdeca.surrogate.networks.trainer import Trainer, to_tensors
-from softdeca.surrogate.networks.vertex_network import TRAINING
-from softdeca.surrogate.networks.vertices_only import VerticesOnly
+from softdeca.surrogate.networks.vertices_only import TRAINING, VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.rigs.rig import add_combination
@@ -133,13 +130,14 @@ def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weig
 
 
 def test_rivals_that_learn_are_scored_by_kind(faces):
-    rivals = {"responses": LearnedResponses(), "raw": Ridge("raw"), "dimensionless": Ridge("dimensionless")}
-    methods = [*learn(rivals, faces["train"]), METHODS[BLENDSHAPES]]
+    methods = [
+        *learn({"vertices only": VerticesOnly(replace(TRAINING, steps=20))}, faces["train"]),
+        METHODS[BLENDSHAPES],
+    ]
     scores = evaluate(methods, static_trials(faces["test"]))
     assert {score.kind for score in scores} <= {"all", UNSCALED, VARYING, *KINDS, *STRENGTHS}
     overall = [score for score in scores if score.kind == "all"]
     assert [score.method for score in overall] == [method.name for method in methods]
-    assert overall[0].everywhere < 0.85 * overall[-1].everywhere
     assert all(np.isfinite(score.mean) for score in overall)
 
 

@@ -11,34 +11,20 @@ from ....lhm.base.errors import InputError
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
 from ....surrogate.evaluate import Binds, Cost, Learns, measure_bind
-from ....surrogate.methods import (
-    LEARNED_RESPONSES,
-    RIDGE,
-    RIDGE_DIMENSIONLESS,
-    VERTICES_ONLY,
-    Method,
-    ready_methods,
-)
-from ....surrogate.networks.responses import LearnedResponses
-from ....surrogate.networks.ridge import Ridge
+from ....surrogate.methods import VERTICES_ONLY, Method, ready_methods
 from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
 
 @lru_cache(maxsize=1)
 def list_learners() -> Mapping[str, Callable[[], Learns]]:
-    """Return what is fitted to a corpus' training people in minutes, by name; some need torch, which is an extra.
+    """Return what is fitted to a corpus' training people in minutes, by name; torch, which they need, is an extra.
 
     The paper's networks, which take longer, are in `table_1.py`.
     """
     from ....surrogate.networks.vertices_only import VerticesOnly
 
-    return {
-        LEARNED_RESPONSES: LearnedResponses,
-        RIDGE_DIMENSIONLESS: lambda: Ridge("dimensionless"),
-        RIDGE: lambda: Ridge("raw"),
-        VERTICES_ONLY: VerticesOnly,
-    }
+    return {VERTICES_ONLY: VerticesOnly}
 
 
 def parse_people(people: str) -> Split | None:

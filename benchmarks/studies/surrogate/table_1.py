@@ -233,8 +233,7 @@ def train(name: str, contest: Contest, hours: float) -> tuple[Method, dict[str, 
         numbers = sum(int(np.prod(array.shape)) for array in surrogate.weights.network.values())
         return Method(name, use_network(surrogate)), {"steps": surrogate.weights.note.steps, "numbers": numbers}
     if name == VERTICES_ONLY:
-        from ....surrogate.networks.vertex_network import TRAINING
-        from ....surrogate.networks.vertices_only import VerticesOnly
+        from ....surrogate.networks.vertices_only import TRAINING, VerticesOnly
 
         at_vertices = VerticesOnly(replace(TRAINING, hours=hours))
         at_vertices.fit(faces)
