@@ -23,7 +23,6 @@ from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
 from .studies.arena.work_precision import FACE, WorkPrecision
 from .studies.cases import WEIGHTS_AND_LOADS, parse_expression
-from .studies.scaling.throughput import ITERATION, Throughput
 from .studies.surrogate.dial import Dial
 from .studies.surrogate.split import Split
 from .studies.surrogate.study import SurrogateOnCorpus
@@ -66,10 +65,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         chosen.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
         chosen.append((Dial(faces=1, frames=1 if small else 2, level=level), ""))
     repeats = 1 if small else 5
-    chosen += [
-        (Throughput(identities=whose, level=level), ITERATION),
-        (WorkPrecision(identities=whose, level=level, expressions=("jawOpen",), repeats=repeats), FACE),
-    ]
+    chosen.append((WorkPrecision(identities=whose, level=level, expressions=("jawOpen",), repeats=repeats), FACE))
     return [RunRequest(study, out / study.name, match) for study, match in chosen]
 
 

@@ -1,6 +1,6 @@
 """Projective dynamics on tets and triangles: local projections, one global matrix, L-BFGS (SoftDECA Section 3.2)."""
 
 from .hessian.tangent import Pattern, Tangent
-from .solver import ProjectivePrepared, prepare, time_local_step
+from .solver import ProjectivePrepared, prepare
 
-__all__ = ["Pattern", "ProjectivePrepared", "Tangent", "time_local_step", "prepare"]
+__all__ = ["Pattern", "ProjectivePrepared", "Tangent", "prepare"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +23,6 @@ from .hessian.tangent import Pattern, Tangent
 from .policy import POLICY, ProjectivePolicy
 from .terms.energy import PARTS, Energy, recover
 from .terms.gaps import Pairs
-from .terms.tets import TetBlocks
 from .unknowns.coordinates import Coordinates, Place
 from .unknowns.system import System
 
@@ -261,19 +259,3 @@ def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy 
 
         contact = ContactDescent.from_scene(scene, system, policy.contact)
     return ProjectivePrepared(scene, method, energy, system, contact, clock.read(), policy)
-
-
-def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
-    """Time one energy and gradient of all tets, slightly deformed: median processor time [s] of the local step."""
-    tets = prepared.energy.part(TetBlocks)
-    if tets is None:
-        raise SceneError("the scene has no energy of tets to time")
-    u = 0.01 * prepared.scene.vertices[:, [1, 2, 0]]
-    gradient = np.zeros_like(u)
-    tets.add_to(u, gradient)
-    times = []
-    for _ in range(repeats):
-        begin = time.thread_time()
-        tets.add_to(u, gradient)
-        times.append(time.thread_time() - begin)
-    return float(np.median(times))

@@ -15,7 +15,6 @@ from softdeca.benchmarks.studies.arena.problems import pull_handles
 from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.measures import Trace, largest_distance, time_solve, trace_solve, trace_to_itself
 from softdeca.benchmarks.studies.person import Person
-from softdeca.benchmarks.studies.scaling import floor
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import NotModelledError, Parameters, facial_scene, prepare, terms
 from softdeca.surrogate.methods import METHODS, NETWORK
@@ -89,17 +88,6 @@ def test_libigl_and_we_minimise_the_same_energy(sphere_head, targets):
     found = summarise(run_outside("libigl_arap", problem.arrays(), {"own": truth}, {}, 2.0))
     moved = largest_distance(truth, scene.vertices)
     assert moved > 1.0 and found["max_mm"] < 2e-3 * moved and found["max_mm"] < 0.01 * found["first_mm"]
-
-
-def test_bytes_of_a_factor_are_those_of_a_dense_one(sphere_head, targets):
-    prepared = prepare(facial_scene(sphere_head, Parameters(), targets))
-    matrix, _ = prepared.energy.matrix(prepared.scene)
-    free = prepared.system.coordinates.groups[0][1]
-    lower = np.count_nonzero(np.tril(matrix[free][:, free].toarray()))
-    n = len(free)
-    assert 12 * lower <= floor.count_factor_bytes(prepared) <= 12 * n * (n + 1) // 2
-    # Per tet 8 B times its parameters, and four corners of 4 B, in blocks.
-    assert floor.count_tet_bytes(prepared) >= len(prepared.scene.tets) * (8 * 9 + 16)
 
 
 def grown(count: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Frames per hour of the simulator: cold frames, a sequence, a worker's memory, and the floor of an iteration."""
+"""Frames per hour of the simulator: cold frames, a sequence, and a worker's memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
-from ....reference import Face, Parameters, Prepared, facial_scene, prepare, projective
+from ....reference import Face, Parameters, Prepared, facial_scene, prepare
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
 from ....surrogate.corpus.mixture import FEW
@@ -22,7 +22,6 @@ from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
 from ..measures import ACCURACY, TIMES, Stopwatch, count_unfinished, largest_distance, time_solve, trace_to_itself
 from ..person import OfPerson
-from . import floor
 
 REFERENCE = 1e-9
 """Tolerance of tight runs, far below what 0.01 mm needs."""
@@ -38,18 +37,16 @@ KINDS = {
     "every p at random": tuple(info.name for info in Parameters.infos()),
 }
 """Which parameters are drawn, each over its whole range; the others are default."""
-COLD, SEQUENCE, WORKER, ITERATION = "cold frames", "a sequence", "a worker that fits a head and simulates", "iteration"
+COLD, SEQUENCE, WORKER = "cold frames", "a sequence", "a worker that fits a head and simulates"
 
 
 @dataclass(frozen=True)
 class Throughput(OfPerson):
-    """Cold frames of several heads and materials; talk on one head; memory; bytes."""
+    """Cold frames of several heads and materials; talk on one head; memory."""
 
     name = "throughput"
     heading = "How many frames does one core simulate in an hour?"
-    question = (
-        "How many frames an hour does a core simulate to 0.01 mm, in how much memory, and how far is it from its floor?"
-    )
+    question = "How many frames an hour does a core simulate to 0.01 mm, and in how much memory?"
     needs = ("people", "heads", "generator")
     columns = (
         Column("what", "what"),
@@ -67,8 +64,7 @@ class Throughput(OfPerson):
         "the error is the largest distance of a vertex to them. The sequence is made-up talk at 60 Hz, prepared once; "
         "each frame starts from the last, its scene is made anew. Its tolerance is relative to the force of skin 1 mm "
         "off its target. Seconds are those of a frame. The tight run of a frame starts from its answer, since closed "
-        "lids fold and have several minima. The floor of an iteration reads the factor's bytes twice and the tets' "
-        "once, at the measured bandwidth. A factor that stays in the last-level cache can be read faster."
+        "lids fold and have several minima."
     )
     timed = True
     alone = True
@@ -77,20 +73,18 @@ class Throughput(OfPerson):
     frames: int = 49
 
     def tasks(self) -> Sequence[Task]:
-        """List each kind of cold frames, the sequence, the memory, the floor."""
+        """List each kind of cold frames, the sequence, the memory."""
         self.check()
         if self.frames < CHECKED_EVERY + 1 or self.people < 1:
             raise InputError(f"frames: {self.frames}, expected 13 or more; people: {self.people}, expected 1 or more")
         cold = [Task(COLD, kind) for kind in KINDS]
-        return [*cold, Task(SEQUENCE, PD), Task(WORKER, PD), Task(ITERATION, PD)]
+        return [*cold, Task(SEQUENCE, PD), Task(WORKER, PD)]
 
     def measure(self, task: Task) -> Values:
-        """Measure a kind of frames, the memory, or the floor."""
+        """Measure a kind of frames, or the memory."""
         if task.case == COLD:
             return self._measure_cold(task.method)
-        return {SEQUENCE: self._measure_sequence, WORKER: self._measure_memory, ITERATION: self._measure_floor}[
-            task.case
-        ]()
+        return self._measure_sequence() if task.case == SEQUENCE else self._measure_memory()
 
     def _make_frame(self, seed: int, kind: str) -> partial:
         """The scene of a lively frame of talk of a seed's head, with parameters of a kind."""
@@ -155,7 +149,6 @@ class Throughput(OfPerson):
             "error_mm": max(errors),
             "per_hour": 3600.0 / float(np.mean(walls)),
             "tolerance": tolerance,
-            "converged": True,
         }
 
     def _measure_memory(self) -> Values:
@@ -165,34 +158,6 @@ class Throughput(OfPerson):
         fitted = peak_megabytes()
         prepare(frame()).solve(max_iterations=30)
         figures = {"libraries [MB]": loaded, "peak of the fit [MB]": fitted, "peak [MB]": peak_megabytes()}
-        return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
-
-    def _measure_floor(self) -> Values:
-        """Measure the bytes that an iteration must read, the bandwidth, and the time it takes beside that."""
-        prepared = projective.prepare(self._make_frame(self.seed, "default p")())
-        solution = prepared.solve(tolerance=1e-5)
-        iteration = float(np.median(np.diff(solution.history.time)))
-        factor, tets, bandwidth = (
-            floor.count_factor_bytes(prepared),
-            floor.count_tet_bytes(prepared),
-            floor.measure_bandwidth(),
-        )
-        # Forward and backward substitution each read the factor once, for all three components together.
-        least = (2 * factor + tets) / bandwidth
-        split = floor.split_iteration(prepared, solution.positions, iteration)
-        figures = {
-            "bandwidth of one core, triad [GB/s]": bandwidth / 1e9,
-            "factor [MB], read twice an iteration": factor / 1e6,
-            "tets [MB], read once": tets / 1e6,
-            "floor of an iteration [ms]": 1e3 * least,
-            "an iteration [ms]": split["iteration"],
-            RATIO: iteration / least,
-            "energy and gradient (local step) [ms]": split["local"],
-            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * 58_080 / len(prepared.scene.tets),
-            "solve with A (global step) [ms]": split["solve"],
-            "the rest: L-BFGS, further evaluations [ms]": split["rest"],
-            "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),
-        }
         return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
@@ -219,13 +184,8 @@ class Throughput(OfPerson):
                     at_least("warm frames per core-hour", line["per_hour"], 15000, answer=False),
                     at_most("warm frame: largest error [mm]", line["error_mm"], ACCURACY),
                 ]
-            elif row.case == WORKER:
-                gates.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], 600.0))
             else:
-                said = {line["what"]: line["value"] for line in lines}
-                ratio = "time of an iteration over its floor (an aim)"
-                gates.append(at_most(ratio, said[RATIO], 2.0, answer=False))
-                gates.append(at_most(LOCAL_58K, said[LOCAL_58K], 8.0, answer=False))
+                gates.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], 600.0))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -255,7 +215,3 @@ class Throughput(OfPerson):
         right.set(ylabel="iterations (grey)", ylim=(0, None))
         axis.legend(loc="upper right")
         return {"A sequence of talk.": to_svg(figure)}
-
-
-RATIO = "an iteration over its floor"
-LOCAL_58K = "a local step per 58 k tets, float64, one core [ms]"

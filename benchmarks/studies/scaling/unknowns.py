@@ -1,14 +1,12 @@
-"""How time and memory grow with the unknowns, beside what FEniCSx must cost at least on the default mesh.
+"""How time and memory grow with the unknowns.
 
 One head on meshes from its coarsest template to the finest with sub-layers, each in a process of its own: PD's energy
 by PD and by FEniCSx, the neo-Hookean law by FEniCSx. Meshes up to the default one start at rest, finer ones by FEniCSx
-at coarser meshes' answers. The floor: the bytes of an assembly and of a product with the matrix over the bandwidth of
-memory.
+at coarser meshes' answers.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +36,6 @@ from ..measures import (
     time_solve,
 )
 from ..person import OfPerson
-from .floor import measure_bandwidth
 
 
 @dataclass(frozen=True)
@@ -57,10 +54,6 @@ METHODS = {
 }
 TOLERANCE = 1e-8
 GROWING = ("cpu_s", "cpu_per_linear_iteration", "linear_iterations", "peak_mb")
-TET_BYTES = 4 * 8 + 16 * 4 + 9 * 8 + 8 + 2 * 9 * 8 + 9 * 8 + 2 * 3 * 8
-"""What assembly reads of a linear tet: nodes, slots, inverse of the Jacobian, volume, U and V, and dP/dF's modes."""
-REPEATS = 7
-FLOORS = "floors of the default mesh"
 
 Mesh = tuple[int, int, str]
 """Level of the template, sub-layers of each tissue, and element."""
@@ -93,10 +86,7 @@ class Unknowns(OfPerson):
 
     name = "unknowns"
     heading = "How do time and memory grow with the mesh?"
-    question = (
-        "How do time and memory of PD and FEniCSx grow with the unknowns, and how far is FEniCSx from what memory's "
-        "bandwidth allows?"
-    )
+    question = "How do time and memory of PD and FEniCSx grow with the unknowns?"
     columns = (
         Column("unknowns", "unknowns"),
         Column("tets", "tets"),
@@ -108,19 +98,13 @@ class Unknowns(OfPerson):
         Column("coarse_cpu_s", "of processor time the coarser meshes [s]", cost=True),
         Column("cpu_us_per_unknown", "processor time per unknown [µs]", cost=True),
         Column("peak_mb", "most memory [MB]", cost=True),
-        Column("ms", "measured [ms]", cost=True),
-        Column("floor_ms", "floor [ms]"),
-        Column("ratio", "measured over floor"),
-        Column("megabytes", "bytes moved [MB]"),
         ENDED,
     )
     note = (
         "All end at a gradient norm of 1e-8 of their start, with prescribed bones and default parameters; each mesh "
         "has its own process. By FEniCSx linear meshes finer than the default one start at its answer to 1e-3, whose "
         "cost is counted; all others start at rest. PD has linear tets alone. Memory is the most that the process "
-        "held during preparation and solve, with the programs and the head's fit. Floors are bytes that must be read "
-        "or written once, over the bandwidth of the triad a = b + s c. Energy, gradient and assembly are bound by "
-        "arithmetic, not by memory. A multigrid cycle is about ten products with the matrix."
+        "held during preparation and solve, with the programs and the head's fit."
     )
     timed = True
     alone = True
@@ -135,22 +119,19 @@ class Unknowns(OfPerson):
         return {_name_mesh(mesh): mesh for mesh, count in MESHES.items() if count <= self.up_to}
 
     def tasks(self) -> Sequence[Task]:
-        """List each mesh by each method, and the floors; InputError for fewer unknowns than the smallest mesh has."""
+        """List each mesh by each method; InputError for fewer unknowns than the smallest mesh has."""
         self.check([self.expression])
         if not self.meshes:
             raise InputError(f"up_to: the smallest mesh has {min(MESHES.values())} unknowns, got {self.up_to}")
-        tasks = [
+        return [
             Task(name, method)
             for method in METHODS
             for name, (_, _, element) in self.meshes.items()
             if method != PD or element == "P1"
         ]
-        return [*tasks, *(Task(FLOORS, part) for part in PARTS)]
 
     def measure(self, task: Task) -> Values:
-        """Measure what a solve costs, or a part of it at least."""
-        if task.case == FLOORS:
-            return measure_floor(self.scene(DEFAULT_MESH), task.method)
+        """Measure what a solve costs."""
         mesh, method = self.meshes[task.case], METHODS[task.method]
         level, layers, element = mesh
         load_kernels(solver=method.solver, **({} if task.method == PD else {"element": element}))
@@ -183,14 +164,11 @@ class Unknowns(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all converge, and the default mesh in time."""
-        solves = [row for row in rows if row.case != FLOORS]
-        gates = [
-            at_most("solves that did not reach what was asked", count_unfinished([row.values for row in solves]), 0)
-        ]
+        gates = [at_most("solves that did not reach what was asked", count_unfinished([row.values for row in rows]), 0)]
         return gates + [
             at_most(f"whole solve to {TOLERANCE:g} on the default mesh, {row.method} [CPU s]", row.values["cpu_s"],
                     most, answer=False)
-            for row in solves
+            for row in rows
             if row.case == _name_mesh(DEFAULT_MESH) and (most := METHODS[row.method].most_cpu_s) is not None
         ]  # fmt: skip
 
@@ -258,77 +236,16 @@ def measure(method: Method, scene: Scene, element: str, find_start: Callable[[st
 def count_nodes(scene: Scene, element: str) -> int:
     """Count the nodes of an element on a scene: vertices in tets, and of quadratic ones the edges' middles."""
     vertices = len(np.unique(scene.tets))
-    return vertices if element == "P1" else vertices + len(_find_edges(scene))
-
-
-def _find_edges(scene: Scene) -> np.ndarray:
-    pairs = np.sort(scene.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0)
-
-
-def count_entries(scene: Scene) -> int:
-    """Count entries of the stiffness matrix of linear tets: nine per vertex and per edge and direction."""
-    return 9 * (len(np.unique(scene.tets)) + 2 * len(_find_edges(scene)))
-
-
-PARTS: dict[str, Callable[[int, int], int]] = {
-    "energy and gradient at a new place": lambda tets, entries: tets * TET_BYTES,
-    "assembly of the Hessian": lambda tets, entries: 2 * 8 * entries + tets * TET_BYTES,
-    "iteration of CG with GAMG (floor: one product with the matrix)": lambda tets, entries: 12 * entries,
-}
-"""Parts of an iteration, and the bytes that each moves, by the counts of tets and of the matrix' entries."""
-
-
-def measure_floor(scene: Scene, part: str) -> dict:
-    """Measure the milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
-    from ....reference.fenicsx.linear.problem import Problem
-    from ....reference.fenicsx.linear.solvers import ConjugateGradients, hold
-    from ....reference.fenicsx.mesh.numbering import Numbering
-
-    problem = Problem(scene, Numbering(scene))
-    x, (gradient, assembly, _) = problem.numbering.X, PARTS
-    if part == gradient:
-
-        def find_gradient(k: int) -> Floats:
-            return problem.at(1e-3 * k * x).gradient()
-
-        ms = _measure_median([partial(find_gradient, k) for k in range(1, REPEATS + 1)])
-    elif part == assembly:
-        ms = _measure_median([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
-    else:
-        # An iteration's is the difference of a solve to few digits and one to many.
-        held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
-        matrix, b = problem.at(np.zeros_like(x)).hessian(0.0), np.random.default_rng(0).normal(size=x.size)
-        hold(matrix, held, np.zeros(len(held)), b)
-        solver = ConjugateGradients(matrix)
-        solver.solve(b, relative=1e-2)
-        few, many = (
-            (
-                _measure_median([partial(solver.solve, b, relative=to)] * REPEATS),
-                solver.solve(b, relative=to).iterations,
-            )
-            for to in (1e-2, 1e-8)
-        )
-        ms = (many[0] - few[0]) / (many[1] - few[1])
-    moved_bytes = PARTS[part](len(scene.tets), count_entries(scene))
-    floor = 1e3 * moved_bytes / measure_bandwidth()
-    return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved_bytes / 1e6}
-
-
-def _measure_median(calls: Sequence[Callable[[], object]]) -> float:
-    calls[0]()
-    times = []
-    for call in calls:
-        begin = time.process_time()
-        call()
-        times.append(time.process_time() - begin)
-    return 1e3 * float(np.median(times))
+    if element == "P1":
+        return vertices
+    edges = np.sort(scene.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1)
+    return vertices + len(np.unique(edges, axis=0))
 
 
 def _group_solves(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
     """The solves by method and element, in the order of their unknowns."""
     groups: dict[tuple[str, str], list[Values]] = {}
-    for row in sorted((row for row in rows if row.case != FLOORS), key=lambda row: row.values["unknowns"]):
+    for row in sorted(rows, key=lambda row: row.values["unknowns"]):
         groups.setdefault((row.method, row.values["element"]), []).append(row.values)
     return groups
 
