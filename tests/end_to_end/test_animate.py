@@ -217,27 +217,6 @@ def test_an_accuracy_may_be_a_word(command, tmp_path):
     assert tight.status == 0 and json.loads(tight.out)["error"] <= 0.001
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("weight = 3", "unknown parameter 'weight'"),
-        ("gravity = 7", r"gravity = 7 is outside \[0, 3\] g"),
-        ("gravity = [1, 2]", "gravity: expected a number"),
-        ('skin_stiffness = "none.npy"', "none.npy: no such file beside it"),
-        ('skin_stiffness = "../out/text.npy"', "../out/text.npy: a file that is named in another has to lie"),
-        ('skin_stiffness = "text.npy"', "text.npy: not an array of numbers"),
-        ('skin_stiffness = "low.npy"', r"skin_stiffness = 1 \(number 1\) is outside"),
-    ],
-)
-def test_a_bad_parameter_file_is_named_with_its_parameter(tmp_path, text, message):
-    (tmp_path / "p.toml").write_text(text)
-    (tmp_path / "text.npy").write_text("hello")
-    np.save(tmp_path / "low.npy", [20.0, 1.0])
-    with pytest.raises(InputError, match=message) as error:
-        read_parameters(tmp_path / "p.toml")
-    assert str(tmp_path / "p.toml") in str(error.value) and "\n" not in str(error.value)
-
-
 def test_a_parameter_file_gives_numbers_and_arrays(tmp_path):
     np.save(tmp_path / "skin.npy", [20.0, 30.0])
     (tmp_path / "p.toml").write_text('gravity = 2\nskin_stiffness = "skin.npy"  # local\n')

@@ -156,18 +156,3 @@ def test_a_head_in_other_triangles_has_its_skin_alone_and_one_without_a_rig_is_r
     said = command("head", "export", files / "bare.npz", "--out", files / "bare.glb").refusal()
     assert "its skin has not the triangles of 'anny'; fit it anew, and it keeps expressions of its own" in said
     assert not (files / "bare.glb").exists()
-
-
-def test_what_cannot_be_written_or_read_is_refused_before_any_work(files, command, monkeypatch):
-    def said(*options):
-        return command("head", "export", files / "head.npz", *options).refusal()
-
-    assert "'fbx' is not one of 'glb', 'usd'" in said("--format", "fbx")
-    assert "expected a file that ends in .glb or .usd" in said("--out", files / "head.fbx")
-    assert "--format glb writes .glb, not head.usd" in said("--out", files / "head.usd")
-    (files / "link.glb").symlink_to("head.npz")
-    assert "it is a link" in said("--out", files / "link.glb")
-    (files / "nan.toml").write_text("gravity = nan\n")
-    assert "nan.toml: parameter gravity" in said("--parameters", files / "nan.toml")
-    monkeypatch.setitem(sys.modules, "pxr", None)
-    assert "pip install 'softdeca[usd]'" in said("--format", "usd")

@@ -64,23 +64,3 @@ def test_other_triangles_in_centimetres_are_registered(tracked, mean_head, comma
     assert ended.status == 0, ended.errors
     assert np.abs(read_take(tmp_path / "take.csv").weights - weights).max() < 1e-3
     assert "are its units off?" in command(*words).refusal()
-
-
-def test_what_is_no_sequence_of_meshes_is_one_line(tracked, mean_head, command, tmp_path):
-    folder, _, frames = tracked
-    head, out = folder / "head.npz", tmp_path / "take.csv"
-    write_meshes(tmp_path / "empty", [], None, "obj")
-    assert "no meshes in this folder" in command("take", "fit", tmp_path / "empty", "--out", out).refusal()
-    write_meshes(tmp_path / "cut", frames[:1], mean_head.skin.triangles, "obj")
-    trimesh.Trimesh(frames[1][:5], [[0, 1, 2]], process=False).export(tmp_path / "cut" / "1.obj")
-    assert "1.obj: " in command("take", "fit", tmp_path / "cut", "--head", head, "--out", out).refusal()
-    for name, vertices, words in (
-        ("few", frames[:, :100], "frame 0: expected shape (4463, 3), got (100, 3)"),
-        ("holed", np.where(np.arange(FRAMES)[:, None, None] == 2, np.nan, frames), "vertices"),
-        ("shuffled", frames[:, ::-1], "frame 0: its likeness to the face at rest"),
-    ):
-        np.savez(tmp_path / f"{name}.npz", vertices=vertices)
-        said = command("take", "fit", tmp_path / f"{name}.npz", "--head", head, "--out", out).refusal()
-        assert f"{name}.npz: " in said and words in said, said
-    assert not out.exists()
-    assert "ends in .csv" in command("take", "fit", tmp_path / "cut", "--out", tmp_path / "take.txt").refusal()

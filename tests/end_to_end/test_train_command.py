@@ -111,15 +111,3 @@ def test_table_1_trains_each_method_for_the_same_time(command, corpus, tmp_path)
     assert "numbers beside ours" in (tmp_path / "table" / "index.html").read_text()
     assert "--corpus" in command("bench", "table-1", "--out", tmp_path / "none").refusal()
     assert "hours: expected more than 0" in command(*given, "--hours", "0", "--out", tmp_path / "none").refusal()
-
-
-def test_what_cannot_be_is_one_line(command, corpus, tmp_path):
-    for words, said in (
-        (("train", corpus, "--device", "abacus"), "no device 'abacus'"),
-        (("evaluate", corpus, "--surrogate", "no.safetensors"), "no such file"),
-        (("evaluate", corpus), "vertices"),
-        (("train", corpus, "--network", "paper", "--more", corpus), "paper cannot honour --more"),
-        (("train", corpus, "--network", "hyper", "--device", "meta"), "no device 'meta'"),
-        (("train", corpus, "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
-    ):
-        assert said in command(*words, "--out", tmp_path / "out").refusal()

@@ -11,12 +11,10 @@ from PIL import Image
 
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
 from softdeca.animation.page import Layer, Pose, Rig, render_face_page, render_page
-from softdeca.lhm import InputError, expressions, identities
+from softdeca.lhm import expressions, identities
 from softdeca.lhm.head.detail import FineSkin
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
-
-from ..refusals import refused
 
 SPACE = identities.Anny()
 CODE = np.zeros(SPACE.code_size)
@@ -160,11 +158,3 @@ def test_the_page_of_a_simulated_head(sphere_head):
     content = json.loads(re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)[1])
     assert [rig["name"] for rig in content["rigs"]] == ["blendshapes", "derivatives"]
     assert [layer["name"] for layer in content["layers"]] == ["muscle", "skull"] and len(content["poses"]) == 6
-
-
-def test_what_cannot_be_shown_is_named():
-    skin = SPACE.skin(CODE)
-    refused("no rig", render_page, "a", "b", skin.triangles, [])
-    rig = Rig("blendshapes", skin.vertices, SPACE.expressions)
-    with pytest.raises(InputError, match=r"\(5, 3\)"):
-        render_page("a", "b", skin.triangles, [rig], poses=[Pose("p", np.zeros(52), {"PD": np.zeros((5, 3))})])

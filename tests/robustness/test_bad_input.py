@@ -12,17 +12,13 @@ import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.lhm import InputError, SoftdecaError, Surface, expressions, fit_head, load_template
+from softdeca.lhm import InputError, SoftdecaError, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
 from softdeca.lhm.base.files.resumable import RowStore, lock_folder
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.template.fit import is_upright
-from softdeca.reference import Face, Parameters, Scene, facial_scene, terms
-from softdeca.surrogate.corpus.plan import PRESETS
 
 from ..refusals import refused
-
-CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
 @pytest.fixture(scope="module")
@@ -40,71 +36,22 @@ def folder(tmp_path_factory, sphere_head):
 
 SPEECH = "speech:" + "so " * 70_000
 WRONG = [
-    ("--fast", "--fast"),
-    ("head", "Missing command"),
     ("study --expressions jawOpeen", "unknown ARKit expression 'jawOpeen'; did you mean jawOpen"),
-    ("study --expressions jawOpen*2", "the weight of jawOpen is 2, outside [0, 1]"),
-    ("study --expressions jawOpen+jawOpen", "jawOpen appears twice"),
-    ("study --expressions jawOpen*nan", "outside [0, 1]"),
-    ("study --expressions ''", "a name is missing"),
-    ("study --identities deca", "'deca'"),
-    ("head fit --identities ict:nowhere.npz", "nowhere.npz: no such file"),
-    ("head fit --skin skin.npz --unit mile", "unit 'mile'"),
-    ("head fit --seed 1 --skin a.obj", "--skin and --seed"),
     ("head fit --unit inch", "--unit is of --skin, which is not given"),
     ("head fit --template t.npz --level 1", "--template has a level"),
-    ("head fit --template other.npz", "not a template"),
     ("head fit --out head.obj", "head.obj: expected a file that ends in .npz"),
     ("head train-regressor empty --prior 8", "give one"),
-    ("head train-regressor nowhere", "no such folder"),
     ("head show head.npz --expression jawOpn", "did you mean jawOpen"),
     ("head show head.npz --expression jawOpen", "not the triangles of 'anny'"),
-    ("head mesh head.npz --layers 2", "layers '2': expected two counts"),
-    ("head mesh head.npz --layers \u0661,1", "layers '\u0661,1': expected two counts"),
-    ("head mesh head.npz --layers 0,1", "from 1 to 32"),
-    ("head mesh head.npz --size 0", "size: expected 0.2 to 1000 mm"),
-    ("head mesh head.npz --layers 2,2 --size 3", "leave out --layers"),
-    ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
-    ("bench agreement --case slimming", "case 'slimming': none of jawOpen"),
-    ("bench depth --skin head.npz", "Missing option '--skull'"),
-    ("bench depth --skin none.ply --skull head.npz", "none.ply: no such file"),
     ("animate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
     ("animate conversation:1 --targets 4 --dynamic", "--targets are of static frames"),
-    ("animate conversation:1 --surrogate none.safetensors", "none.safetensors: no such file"),
-    ("animate conversation:1 --parameters p.toml --accuracy none", "is beyond"),
     ("animate conversation:1 --accuracy loose", "expected a length from 1e-6 to 100 mm, 'tight' or 'none'"),
-    ("animate conversation:1 --accuracy none --crossing", "knows no contact"),
-    *((f"animate {words}", message) for words, message in [
-        ("missing.csv", "missing.csv: no such file"),
-        ("/dev/zero", "expected"),
-        (SPEECH, "expected"),
-        ("conversation:-1", "expected conversation[:SECONDS[:SEED]]"),
-        ("conversation:1e9", "expected conversation[:SECONDS[:SEED]]"),
-        ("conversation:1 --fps 1e12", "rate: 1e+12 Hz, expected a number above 0, 10,000 at most"),
-        ("conversation:1 --frames 70:80", "frames '70:80': none of the take's 60"),
-        ("conversation:1 --frames 3", "frames '3': expected A:B"),
-        ("conversation:1 --head a.npz --level 1", "not of --head"),
-    ]),
-    ("corpus status nowhere", "nowhere: no corpus.json"),
-    ("corpus sample made --out sheet.pdf", "expected a file that ends in .png"),
+    ("animate /dev/zero", "expected"),
+    (f"animate {SPEECH}", "expected"),
     ("corpus generate plan.toml --preset tiny", "both say which plan"),
-    ("corpus generate --preset huge", "there are " + ", ".join(PRESETS)),
-    ("corpus generate --takes empty --dry-run", "no take in it"),
-    ("corpus generate --identities external:anny", "has the default's triangles"),
-    ("corpus generate --identities external:", "expected 'external:' and a space"),
-    ("corpus generate --scheduler nowhere", "'nowhere': expected an address, as tcp://host:8786"),
-    ("train nowhere", "no corpus"),
-    # Options that nothing would read.
     ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
-    ("head fit --find-landmarks l.json --out own.npz", "leave out --out"),
-    ("head mesh head.npz --size 3 --layers 1,1", "leave out --layers"),
-    ("head train-regressor --unit mm", "--unit is of DIR, which is not given"),
-    ("bench material --jaw 0", "No such option '--jaw'"),
-    # Counts out of their range.
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
-    (f"train out --steps {'9' * 40}", "1<=x<=100000000"),
-    (f"bench heads --seed {'9' * 40}", "0<=x<=9223372036854775807"),
     ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
 
@@ -148,16 +95,8 @@ def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     ("turned", "message"),
     [
         (lambda v: v / 1000.0, r"0\.001 times as large"),
-        (lambda v: v * 10.0, "10 times as large"),
-        (lambda v: v / 25.4, r"0\.0394 times as large"),
         (lambda v: v * [-1.0, 1.0, -1.0], "turned by 180 degrees"),
-        (lambda v: v[:, [0, 2, 1]] * [1.0, 1.0, -1.0], "turned by 90 degrees"),
-        (lambda v: v * [-1.0, 1.0, 1.0] + 1000.0, "its triangles face inwards: is it mirrored"),
-        (lambda v: v * [1.0, 1.0, -1.0], "its triangles face inwards"),
-        (lambda v: v[:, [1, 0, 2]], "its triangles face inwards"),
         (lambda v: np.roll(v, 1, axis=0), "its edges are 3.* times as long as .*in the template's order"),
-        (lambda v: np.vstack([v[:999][::-1], v[999:]]), "its edges are .* times as long as"),
-        (lambda v: v + 1000.0 * (np.arange(len(v)) == 100)[:, None], "an edge at vertex 100 is .* times as long as"),
     ],
 )
 def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):
@@ -169,13 +108,6 @@ def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):
     refused(f"^skin: {message}", fit_head, template, skin, mapping=own, error=SoftdecaError)
 
 
-def test_a_mapped_skin_that_faces_inwards_is_refused():
-    template = load_template(level=1)
-    skin = Surface(template.skin.vertices, template.skin.triangles[:, ::-1])
-    own = identity(len(skin.vertices), format="csr")
-    refused("^skin: its triangles face inwards", fit_head, template, skin, mapping=own, error=SoftdecaError)
-
-
 def test_a_skin_far_from_the_origin_is_fitted_as_at_the_origin():
     template = load_template(level=1)
     off = np.array([1000.0, -2000.0, 500.0])
@@ -183,18 +115,6 @@ def test_a_skin_far_from_the_origin_is_fitted_as_at_the_origin():
     assert is_upright(template.skin, moved)
     there = fit_head(template, template.skin).vertices
     np.testing.assert_allclose(fit_head(template, moved).vertices - off, there, atol=1e-6)
-
-
-def test_a_head_with_an_array_of_wrong_shape_or_missing_is_refused(tmp_path, sphere_head):
-    file = tmp_path / "head.npz"
-    save_head(file, sphere_head)
-    with np.load(file) as whole:
-        arrays = dict(whole)
-    for name in arrays:
-        lacking = {key: value for key, value in arrays.items() if key != name}
-        for wrong in (lacking, arrays | {name: np.arange(7)}):
-            np.savez(file, **wrong)
-            refused(r"head\.npz: ", load_head, file)
 
 
 def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, sphere_head):
@@ -292,34 +212,3 @@ def test_a_lock_that_is_a_link_leaves_what_it_leads_to(tmp_path):
     with pytest.raises(InputError, match="lock: cannot be written .it is a link"), lock_folder(tmp_path, "study"):
         pass
     assert (tmp_path / "precious").read_text() == "precious"
-
-
-def fixed_at(vertex):
-    return Scene(CORNERS, [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([vertex])])
-
-
-def with_targets(head, move):
-    return facial_scene(head, Parameters(), move(head.skin.vertices))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda head: Scene(CORNERS, [[0, 2, 1, 3]], []), "scene: tets: 1 are inverted"),
-        (lambda head: fixed_at(4), r"term 1 \(Fixed\): vertex 4 is outside 0..3"),
-        (lambda head: fixed_at(-1), r"term 1 \(Fixed\): vertex -1 is outside 0..3"),
-        (lambda head: Scene(np.ma.masked_array(CORNERS, False), [[0, 1, 2, 3]], []), "vertices: expected numbers"),
-        (lambda head: terms.Strain(np.ma.masked_array([1.0, 2.0])), "stiffness: expected numbers"),
-        (lambda head: Parameters(soft_volume=np.ma.masked_array([1.0, 1.1])), "soft_volume: .* masked array"),
-        (lambda head: with_targets(head, lambda x: x + 101.0), "targets: .*at most 100 mm"),
-        (lambda head: with_targets(head, lambda x: x * 1e9), "targets: 1e.09 times as large as the neutral skin"),
-        (lambda head: with_targets(head, lambda x: x / 1000), "targets: 0.001 times as large .* are its units off"),
-        (lambda head: with_targets(head, lambda x: x / 25.4), "targets: 0.0394 times as large"),
-        (lambda head: with_targets(head, lambda x: x * [-1, 1, 1]), "targets: its likeness .* is it mirrored"),
-        (lambda head: with_targets(head, lambda x: x[::-1]), "targets: its likeness"),
-        (lambda head: with_targets(head, lambda x: np.ma.masked_less(x, 0.0)), "targets: expected an array of numbers"),
-        (lambda head: Face(head).expression_scene(head.skin.vertices / 10), "targets: 0.1 times as large"),
-    ],
-)
-def test_a_bad_scene_is_named_in_one_line(sphere_head, make, message):
-    refused(message, make, sphere_head, error=SoftdecaError)

@@ -6,10 +6,7 @@ import pytest
 from softdeca.lhm import InputError
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate, certify
-from softdeca.surrogate.certified import Reached
 from softdeca.surrogate.corpus.spheres import Spheres
-
-from ..refusals import refused
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 HEAD = SPACE.fit(SPACE.skin(CODE))
@@ -45,45 +42,6 @@ def test_the_error_that_is_told_is_the_true_one(face, seed):
     told, true = np.array(seen).T
     assert (told + 1e-5 > 0.8 * true).all() and (told < 1.25 * true + 1e-5).all(), (told, true)
     assert true[-1] < 0.3 * true[0], "what is asked for makes a difference"
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"weights": "jawOpen"}, "weights: expected the 52 of ARKit"),
-        ({"weights": {"jawOpen": 1}}, "weights: expected the 52 of ARKit"),
-        ({"weights": np.zeros(52) + 1j}, "weights: .* got complex128"),
-        ({"accuracy": "fine"}, "frame: accuracy: expected a number, got 'fine'"),
-        ({"accuracy": np.nan}, "accuracy: expected a number at least 1e-06 and at most 100 mm"),
-        ({"seconds": -1.0}, "seconds: expected a number at least 0 s"),
-        ({"after": "x"}, "frame: after: expected a Reached or None, got 'x'"),
-        ({"after": Reached(np.zeros(52), np.zeros((7, 3)))}, "after: a frame of another face, with vertices of shape"),
-        ({"after": Reached(np.zeros(52), None)}, "after: a frame of another face, with vertices of shape"),
-        ({"after": Reached(np.zeros(51), 1.01 * HEAD.vertices)}, "weights: expected the 52"),
-        ({"after": Reached(np.zeros(52), 1.05 * HEAD.vertices)}, "after: a frame of another face: .* mm from"),
-        ({"after": Reached(np.zeros(52), np.nan * HEAD.vertices)}, "after: .* not finite"),
-    ],
-)
-def test_bad_arguments_of_a_frame_are_named(face, given, words):
-    refused(words, lambda: face.frame(**{"weights": np.zeros(52)} | given))
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda shapes: 1e4 * shapes, "expressions: .* too large; expected at most 100"),
-        (lambda shapes: shapes / 1000, "expressions: the largest moves by .* are its units off"),
-        (
-            lambda shapes: np.where(np.arange(52)[:, None, None] == 17, shapes[:, ::-1], shapes),
-            "moves neighbours apart",
-        ),
-        (lambda shapes: shapes[:, :-1], "expressions: expected shape"),
-        (lambda shapes: shapes + 1j, "expressions: expected real numbers"),
-        (lambda shapes: "shapes", "expressions: expected real numbers"),
-    ],
-)
-def test_shapes_of_another_unit_or_order_are_refused_at_once(change, words):
-    refused(words, Face, HEAD, change(SPACE.expression_deltas(CODE)), P)
 
 
 def test_a_frame_is_never_told_worse_than_before(face):

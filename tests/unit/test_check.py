@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm import MeshError, Surface, check_head, fit_head
+from softdeca.lhm import Surface, check_head, fit_head
 from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
 from softdeca.lhm.base.geometry.triangles import fan_crossings
 from softdeca.lhm.head.file import save_head
 from softdeca.lhm.head.gates import Figure, check_layers
 from softdeca.lhm.head.openings import lid_path, lip_path
 from softdeca.lhm.identities.arkit import ARKIT
-
-from ..refusals import refused
 
 RADII = (100.0, 92.0, 85.0)
 
@@ -148,19 +146,6 @@ def test_an_open_skin_has_the_figures_of_the_closed_one():
     whole = check_layers(surfaces[0], surfaces, bone, {})
     opened = check_layers(Surface(wraps[0], faces[1:]), surfaces, bone, {})
     assert opened.skull_outside_skin == whole.skull_outside_skin == 0 and opened.problems == whole.problems
-
-
-def test_what_makes_no_layers_is_named():
-    _, faces, wraps, bone = parts(1)
-    surfaces = [Surface(x, faces) for x in wraps]
-    with pytest.raises(MeshError, match="muscle wrap: its triangulation"):
-        check_layers(surfaces[0], [surfaces[0], Surface(wraps[1], faces[::-1]), surfaces[2]], bone, {})
-    opened = [Surface(x, faces[1:]) for x in wraps]
-    refused("wraps: .*closed", check_layers, surfaces[0], opened, bone, {}, error=MeshError)
-    fin = Surface(surfaces[0].vertices, np.vstack([faces, faces[:1]]))
-    refused("skin: edges with more than two triangles", check_layers, fin, surfaces, bone, {}, error=MeshError)
-    with pytest.raises(MeshError, match="lips: expected shape"):
-        check_layers(surfaces[0], surfaces, bone, {"lips": np.ones(3, bool)})
 
 
 @pytest.mark.parametrize(

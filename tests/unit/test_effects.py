@@ -55,11 +55,6 @@ def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
     assert np.all(np.abs(some[:, 0]) > 10) and len(some) > 10
 
 
-def test_a_head_without_regions_is_named(sphere_head):
-    with pytest.raises(InputError, match="'lids'|'face'"):
-        flesh_share(sphere_head)
-
-
 def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
     y = head.skin_wrap.vertices[:, 1]
     np.testing.assert_allclose(mean_on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)

@@ -9,19 +9,18 @@ import pytest
 from softdeca.benchmarks.studies.surrogate.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.face import Frames
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import Contender, by_frame, evaluate, measure_frames, score_distances
+from softdeca.surrogate.evaluate import by_frame, evaluate, measure_frames
 from softdeca.surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, METHODS, Method, use_network
 from softdeca.surrogate.motion import STILL, evaluate_motion, evaluate_played
 from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.rigs.inertia import Looseness
-from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials, static_trials
+from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
@@ -147,29 +146,3 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     assert np.isfinite(found.faces)
     shutil.copy(corpus / "corpus.json", tmp_path)
     assert compute_breakeven(tmp_path, note, score) is None
-
-
-class _Empty:
-    """A test of one face without frames."""
-
-    def __len__(self):
-        return 1
-
-    def face(self, index):
-        return None
-
-    def frames(self, index):
-        return Frames(np.zeros((0, 52), np.float32), np.zeros((0, 4, 3), np.float16))
-
-
-def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
-    with pytest.raises(InputError, match="no accepted static frames"):
-        evaluate(READY, static_trials(_Empty()))
-    right, wrong = np.ones((2, 4)), np.full((2, 4), np.nan)
-    for error, motion, words in (
-        (wrong, right, "numbers that are not finite"),
-        (right, wrong, "numbers that are not finite"),
-        (right[:0], right[:0], "no frame"),
-    ):
-        with pytest.raises(InputError, match=f"blendshapes.*all: {words}"):
-            score_distances(Contender("blendshapes", None), "all", error, motion)

@@ -6,7 +6,7 @@ from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
-from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
+from softdeca.reference import Reason, Scene, materials, solve, terms
 from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx.energy.loads import FollowerPressure
 from softdeca.reference.fenicsx.linear.problem import Problem
@@ -18,7 +18,7 @@ from softdeca.reference.problems import bars, incompressible, meshes
 from softdeca.reference.problems.homogeneous import rollers
 from softdeca.reference.solution import Limits
 
-from .by_solver import prepare_by, solve_by
+from .by_solver import solve_by
 
 LAWS = {
     "neo-Hookean": materials.NeoHookean(1.0, 5.0),
@@ -165,30 +165,6 @@ def test_a_bar_drawn_far_by_its_ends_has_the_law_s_stretches(poisson):
     stretches = np.linalg.svd(now @ np.linalg.inv(rest), compute_uv=False).mean(axis=0)
     lateral = bars.neo_hookean_law(stretches[0], poisson)[0]
     assert np.sqrt(np.prod(stretches[1:] / lateral)) == pytest.approx(1.0, abs=0.01)
-
-
-SOFT = terms.Hyperelastic(materials.NeoHookean(1.0, 2.0))
-
-
-@pytest.mark.parametrize(
-    ("element", "others", "message"),
-    [
-        ("P1", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "cannot model Incompressible by element 'P1'"),
-        ("P2", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "cannot model Incompressible by element 'P2'"),
-        ("P2P1", [SOFT, terms.Volume(1.0)], "'P2P1' cannot model Volume"),
-        ("P2P1", [terms.Strain(1.0)], "'P2P1' needs a Hyperelastic term"),
-        ("P2P1", [terms.Hyperelastic(materials.Corotated(1.0, 2.0))], "'P2P1' cannot model Corotated"),
-        (
-            "P2P1",
-            [terms.Hyperelastic(materials.NeoHookean(1.0, 0.0))],
-            "NeoHookean: lmbda must be positive and finite, got 0.0",
-        ),
-    ],
-)
-def test_refusals(element, others, message):
-    X, tets = meshes.block(1)
-    with pytest.raises(SceneError, match=message):
-        prepare_by("fenicsx", Scene(X, tets, [*others, terms.Fixed(X[:, 0] == 0)]), element=element).solve()
 
 
 def test_a_path_that_ends_early_leaves_the_whole_load():

@@ -13,8 +13,6 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness.mpirun import SETTINGS, strip_notices
-from softdeca.benchmarks.studies.scaling.ranks import Ranks
-from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare
 from softdeca.reference.materials import Guccione, Incompressible, NeoHookean
 from softdeca.reference.problems import bars
@@ -256,12 +254,6 @@ MPI.COMM_WORLD.Barrier()
 def test_processes_of_a_program_may_solve_each_on_their_own(tmp_path):
     done = run_together(tmp_path, FIRST_ALONE, count=2, timeout=60)
     assert done.returncode == 0 and done.stdout == "True\n"
-
-
-@pytest.mark.parametrize("counts", [(), ("2", "1"), ("1", "0"), ("1", "two")])
-def test_a_study_of_ranks_begins_with_one_process(counts):
-    with pytest.raises(InputError, match="expected 1 and others"):
-        Ranks(processes=counts).tasks()
 
 
 @needs_mpirun

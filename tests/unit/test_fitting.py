@@ -113,26 +113,6 @@ def test_people_of_other_spaces_are_fitted_too(data, space, take):
     assert fitted.residuals.max() < 0.01
 
 
-def test_what_is_no_face_in_motion_is_refused(mean_head, shapes):
-    skin = mean_head.skin
-    face, rest = TrackedFace.from_skin(skin, shapes), skin.vertices
-    refused("frame 1: expected shape .4463, 3., got .3, 3.", fit_take, face, [rest, rest[:3]])
-    holed = rest.copy()
-    holed[7, 1] = np.nan
-    refused("frame 1: 1 values are not finite, the first at .7, 1.", fit_take, face, [rest, holed])
-    refused("frame 0: 0.001 times as large", fit_take, face, [0.001 * rest])
-    refused("frame 0: its likeness to the face at rest", fit_take, face, [rest[::-1]])
-    refused("rate: 0 Hz", fit_take, face, [rest], rate=0.0)
-    refused("no frames", fit_take, face, [])
-    refused("shapes: expected shape .52, 4463, 3.", TrackedFace.from_skin, skin, shapes[:, 1:])
-    refused("no expression moves the face", fit_take, TrackedFace.from_skin(skin, 0.0 * shapes), [rest])
-    points = TrackedFace.from_mesh(skin, shapes, Surface(rest, np.zeros((0, 3), dtype=int)))
-    refused("the face has no area", fit_take, points, [rest])
-    refused("are its units off?", TrackedFace.from_mesh, skin, shapes, Surface(0.1 * rest, skin.triangles))
-    turned = Surface(rest @ Rotation.from_euler("y", 1.5).as_matrix().T, skin.triangles)
-    refused("expected a neutral face of this head", TrackedFace.from_mesh, skin, shapes, turned)
-
-
 def test_a_take_is_written_as_it_is_read(take, tmp_path):
     lacking = replace(take, missing=("tongueOut",))
     write_take(tmp_path / "take.csv", lacking, {"residual mm": take.times})

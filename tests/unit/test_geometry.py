@@ -277,17 +277,3 @@ def test_factors_that_are_forgotten_leave_no_workspace_of_their_widest_solve():
     for _ in range(50):
         cholesky.factorise(chain, linear_solver="cholespy")(right)
     assert resident_bytes() - before < 0.5 * 50 * right.nbytes
-
-
-def test_a_part_without_an_anchor_is_named(sphere_head):
-    skin = sphere_head.skin
-    n = len(skin.vertices)
-    two = Surface(np.vstack([skin.vertices, skin.vertices + 300.0]), np.vstack([skin.triangles, skin.triangles + n]))
-    refused(f"vertex {n} ", DeformationTransfer, two, [0], error=MeshError)
-
-
-def test_a_flat_reference_triangle_is_named(sphere_head):
-    vertices = sphere_head.skin.vertices.copy()
-    i, j, k = sphere_head.skin.triangles[7]
-    vertices[k] = 0.5 * (vertices[i] + vertices[j])
-    refused("no area", DeformationTransfer, sphere_head.skin.with_vertices(vertices), [0], error=MeshError)

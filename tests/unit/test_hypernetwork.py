@@ -206,21 +206,6 @@ def test_parameters_per_face(surrogate):
     assert np.abs(frame(per_face) - frame(soft)).max() > 1e-3
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"parameters": Parameters(soft_volume=1.2)},
-            r"soft_volume = 1.2 is beyond \[1, 1\]",
-        ),
-        ({"expressions": None}, "expressions: not known"),
-    ],
-)
-def test_bad_bindings_are_named(surrogate, changes, message):
-    with pytest.raises(InputError, match=message):
-        bind(surrogate, **changes)
-
-
 class Endless:
     """Faces of a corpus far larger than memory should hold: 100 people, each under two p, with 200 frames of each."""
 

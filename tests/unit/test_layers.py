@@ -39,11 +39,6 @@ def test_sub_layers_fill_the_same_space(sphere_head, counts):
     assert len(outer_faces(np.vstack([soft.tets, muscle.tets]))) == 2 * triangles
 
 
-@pytest.mark.parametrize("counts", [(0, 1), (1, -1)])
-def test_counts_below_one_are_refused(sphere_head, counts):
-    refused("from 1 to 32", sphere_head.sub_layers, *counts)
-
-
 def test_sub_layers_of_twisted_prisms_are_upright(spheres):
     # A rough skull wrap: the prisms' tets are upright, but not those between vertices spaced evenly.
     head = spheres(1, (100.0, 80.0, 60.0))

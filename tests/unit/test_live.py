@@ -13,7 +13,7 @@ from softdeca.animation.live.messages import Change, DerivativesFound, Frame, No
 from softdeca.animation.live.refinement import Refinement, SupersededError
 from softdeca.animation.live.server import serve_face
 from softdeca.animation.live.worker import Newest, refine_newest
-from softdeca.lhm import InputError, fit_head, identities, load_template
+from softdeca.lhm import fit_head, identities, load_template
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate.corpus.spheres import Spheres
@@ -161,10 +161,3 @@ def test_without_websockets_a_line_says_what_to_install(face, monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'softdeca\[view\]', or export one by --out"):
         serve_face(face, "ball", on_ready=print, on_trouble=print)
-
-
-def test_parameters_that_no_slider_shows_are_refused():
-    with pytest.raises(InputError, match="soft_volume varies over the face, which no slider can; --out exports it"):
-        describe_controls(Parameters(soft_volume=np.full(5, 1.1)))
-    with pytest.raises(InputError, match=r"skin_growth = 1.45 is outside \[1, 1.4\]"):
-        describe_controls(Parameters(skin_growth=1.45))

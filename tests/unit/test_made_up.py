@@ -99,14 +99,6 @@ def test_range_and_speed_are_those_of_a_real_take(talk, data):
     assert 0.67 < np.median((fast_talk / fast_real)[face]) < 1.5  # measured 1.00 to 1.05
 
 
-def test_edges():
-    assert conversation(np.random.default_rng(0), 1).shape == (1, 52)
-    assert conversation(np.random.default_rng(0), 3, rate=0.5).shape == (3, 52)
-    refused("take: 0 frames; expected 1 to 1,000,000", conversation, np.random.default_rng(0), 0)
-    refused("rate: 0 Hz", conversation, np.random.default_rng(0), 10, rate=0.0)
-    refused("rate: nan", conversation, np.random.default_rng(0), 10, rate=np.nan)
-
-
 # Head motion
 
 
@@ -126,11 +118,6 @@ def test_a_conversation_as_a_take_has_its_weights_and_a_head():
     assert np.array_equal(take.head, conversation_take(np.random.default_rng(3), 90, rate=30.0).head)
     assert take.rate == 30.0 and take.times[-1] == pytest.approx(89 / 30) and take.synthetic
     assert np.ptp(take.head, axis=0).max() > 0.01
-
-
-def test_what_it_cannot_make_is_said():
-    refused("frames: 0, expected 1 or more", head_motion, np.random.default_rng(0), 0)
-    refused("rate: 0 Hz", head_motion, np.random.default_rng(0), 3, rate=0.0)
 
 
 # Random expressions and speech
@@ -194,21 +181,6 @@ def test_the_sentences_are_varied_and_every_visem_occurs():
         assert moved[index(name)] > 0.15, name
     assert moved[index("tongueOut")] == 0.0
     assert of(speech(shipped_sentences()[0]).weights, "eyeBlinkLeft").max() > 0.9
-
-
-@needs_openfacefx
-@pytest.mark.parametrize(
-    ("text", "pace", "message"),
-    [
-        ("", 12.0, "no words in ''"),
-        ("... !", 12.0, "no words"),
-        ("I have 3 cats", 12.0, "'3' is no English word"),
-        ("hello", 0.0, "pace: 0 sounds per second, expected 2 to 30"),
-        ("hello", float("nan"), "pace: nan"),
-    ],
-)
-def test_what_cannot_be_spoken_is_named(text, pace, message):
-    refused(message, speech, text, pace=pace)
 
 
 def test_without_openfacefx_its_extra_is_named(monkeypatch):

@@ -2,8 +2,6 @@
 
 import json
 
-import pytest
-
 from softdeca.benchmarks import main_study
 from softdeca.benchmarks.harness import RunRequest
 from softdeca.benchmarks.main_study import choose_studies
@@ -54,9 +52,3 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
     again = command("study", "--out", tmp_path, "--json")
     assert again.status == 0 and list(json.loads(again.out)) == ["verification"]
     assert (tmp_path / "verification" / "rows.jsonl").read_text() == rows
-
-
-@pytest.mark.parametrize("people", ["test", "all"])
-def test_the_surrogate_needs_a_corpus_that_is_there(tmp_path, people):
-    with pytest.raises(main_study.SoftdecaError, match="corpus|manifest"):
-        SurrogateOnCorpus(corpus=str(tmp_path), people=people).tasks()

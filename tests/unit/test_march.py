@@ -330,46 +330,6 @@ def test_kept_vertices_and_an_end_by_the_callback():
     assert run.positions[0] == pytest.approx(X[[4, 2]])
 
 
-def body():
-    return terms.RigidBody(vertices_at(X, 2, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("choices", "why"),
-    [
-        ({"time_step": 0.0}, "time_step: must be above 0 s"),
-        ({"steps": 0}, "steps: 0 steps; expected 1 to 1,000,000"),
-        ({"steps": 10**9}, "steps: 1,000,000,000 steps; expected 1 to 1,000,000"),
-        ({"scheme": "Heun"}, "unknown scheme 'Heun'; there are implicit Euler, Newmark, generalised-alpha"),
-        ({"scheme": "generalised-alpha", "spectral_radius": 1.2}, "spectral_radius: must lie in"),
-        ({"density": 0.0}, "nothing has mass"),
-        ({"density": [1.0, 2.0]}, "density: expected one number or shape"),
-        ({"density": -1.0}, "density: must be finite and at least 0"),
-        ({"skin": np.array([[0, 1, 99]]), "skin_density": 1.0}, "skin: a vertex is outside"),
-        ({"damping": -1.0}, "damping: expected a finite number of at least 0"),
-        ({"velocities": np.zeros((2, 3))}, "velocities: expected finite values of shape"),
-        ({"positions": np.full(X.shape, np.nan)}, "positions: expected finite values"),
-        ({"targets": [X] * 2}, r"targets: expected values of 3 steps, got shape \(2, "),
-        ({"targets": lambda t: X[:4]}, "Target.positions: expected 45 rows, got 4"),
-        ({"fixed": lambda t: X}, "0 Fixed terms"),
-        ({"acceleration": lambda t: 9.81}, "acceleration: expected three finite numbers"),
-        ({"scenes": lambda t: t}, "scenes: expected a function"),
-        ({"keep": [99]}, "keep: a vertex is outside"),
-        ({"tolerance": 0.0}, "tolerance must lie between"),
-        ({"solver": "fem"}, "unknown solver 'fem'; there are projective, fenicsx, skfem"),
-        ({"element": "P4"}, "unknown element 'P4'; there are P1, P2"),
-        ({"elements": "P2"}, "no option 'elements'"),
-        ({"scene": replace(swinging(), terms=(*TISSUE, terms.Inertia(1.0, H)))}, "has an Inertia term"),
-        ({"scene": replace(swinging(), terms=(*TISSUE, body()))}, "cannot model RigidBody"),
-    ],
-)
-def test_bad_input_is_named(choices, why):
-    given = {"scene": swinging(), "time_step": H, "steps": 3, "density": DENSITY} | choices
-    with pytest.raises(SceneError, match=why) as error:
-        march(given.pop("scene"), **given)
-    assert "\n" not in str(error.value)
-
-
 def test_coefficients_by_the_spectral_radius():
     """Newmark's are those of generalised-alpha that average nothing; at radius 1 the latter has γ = β·2 = 1/2."""
     plain = Scheme.from_name("Newmark")

@@ -96,14 +96,6 @@ def shapes():
     return SPACE.expression_deltas(np.zeros(SPACE.code_size))
 
 
-TURN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-SHUFFLED = np.random.default_rng(0).permutation(N)
-
-
-def moved_skin(move):
-    return SPACE.mean.with_vertices(move(SPACE.mean.vertices))
-
-
 def bound(surrogate, **changes):
     arguments = {"skin": SPACE.mean, "code": np.zeros(SPACE.code_size), "parameters": Parameters()}
     return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
@@ -462,45 +454,6 @@ def test_weights_whose_frames_leave_the_head_are_refused(weights):
         }
     with pytest.raises(InputError, match="weights: .* damaged"):
         bound(Surrogate(replace(weights, network=network)))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"skin": Spheres(2).mean}, "skin: 162 vertices, .* has 42"),
-        ({"skin": Surface(SPACE.mean.vertices, SPACE.mean.triangles[::-1])}, "its triangles are not"),
-        ({"skin": moved_skin(lambda x: x / 1000)}, "skin: not of the size"),
-        ({"skin": moved_skin(lambda x: x @ TURN)}, "skin: .* or turned from it"),
-        ({"skin": moved_skin(lambda x: x * [-1, 1, 1])}, "skin: .*turned|skin: its likeness"),
-        ({"skin": moved_skin(lambda x: np.roll(x, 1, axis=0))}, "skin: .*turned|skin: its likeness"),
-        ({"code": np.full(4, 1e9)}, "code: 1e\\+09 at 0; expected -4..4"),
-        ({"parameters": np.zeros((80, len(STATIC)))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
-        ({"expressions": 1e4 * shapes()}, "expressions: .* too large; expected at most 100"),
-        ({"expressions": shapes() / 1000}, "expressions: the largest moves by 0.0.* mm"),
-        ({"expressions": shapes()[:, SHUFFLED]}, "expressions: .* moves neighbours apart"),
-    ],
-)
-def test_bad_bindings_are_named(surrogate, changes, message):
-    with pytest.raises(InputError, match=message):
-        bound(surrogate, **changes)
-
-
-@pytest.mark.parametrize(
-    ("given", "options", "message"),
-    [
-        (np.r_[np.zeros(51), np.nan], {}, "number 51 is not finite"),
-        (np.ma.masked_array(np.zeros(52)), {}, "weights: .*masked array"),
-        (np.zeros(52), {"blended": SPACE.mean.vertices / 1000}, "blended: 0.001 times as large"),
-        (np.zeros(52), {"blended": SPACE.mean.vertices * [-1, 1, 1]}, "blended: its likeness"),
-        (np.zeros(52), {"blended": SPACE.mean.vertices[SHUFFLED]}, "blended: its likeness"),
-        (np.zeros(52), {"blended": SPACE.mean.vertices + 100}, "blended: vertex .* mm from the neutral skin"),
-        (np.zeros(52), {"out": np.zeros((N, 3))}, "out: expected a contiguous, writeable array of float32"),
-        (np.zeros(52), {"out": np.broadcast_to(np.float32(0), (N, 3))}, "out: expected a contiguous, writeable"),
-    ],
-)
-def test_bad_frames_are_named(surrogate, given, options, message):
-    with pytest.raises(InputError, match=message):
-        bound(surrogate).frame(given, **options)
 
 
 def test_files_that_are_no_weights_are_named(weights, tmp_path):

@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
-from softdeca.lhm.base.errors import SceneError
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import connected_parts, join_surfaces
 from softdeca.lhm.base.geometry.warp import rigid_motion
 from softdeca.lhm.head.head import MANDIBLE
-from softdeca.reference import Face, Parameters, Scene, prepare, solve, terms
+from softdeca.reference import Face, Parameters, Scene, prepare, terms
 from softdeca.reference.face.organs import find_organs
 from softdeca.reference.problems import meshes
 from softdeca.reference.projective.contact.model import Model
-from softdeca.reference.projective.policy import ContactPolicy
 
 from .test_contact import bar, solve_with_pairs, stacked
 
-OFFSET = ContactPolicy().offset
 SPACE = identities.Anny()
 
 
@@ -195,20 +192,3 @@ def test_finite_elements_answer_alike_with_an_obstacle(solver):
     scene, body = ball_between_blocks()
     by_pd, _, _, solution = solve_with_pairs(scene, solver)
     assert np.linalg.norm(solution.positions - by_pd.positions, axis=1).max() <= 1e-5
-
-
-def test_obstacles_that_cannot_be_are_named():
-    scene, _ = ball_between_blocks()
-    contact = scene.terms[-1]
-    (obstacle,) = contact.obstacles
-    assert obstacle == replace(obstacle) and obstacle != replace(obstacle, carriers=None)
-    for carriers, message in (([0, 1, 2, 3], "one plane"), ([0, 1, 2], "four"), ([0, 2, 6, 999], "0..")):
-        with pytest.raises(SceneError, match=message):
-            others = (replace(obstacle, carriers=carriers),)
-            replace(scene, terms=(*scene.terms[:-1], replace(contact, obstacles=others)))
-    loose = replace(contact, obstacles=(replace(obstacle, carriers=np.unique(contact.triangles)[[0, 5, 30, -1]]),))
-    with pytest.raises(SceneError, match="RigidBody"):
-        prepare(replace(scene, terms=(*scene.terms[:-1], loose)))
-    pytest.importorskip("ipctk")
-    with pytest.raises(SceneError, match="freeze_contact"):
-        solve(scene, solver="skfem")

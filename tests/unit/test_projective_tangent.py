@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from softdeca.lhm.base.errors import SceneError
 from softdeca.lhm.base.geometry import cholesky
-from softdeca.reference import Parameters, Scene, facial_scene, prepare, terms
+from softdeca.reference import Parameters, facial_scene, prepare
 from softdeca.surrogate.corpus.spheres import Spheres
 
 from .by_solver import projective_hessian
@@ -13,7 +12,6 @@ from .by_solver import projective_hessian
 SPACE = Spheres(1)
 HEAD = SPACE.fit(SPACE.skin(np.zeros(4)))
 X, TETS = HEAD.vertices, HEAD.tets
-PULL = terms.Target(np.arange(50), X[:50] + 1.0, 2.0)
 FACE = facial_scene(HEAD, Parameters(skin_bending=20.0, gravity=2.0), HEAD.skin.vertices)
 
 
@@ -74,19 +72,3 @@ def test_as_a_metric_it_finds_the_same_minimum_sooner_and_the_same_bits_twice():
     assert twice[0].converged and 2 * twice[0].iterations < plain.iterations
     np.testing.assert_allclose(twice[0].positions, plain.positions, atol=1e-6)
     np.testing.assert_array_equal(twice[0].positions, twice[1].positions)
-
-
-def test_wrong_use_is_named():
-    prepared = prepare(FACE)
-    answer = prepared.solve(tolerance=1e-6)
-    tangent = prepared.tangent(answer)
-    other = prepare(Scene(X, TETS, [terms.Strain(1.0), PULL]))
-    with pytest.raises(SceneError, match=r"metric: it has \d+ unknowns, the scene 378"):
-        other.solve(metric=tangent)
-    for bad in (0.0, -1.0, np.nan):
-        with pytest.raises(SceneError, match="absolute: expected a gradient norm above 0 mN"):
-            prepared.solve(absolute=bad)
-    with pytest.raises(SceneError, match=r"moved targets: expected finite values of shape \(k, 42, 3\)"):
-        tangent.vertices_by_targets(np.zeros((42, 3)))
-    with pytest.raises(SceneError, match="other vertices, tets, bodies or held components"):
-        tangent.vertices_by_scenes([[(other.scene, 1.0)]])

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.sparse import csr_matrix
 
-from softdeca.lhm import FitError, InputError, Surface, identities, load_template
+from softdeca.lhm import FitError, Surface, identities, load_template
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.template.depths.depths import DepthPairs, DepthRegressor, _leave_one_out, leave_one_out
@@ -155,21 +155,6 @@ def test_it_is_read_as_it_was_written_and_refused_for_another_template(tmp_path)
     refused(r"d\.npz", DepthRegressor.load, file, ball(100.0))
 
 
-def test_bad_wraps_and_pairs_are_refused():
-    regressor = DepthRegressor.fit(ellipsoids(5, noise=0.1), ball(100.0))
-    refused(r"expects shape \(642, 3\), got \(641, 3\)", regressor.predict, 100 * UNIT[1:])
-    refused("not finite", regressor.predict, np.nan * UNIT)
-    with pytest.raises(InputError, match="pair b: .*positive"):
-        DepthPairs("x", ("a", "b"), np.stack([UNIT, UNIT]), np.stack([UNIT[:, 0] ** 0, UNIT[:, 0]]))
-    refused("1 pairs", DepthPairs, "x", ("a",), UNIT[None], np.ones((1, len(UNIT))))
-    refused("the template's has 12", DepthRegressor.fit, ellipsoids(5, noise=0.1), Surface(*_icosahedron()))
-
-
-def _icosahedron():
-    small = trimesh.creation.icosphere(0)
-    return small.vertices, small.faces
-
-
 def test_the_prior_has_the_published_means_and_spread(template, space):
     pairs = prior_pairs(template, space, np.random.default_rng(1), 200)
     wrap, marks, regions = template.skin_wrap.vertices, template.marks, template.regions
@@ -296,7 +281,3 @@ def test_a_folder_in_centimetres(folder, template, space):
         skin, skull = head(template, space, seed, 0.7 + 0.2 * seed)
         write(folder, f"p{seed}", _moved(skin, 0.1), _moved(skull, 0.1))
     np.testing.assert_allclose(read_pairs(folder, template, space, unit="cm")[0].depths, mm.depths, atol=1e-6)
-
-
-def test_a_folder_that_is_not_there(tmp_path, template, space):
-    refused("no such folder", read_pairs, tmp_path / "nowhere", template, space)

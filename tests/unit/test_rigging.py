@@ -7,10 +7,8 @@ import pytest
 import trimesh
 from scipy.optimize import lsq_linear
 
-from softdeca.lhm import InputError, MeshError, Surface, identities
+from softdeca.lhm import Surface, identities
 from softdeca.lhm.expressions import ARKIT, personalise, weights_of
-
-from ..refusals import refused
 
 EXAMPLES, USED, AT_ONCE = 20, 15, 5
 
@@ -128,22 +126,3 @@ def test_a_part_without_rest_keeps_its_mean_motion():
     turned = [np.abs(rig.deltas[k] - rig.deltas[k].mean(axis=0)).max() for k in (0, 1)]
     before = [np.abs(generic[k] - generic[k].mean(axis=0)).max() for k in (0, 1)]
     assert turned[0] > 1.1 * before[0] and turned[1] > 1.1 * before[1]
-
-
-def test_bad_input_is_named(person, guess):
-    generic, examples = person.generic, person.examples
-    broken = examples.copy()
-    broken[3, 17, 2] = np.inf
-    one_nan = np.where(np.arange(20 * 52).reshape(20, 52) == 104, np.nan, guess)
-    for error, message, *given in (
-        (MeshError, r"examples: expected shape \(k, 4463, 3\), got \(20, 4462, 3\)", generic, examples[:, 1:], guess),
-        (MeshError, "examples: expected shape", generic, examples[:0], guess[:0]),
-        (MeshError, "examples: expected numbers", generic, "scans", guess),
-        (MeshError, "examples: 1 rows are not finite, the first is vertex 17 of example 3", generic, broken, guess),
-        (MeshError, "deltas: expected shape", generic[:, :-1], examples, guess),
-        (InputError, "weights: 19 rows for 20 examples", generic, examples, guess[:-1]),
-        (InputError, "weights: 1 are not finite, the first is browDownLeft in frame 2", generic, examples, one_nan),
-        (InputError, "weights: all are zero", generic, examples, np.zeros((20, 52))),
-    ):
-        refused(message, personalise, person.neutral, *given, error=error)
-    refused("rounds: 0", personalise, person.neutral, generic, examples, guess, rounds=0)

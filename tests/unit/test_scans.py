@@ -115,16 +115,8 @@ def test_what_is_said_of_axes_and_unit_is_taken_or_refused(face, person):
     moved = Surface(person.vertices @ STATUE.T, person.triangles)
     found = scans.find_placement(moved, face, up="z", front="-y", unit="1.02")
     assert found.motion.scale == 1.02 and "as said" in found.notes[0]
-    for options, error, message in (
-        ({"up": "z", "front": "x"}, FitError, "no face found"),
-        ({"unit": "cm"}, FitError, "another --unit"),
-        ({"unit": "mile"}, InputError, "unit 'mile': expected one of mm"),
-        ({"unit": "-3"}, InputError, "unit '-3'"),
-        ({"up": "z", "front": "-z"}, InputError, "two different axes"),
-        ({"up": "w"}, InputError, "up 'w': expected one of x"),
-    ):
-        with pytest.raises(error, match=message):
-            scans.find_placement(moved, face, **options)
+    with pytest.raises(FitError, match="another --unit"):
+        scans.find_placement(moved, face, unit="cm")
 
 
 def test_a_sphere_has_no_face(face):

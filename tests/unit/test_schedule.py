@@ -55,23 +55,6 @@ def test_nothing_is_started_for_nothing():
     assert list(run_items(operator.neg, [], on=TWO)) == []
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"workers": 0}, "workers: 0 processes; expected 1 to 256"),
-        ({"workers": True}, "workers"),
-        ({"where": "cloud"}, "there are serial, processes, dask"),
-        ({"where": "dask"}, "needs one"),
-        ({"address": "tcp://127.0.0.1:1"}, "belongs to 'dask'"),
-        ({"where": "dask", "address": "nowhere"}, "scheduler 'nowhere': expected an address"),
-        ({"where": "dask", "address": ""}, "scheduler '': expected an address"),
-    ],
-)
-def test_bad_schedules_are_named(options, message):
-    with pytest.raises(InputError, match=message):
-        Schedule(**options)
-
-
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr("softdeca.surrogate.corpus.schedule.PATIENCE", "1s")
     with pytest.raises(InputError, match="scheduler nowhere.invalid:8786: no Dask scheduler answers"):

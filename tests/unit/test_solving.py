@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from softdeca.lhm.base.errors import MissingDependencyError, SoftdecaError
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Reason, Scene, SceneError, materials, prepare, terms
 from softdeca.reference.problems import meshes
 
@@ -138,39 +138,6 @@ def test_vertices_of_no_tet_stay_or_are_held(solver, element, place):
         return
     expected[last] = [8.0, 7.0, 6.0]
     np.testing.assert_allclose(solve_by(solver, pulled, tolerance=1e-9, **options).positions, expected, atol=1e-8)
-
-
-class Wind(terms.Term):
-    """No solver's."""
-
-
-LOADED = [terms.Strain(1.0, tets=[0]), terms.Gravity((0, -1, 0), density=1.0)]
-PUSHED = [SOFT, terms.Pressure(meshes.triangles_at(X, TETS, 2, 1.0), 0.1)]
-
-
-@pytest.mark.parametrize(
-    ("solver", "parts", "options", "message"),
-    [
-        (
-            "projective",
-            [terms.Strain(1.0)],
-            {"method": "newton"},
-            "unknown method 'newton'; there are lbfgs, anderson, plain",
-        ),
-        ("projective", [SOFT], {}, "cannot model Hyperelastic"),
-        ("fenicsx", [SOFT], {"linear_solver": "jacobi"}, "unknown linear_solver 'jacobi'; there are cg, mumps"),
-        ("skfem", [SOFT], {"linear_solver": "mumps"}, "'skfem' has no option 'linear_solver'; it has element, policy"),
-        *((solver, [SOFT], {"method": "plain"}, f"'{solver}' has no option 'method'") for solver in SOLVERS[1:]),
-        ("projective", [terms.Strain(1.0)], {"element": "P1"}, "has no option 'element'; it has method"),
-        ("fenicsx", [SOFT], {"linear_solver": "block"}, "unknown linear_solver 'block'; there are cg, mumps"),
-        ("fenicsx", PUSHED, {"linear_solver": "block", "element": "P2P1"}, "'block' has no use for Pressure"),
-        ("fenicsx", LOADED, {}, "carries a load, but no energy acts on it"),
-        *((solver, [Wind()], {}, f"'{solver}' cannot model Wind") for solver in SOLVERS),
-    ],
-)
-def test_what_a_solver_does_not_know_is_refused(solver, parts, options, message):
-    with pytest.raises(SoftdecaError, match=message):
-        prepare_by(solver, Scene(X, TETS, parts), **options).solve()
 
 
 WEIGHT = terms.Gravity((0, -9810.0, 0), 1e-6)

@@ -9,21 +9,9 @@ import pytest
 
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
-from softdeca.benchmarks.studies.agreement.contact import Contact
-from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.material import Material
-from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
-from softdeca.benchmarks.studies.heads.fit import Heads
-from softdeca.benchmarks.studies.mesh.study import MeshError
-from softdeca.benchmarks.studies.scaling.mixed import Mixed
-from softdeca.benchmarks.studies.scaling.throughput import Throughput
-from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
-from softdeca.benchmarks.studies.surrogate.split import Split
 from softdeca.benchmarks.studies.verification import compare_felupe
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
-
-from ..refusals import refused
 
 pytestmark = pytest.mark.usefixtures("measured_here")
 
@@ -81,41 +69,6 @@ def test_the_law_that_pd_stands_for(tmp_path):
     assert row.values["law_kpa"] == pytest.approx(strain, abs=1e-6)
     # At rest PD's energy is as stiff; compressed to half, volume's projection is softer than tr² of the strain.
     assert row.values["pd_kpa"][6:8] == pytest.approx(strain[6:8], rel=0.01)
-
-
-# What is wrong with a study's options, and words of the refusal.
-WRONG = [
-    (Agreement, {"cases": ("slimming",)}, "case 'slimming': none of jawOpen"),
-    (Agreement, {"cases": ("jawOpen*2",)}, "outside"),
-    (Agreement, {"seed": -1}, "seed"),
-    (Agreement, {"identities": "nobody"}, "'nobody'"),
-    (Contact, {"poses": ("kiss",)}, "unknown pose 'kiss'"),
-    (Dynamics, {"level": 4}, "level: there are 1, 2"),
-    (Dynamics, {"frames": 3}, "at least 8"),
-    (Dynamics, {"seed": -1}, "seed"),
-    (Heads, {"count": 0}, "count"),
-    (Heads, {"sigma": float("nan")}, "sigma"),
-    (Heads, {"sigma": 11.0}, "sigma"),
-    (MeshError, {"poisson": ("0.5",)}, "Poisson's ratio '0.5': expected a number between 0 and 0.4999"),
-    (MeshError, {"finer": ("soft",)}, "Poisson's ratio 'soft'"),
-    (MeshError, {"free": ("-1",)}, "Poisson's ratio '-1'"),
-    (MeshError, {"size": 0.0}, "size: expected a length above 0 mm"),
-    (MeshError, {"expressions": ("grin",)}, "grin"),
-    (Material, {"poisson": ("0.5",)}, "0.5"),
-    (Material, {"modes": ("torsion",)}, "torsion"),
-    (Mixed, {"laws": ("stiff",)}, "stiff"),
-    (Mixed, {"expressions": ("noone",)}, "noone"),
-    (Split, {"effects": ("zombie",)}, "effect 'zombie'; there are defaults"),
-    (Throughput, {"frames": 3}, "frames"),
-    (Unknowns, {"up_to": 100}, "18180"),
-    (Unknowns, {"expression": "smirk"}, "smirk"),
-    (WorkPrecision, {"expressions": ()}, "expression"),
-]
-
-
-@pytest.mark.parametrize(("study", "options", "words"), WRONG)
-def test_options_out_of_their_range_are_refused_before_the_work(study, options, words):
-    refused(words, lambda: study(**options).tasks())
 
 
 def test_felupe_finds_what_fenicsx_finds(sphere_head):

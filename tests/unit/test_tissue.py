@@ -121,19 +121,6 @@ def test_crushed_tets_are_mended(heads):
     assert (tet_volumes(start, scene.tets) > 0.0).all()
 
 
-def test_what_is_not_nested_is_refused(heads):
-    coarse, fine = heads
-    scene = scene_of(fine)
-    with pytest.raises(SceneError, match="positions: expected shape"):
-        nested_start(scene, fine, coarse.vertices[1:], coarse)
-    with pytest.raises(SceneError, match="split into four"):
-        nested_start(scene_of(coarse), coarse, fine.vertices, fine)
-    with pytest.raises(SceneError, match="scene: expected"):
-        nested_start(scene, fine, coarse.vertices, coarse, layers=LAYERS)
-    with pytest.raises(SceneError, match="volume mesh"):
-        nested_start(scene, fine, coarse.vertices, refine_head(replace(coarse)))
-
-
 def test_connecting_tets_are_sound_and_hold_their_points(sphere_head):
     wrap = sphere_head.skull_wrap
     rng = np.random.default_rng(0)
@@ -161,20 +148,6 @@ def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
     assert np.array_equal(own.of(terms.Strain)[1].tets, told.of(terms.Strain)[1].tets)
     merged = facial_scene(head, Parameters(), targets, without=("muscle",))
     assert len(merged.of(terms.Strain)) == 1 and len(merged.tets) == len(own.tets)
-
-
-def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
-    head = refine_head(sphere_head)
-    rest = head.skin.vertices
-    with pytest.raises(SceneError, match="layers"):
-        facial_scene(head, Parameters(), rest, layers=(2, 1))
-    with pytest.raises(SceneError, match="region"):
-        facial_scene(head, Parameters(), rest, region=head.skin_wrap.vertices[:, 2] > 0)
-    many = np.full(len(head.skin_wrap.triangles), 5.0)
-    with pytest.raises(SceneError, match="soft_stiffness: expected one number"):
-        facial_scene(head, Parameters(soft_stiffness=many), rest)
-    # The membrane has its triangles still.
-    assert facial_scene(head, Parameters(skin_stiffness=many), rest).of(terms.SurfaceStrain)
 
 
 def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):

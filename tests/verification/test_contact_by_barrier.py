@@ -1,13 +1,11 @@
 """Projective dynamics' contact against other code: ipctk's barrier in Newton's method over scikit-fem's energy."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softdeca.lhm.base.errors import MissingDependencyError, SceneError
-from softdeca.reference import Scene, prepare, solve, terms
+from softdeca.reference import Scene, solve, terms
 from softdeca.reference.problems import meshes
 
 from ..unit.test_contact import bar, solve_with_pairs, stacked, two_bars
@@ -63,14 +61,3 @@ def test_pressed_bars_push_back_as_springs_in_line():
     scene, far = bars_and_far_end()
     force = -solve(scene, solver="skfem", tolerance=1e-8).reactions[far, 1].sum()
     assert 4.0 * 1.25 <= force * (1.0 + 1e-6) and force <= 4.0 * (1.25 + APART) * (1.0 + 1e-6)
-
-
-def test_what_it_cannot_model_is_named(monkeypatch):
-    scene, _ = bars_and_far_end()
-    monkeypatch.setitem(sys.modules, "ipctk", None)
-    with pytest.raises(MissingDependencyError, match="softdeca\\[contact\\]"):
-        prepare(scene, solver="skfem")
-    monkeypatch.undo()
-    pytest.importorskip("ipctk")
-    with pytest.raises(SceneError, match="linear tets only"):
-        solve(scene, solver="skfem", element="P2")
