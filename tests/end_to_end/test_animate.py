@@ -12,13 +12,12 @@ from PIL import Image
 
 from softdeca.animation.animate import AnimateConfig, animate, animate_rig
 from softdeca.animation.play import Output
-from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
 from softdeca.reference import Face, Parameters, SceneError, Sequence, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters
-from softdeca.surrogate import CertifiedFace, Surrogate, certify
+from softdeca.surrogate import Surrogate, certify
 from softdeca.surrogate.methods import bind_cheaply
 
 from ..refusals import refused
@@ -135,26 +134,6 @@ def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, t
     assert played(done.files[0], 5)[2] == pytest.approx(sphere_head.skin.vertices + blended, abs=1e-4)
 
 
-def test_a_frame_that_is_not_within_the_accuracy_is_told(sphere_head, deltas, tmp_path, monkeypatch):
-    frame = CertifiedFace.frame
-    monkeypatch.setattr(CertifiedFace, "frame", lambda *given, **more: replace(frame(*given, **more), error=0.2))
-    done = run(AnimateConfig(tmp_path), sphere_head, deltas, take(2))
-    assert [number for number, _ in done.failed] == [0, 1] and "expected 0.05" in done.failed[0][1]
-    assert done.error == 0.2
-
-
-def test_what_a_gif_leaves_out_and_how_far_a_gltf_is_off_is_told(sphere_head, deltas, tmp_path, monkeypatch):
-    for module in ("play", "preview"):
-        monkeypatch.setattr(f"softdeca.animation.{module}.GIF_SECONDS", 0.05)
-    short = run(AnimateConfig(tmp_path / "3", format="glb", preview="gif"), sphere_head, deltas, take(3))
-    surfaces, notes = read_glb(tmp_path / "3" / "take.glb")
-    names = list(surfaces["skin"].offsets)
-    assert names and names == [f"component {k + 1}" for k in range(len(names))]
-    assert short.notes == (f"take.glb: {len(names)} morph targets, greatest error {notes['greatest_error_mm']:.2g} mm",)
-    longer = run(AnimateConfig(tmp_path / "5", preview="gif"), sphere_head, deltas, take(5))
-    assert longer.notes == ("preview.gif ends after 0.05 s; --preview mp4 shows the 2 frames left",)
-
-
 def test_the_command_writes_a_preview_a_log_and_a_model(command, tmp_path):
     (tmp_path / "p.toml").write_text("gravity = 2.0\nfrequency = 3\n")
     ended = command(
@@ -209,27 +188,11 @@ def test_a_spoken_text_is_animated_and_lost_frames_are_told(command, data, tmp_p
     assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
 
 
-def test_an_accuracy_may_be_a_word(command, tmp_path):
-    tight = command(
-        *("animate", "conversation:0.1", "--level", 1, "--accuracy", "tight", "--preview", "none", "--frames", "3:5"),
-        *("--out", tmp_path / "tight", "--json"),
-    )
-    assert tight.status == 0 and json.loads(tight.out)["error"] <= 0.001
-
-
 def test_a_parameter_file_gives_numbers_and_arrays(tmp_path):
     np.save(tmp_path / "skin.npy", [20.0, 30.0])
     (tmp_path / "p.toml").write_text('gravity = 2\nskin_stiffness = "skin.npy"  # local\n')
     found = read_parameters(tmp_path / "p.toml")
     assert found == Parameters(gravity=2.0, skin_stiffness=np.array([20.0, 30.0]))
-
-
-def test_frames_are_cut_as_python_does():
-    whole = take_from_text("conversation:0.5:3")
-    assert len(whole.times) == 30
-    for text, expected in (("5:9", range(5, 9)), (":3", range(3)), ("-2:", range(28, 30))):
-        assert np.array_equal(cut_take(whole, text).weights, whole.weights[list(expected)])
-        assert cut_take(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
 
 
 def played(path, frames=8):

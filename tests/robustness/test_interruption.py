@@ -9,16 +9,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import h5py
 import pytest
 
-from softdeca.lhm import InputError
 from softdeca.lhm.base.progress import silent
-from softdeca.lhm.base.provenance import describe_machine
 from softdeca.lhm.head.file import save_head
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import people_from_text
@@ -47,14 +43,6 @@ responses = 0.0
 random = 4
 sources = { random = 1.0 }
 """
-WORK = """
-import sys, time
-from softdeca.surrogate.corpus.schedule import Schedule, run_items
-if __name__ == "__main__":
-    print("begin", file=sys.stderr, flush=True)
-    for _ in run_items(time.sleep, [0.01] * 5000, on=Schedule("processes", 2)):
-        print("done", file=sys.stderr, flush=True)
-"""
 
 
 def run(*arguments, **how):
@@ -81,103 +69,6 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
     assert not (tmp_path / "study" / "index.html").exists()
 
 
-MADE_OF_IT = {
-    "compiled code": "raise SystemError('returned a result with an exception set') from KeyboardInterrupt()",
-    "a library": "try:\n        raise KeyboardInterrupt\n    except BaseException as error:\n        "
-    "raise RuntimeError('PETSc: error code 101') from error",
-    "a clean-up": "try:\n        raise KeyboardInterrupt\n    finally:\n        raise InputError('no such file')",
-    "an exit": "try:\n        raise KeyboardInterrupt\n    except BaseException:\n        raise SystemExit(1)",
-}
-
-
-@pytest.mark.parametrize("made", MADE_OF_IT)
-def test_what_is_made_of_a_ctrl_c_ends_in_one_line(made, monkeypatch, command, tmp_path):
-    names = {"InputError": InputError}
-    exec(f"def show_progress():\n    {MADE_OF_IT[made]}", names)
-    for module in ("study", "animate", "study_command", "head"):
-        monkeypatch.setattr(f"softdeca.cli.{module}.show_progress", names["show_progress"])
-    for words in (["study"], ["bench", "verification"], ["animate", "conversation:1"], ["head", "fit"]):
-        ended = command(*words, "--out", tmp_path / ("head.npz" if words[0] == "head" else "out"))
-        assert ended.status == 130 and len(ended.errors) == 1 and ended.errors[0].startswith("softdeca: interrupted; ")
-
-
-SWALLOWED = """
-import ctypes, os, signal, sys, time
-from softdeca.cli import app
-@ctypes.CFUNCTYPE(ctypes.c_int)
-def called_from_c():
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(5)
-    return 1
-class Dropped:
-    def __del__(self):
-        called_from_c()
-app.app.main = lambda *_, **__: {how}
-app.main()
-"""
-
-
-@pytest.mark.parametrize("how", ["called_from_c() or time.sleep(60)", "[Dropped()].clear() or time.sleep(60)"])
-def test_ctrl_c_in_a_callback_that_c_calls_is_not_lost(how):
-    ended = subprocess.run(
-        [sys.executable, "-c", SWALLOWED.format(how=how)], capture_output=True, text=True, timeout=60
-    )
-    assert (ended.returncode, ended.stderr) == (130, "softdeca: interrupted; ended at once\n")
-
-
-def test_two_ctrl_c_among_compiled_loops_end_in_one_line(tmp_path):
-    arguments = [*COMMAND, "head", "fit", "--level", "1", "--out", tmp_path / "head.npz"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        for line in process.stderr:
-            if line.startswith("head: identity"):
-                break
-        time.sleep(0.4)
-        for _ in range(2):
-            process.send_signal(signal.SIGINT)
-            time.sleep(0.03)
-        said = [line for line in process.stderr.read().splitlines() if line and not line.endswith(" s)")]
-        process.wait(60)
-    # Python gives the signal back to the system as it ends: a second one may come just then.
-    assert process.returncode in (130, -signal.SIGINT)
-    assert len(said) == 1 and said[0].startswith("softdeca: interrupted")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("seconds", [0.02, 0.3])
-def test_ctrl_c_while_modules_are_loaded_is_one_line(seconds):
-    code = "import softdeca.cli; print('begin', flush=True); softdeca.cli.main()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        process.stdout.readline()
-        time.sleep(seconds)
-        process.send_signal(signal.SIGINT)
-        out, errors = process.communicate(timeout=60)
-    assert (process.returncode, out, errors) == (130, "", "softdeca: interrupted\n")
-
-
-ONE_TET = """
-import numpy as np
-from softdeca.lhm.base.mesh import tet_volumes
-print(tet_volumes(np.eye(4)[:, 1:], np.array([[0, 1, 2, 3]])))
-"""
-OTHERS = all(place.stat().st_mode & 0o005 == 0o005 for place in Path(__file__).resolve().parents)
-
-
-@pytest.mark.skipif(os.getuid() != 0 or not OTHERS, reason="another user, who can read this folder, is needed")
-def test_where_nothing_can_be_written_a_temporary_cache_is_used_and_said_once():
-    nobody = {"user": 65534, "group": 65534, "extra_groups": []}
-    with tempfile.TemporaryDirectory() as folder:
-        os.chmod(folder, 0o777)
-        environment = {"HOME": "/nonexistent", "TMPDIR": folder, "PATH": os.environ["PATH"]}
-        ended = subprocess.run(
-            [sys.executable, "-c", ONE_TET], capture_output=True, text=True, env=environment, timeout=120, **nobody
-        )
-        assert os.listdir(folder) == ["softdeca-cache-65534"]
-    assert ended.returncode == 0 and ended.stdout, ended.stderr
-    assert ended.stderr.count("cannot be written") == 1
-
-
 @pytest.fixture
 def plan(tmp_path):
     """The file of a small plan."""
@@ -199,27 +90,6 @@ def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(plan, tmp_p
         assert name.startswith("person-")
         with h5py.File(tmp_path / "corpus" / name) as shard:
             assert shard.keys()
-
-
-def test_fenicsx_starts_no_daemon_that_prints_after_the_process_has_ended():
-    pytest.importorskip("dolfinx")
-    code = "import os, pathlib; import softdeca.reference.fenicsx\n"
-    code += "for task in pathlib.Path('/proc/self/task').iterdir():\n    print((task / 'children').read_text(), end='')"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
-
-
-def test_sigterm_ends_processes_that_work_without_a_word(tmp_path):
-    (tmp_path / "work.py").write_text(WORK)
-    arguments = [sys.executable, tmp_path / "work.py"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
-        for line in process.stderr:
-            if line == "done\n":
-                break
-        process.terminate()
-        rest = process.stderr.read()
-        process.wait(60)
-    assert process.returncode == 128 + signal.SIGTERM and rest.replace("done\n", "") == ""
 
 
 def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(plan, tmp_path):
@@ -451,74 +321,9 @@ def test_without_torch_what_trains_says_what_to_install(tmp_path):
     assert said.startswith("softdeca: error: training needs torch") and "softdeca[train]" in said
 
 
-def test_two_ctrl_c_while_a_preview_is_drawn_leave_no_file_and_no_crash(tmp_path):
-    """The second comes while the first is cleaned up after, among the calls of the library that draws."""
-    arguments = [*COMMAND, "animate", "conversation:1", "--accuracy", "none", "--out", tmp_path / "out"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        for line in process.stderr:
-            if line.startswith("preview"):
-                break
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        rest = process.stderr.read()
-        process.wait(60)
-    assert process.returncode in (130, -signal.SIGINT), "ended by another signal than Ctrl-C's"
-    assert "interrupted" in rest and "Traceback" not in rest
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["take.vtkhdf"]
-
-
-@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
-def test_a_stream_that_is_closed_takes_no_file_with_it(closed, tmp_path):
-    """A file opened later would else get the stream's number, and messages would be written into it."""
-    script = f"exec {closed}; exec {sys.executable} -c '{MAIN}' bench list"
-    ended = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0 and "Traceback" not in ended.stderr
-    assert (">&-" in closed.replace("2>&-", "")) == (ended.stdout == "")
-
-
 def test_a_reader_that_has_gone_and_a_full_disk_are_no_traceback():
     words = f"{sys.executable} -c '{MAIN}' bench list"
     gone = subprocess.run(["bash", "-c", f"{words} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True)
     assert gone.stderr == "" and gone.returncode in (0, 1)
     full = subprocess.run(["bash", "-c", f"{words} > /dev/full"], capture_output=True, text=True)
     assert full.returncode == 1 and full.stderr == "softdeca: error: No space left on device\n"
-
-
-def test_a_backend_of_matplotlib_that_is_not_installed_does_not_matter(monkeypatch):
-    ended = run("bench", "list", env={**os.environ, "MPLBACKEND": "nonsense"})
-    assert ended.returncode == 0 and ended.stderr == ""
-    draw = "from softdeca.animation.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
-    draw += "except InputError as error:\n    print(error)"
-    ended = subprocess.run(
-        [sys.executable, "-c", draw], capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "nonsense"}
-    )
-    assert ended.stdout.startswith("MPLBACKEND=nonsense: Matplotlib has no such backend")
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("OMP_NUM_THREADS", "abc"), ("NUMBA_NUM_THREADS", "0")],
-)
-def test_an_odd_count_of_threads_is_named_in_one_line(name, value, tmp_path, sphere_head):
-    save_head(tmp_path / "head.npz", sphere_head)
-    ended = run("head", "check", tmp_path / "head.npz", env={**os.environ, name: value})
-    assert ended.stdout and ended.stderr.count("\n") == 1 and name in ended.stderr and "Traceback" not in ended.stderr
-
-
-def test_a_machine_is_described_whatever_the_count_of_threads(monkeypatch):
-    for value in ("abc", "", "0", "4,2"):
-        monkeypatch.setenv("OMP_NUM_THREADS", value)
-        assert describe_machine()["threads"] == "default"
-
-
-def test_a_scheduler_that_does_not_answer_is_told_before_any_work(tmp_path, command, monkeypatch):
-    from softdeca.surrogate.corpus import people, schedule
-
-    monkeypatch.setattr(schedule, "PATIENCE", "1s")
-    monkeypatch.setattr(people, "people_from_text", None)  # the work that comes first
-    ended = command("corpus", "generate", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path / "made")
-    assert ended.status == 1, "one line: the work would have ended in a TypeError"
-    with pytest.raises(InputError, match="tcp://127.0.0.1:1: no Dask scheduler answers"):
-        schedule.check_scheduler(schedule.make_schedule(1, "tcp://127.0.0.1:1"))
-    assert not (tmp_path / "made").exists()

@@ -22,17 +22,16 @@ from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus import again
 from softdeca.surrogate.corpus.again import count_crossings, simulate_again
 from softdeca.surrogate.corpus.card import licence_of, write_card
-from softdeca.surrogate.corpus.folder import Corpus, sum_seconds
+from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import NAMES, basis
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
-from softdeca.surrogate.corpus.predict import REFERENCE, Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.references import FEM_LAWS, references
 from softdeca.surrogate.corpus.schedule import Schedule
 from softdeca.surrogate.corpus.sequences import simulate_sequence
-from softdeca.surrogate.corpus.shard import TABLES, read_seconds, read_shard, seconds_path, write_shard
+from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulator import make_face, simulate_static, solve_frame
 from softdeca.surrogate.corpus.spheres import Spheres
 
@@ -179,32 +178,6 @@ def test_seconds_lie_beside_a_shard(made, tmp_path):
     assert read_shard(path, made.owner).checksum == shard.checksum
     seconds_path(path).unlink()
     assert read_seconds(path) == {}
-    for damaged in (
-        "[1]",
-        '{"fit": "long"}',
-        '{"fit": NaN}',
-        '{"fit": -1}',
-        '{"fit": true}',
-        '{"fit": "1"}',
-        '{"fit": 1e300}',
-        "{",
-    ):
-        seconds_path(path).write_text(damaged)
-        with pytest.raises(InputError, match="person-00000.json: expected JSON of seconds by phase"):
-            read_seconds(path)
-
-
-def test_costs_are_not_told_where_seconds_are_missing(made):
-    assert sum_seconds([{"fit": 1.0, "statics": 2.0}, {"fit": 3.0}]) == {"fit": 4.0, "statics": 2.0}
-    assert sum_seconds([{"fit": 1.0}, {}]) == {} == sum_seconds([])
-    kept = seconds_path(made.shard_path(1)).read_bytes()
-    assert made.status().seconds["statics"] > 0.0
-    seconds_path(made.shard_path(1)).unlink()
-    status = made.status()
-    assert status.identities_done == 3 and status.seconds == {} and Rates.of(status) is None
-    assert write_card(made)["core_hours"] is None
-    assert "Core-hours not measured, " in (made.folder / "README.md").read_text()
-    seconds_path(made.shard_path(1)).write_bytes(kept)
 
 
 def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
@@ -328,22 +301,6 @@ def test_torch_reads_it_in_several_processes(made):
     assert CorpusDataset(made.folder, "train", table="sequences")[0]["corrected"].shape[0] == LENGTH
 
 
-def test_the_card_says_what_is_there(made):
-    figures = write_card(made)
-    text = (made.folder / "README.md").read_text()
-    assert text.startswith("---\nlicense: cc0-1.0\n") and "| statics | 6 | " in text
-    assert "3 of 3 people of `sphere1`, 1 of them in test." in text
-    assert figures["frames"]["all"] == made.status().accepted["statics"]
-    moved = np.concatenate([made.shard(k).statics.moved[:, 1] for k in range(3)])
-    assert figures["p95_mm"]["all"][2] == pytest.approx(np.median(moved))
-    described = json.loads((made.folder / "croissant.json").read_text())
-    files = [item for item in described["distribution"] if item["@type"] == "cr:FileObject"]
-    assert {item["name"] for item in files} == {
-        "corpus.json", "template.npz", "velocities.npz", *(f"person-{k:05d}.h5" for k in range(3)),
-    }  # fmt: skip
-    assert all(len(item["sha256"]) == 64 for item in files)
-
-
 def test_a_corpus_of_heads_of_others_has_no_licence_of_ours(made):
     space = Spheres(1)
     other = LinearSpace("others", space.mean, np.zeros((4, 42, 3)), np.zeros((52, 42, 3)), np.zeros(42, dtype=int))
@@ -351,24 +308,6 @@ def test_a_corpus_of_heads_of_others_has_no_licence_of_ours(made):
     write_card(made, licence="other")
     assert "license: other" in (made.folder / "README.md").read_text()
     assert "owners" in json.loads((made.folder / "croissant.json").read_text())["license"]
-
-
-def test_a_plan_predicts_what_it_takes(made):
-    status = made.status()
-    rates = Rates.of(status)
-    found = predict_cost(PLAN, len(SPACE.mean.vertices), rates)
-    assert (found.statics, found.sequences, found.responses) == (6, 3, 3)
-    run = PLAN.run * rates.sequence
-    assert found.core_hours == pytest.approx((sum(status.seconds.values()) + run) / 3600.0, rel=1e-2)
-    assert found.hours is None and predict_cost(PLAN, 42, replace(rates, busy=2.5)).hours == 2.5 * found.core_hours
-    more = predict_cost(replace(PLAN, references=5), 42, rates)
-    assert more.core_hours - found.core_hours == pytest.approx(10 * REFERENCE * rates.static / 3600.0)
-    larger = predict_cost(PLAN, 4463, rates), predict_cost(PRESETS["paper"], 4463, rates)
-    assert larger[1].statics + 16 * larger[1].sequences == pytest.approx(500_000, rel=0.001)
-    assert larger[1].bytes < 35e9  # a third of it shapes
-    shards = [made.shard(k) for k in range(3)]
-    held = sum(array.nbytes for shard in shards for table in TABLES for array in vars(getattr(shard, table)).values())
-    assert found.bytes == pytest.approx(held, rel=0.02)
 
 
 def test_parameters_of_a_head_are_those_of_the_fields(made):
@@ -386,13 +325,6 @@ def test_parameters_of_a_head_are_those_of_the_fields(made):
         # A sphere's wraps have its skin's triangles, so the two agree triangle by triangle.
         there = on_faces[:, k] if np.ndim(value) else on_faces[0, k]
         np.testing.assert_allclose(info.normalise(np.asarray(value)), there, atol=1e-5)
-
-
-def test_corpora_are_made_in_one_folder_by_one_at_a_time(made):
-    from softdeca.lhm.base.files.resumable import lock_folder
-
-    with lock_folder(made.folder, "generation of a corpus"), pytest.raises(InputError, match="another generation"):
-        made.generate()
 
 
 def test_where_nothing_more_is_asked_the_neutral_face_settles(made, tmp_path):
@@ -426,12 +358,6 @@ def test_a_part_of_a_corpus_can_be_read(copied):
     assert set(Table(copied, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(copied, "statics", None, partial=True).rows[:, 0]) == {1, 2}
     assert set(Table(copied, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
-
-
-def test_too_few_people_to_train_on_are_told_with_the_command_that_makes_more(copied, command):
-    pytest.importorskip("torch")
-    refused = command("train", copied, "--out", copied / "out").refusal()
-    assert f"2 people of {copied} have derivatives; at least 10 are needed, `softdeca corpus generate" in refused
 
 
 def test_swapped_shards_are_of_another_person(copied, command):
@@ -551,7 +477,6 @@ def put_at(place, value):
 TRAINED = PLAN.pools["train"]["conversation"][0]
 DRIVEN = PLAN.recordings[PLAN.sequence(2, 0)[0]].frames
 DEFAULT = next(name for name in NAMES if name not in parameters_of(2).names)
-MIRROR = np.diag([1.0, 1.0, -1.0])
 FORGED = {
     "rotations of zeros": ("sequences", "rotations", lambda a: 0 * a),
     "T - S of 60 m": ("statics", "corrected", put_at((0, 0, 0), 6e4)),
@@ -686,11 +611,3 @@ def test_counts_of_a_manifest_are_bounded(copied):
         path.write_text(json.dumps(said | {"content": said["content"] | {name: value}}))
         with pytest.raises(InputError, match=rf"corpus.json: damaged.*{name}"):
             Table(copied, "statics", "train")
-
-
-def test_a_corpus_made_from_python_has_a_status_and_is_verified(made, command):
-    """As the one of `make study`, whose people no command needs for it."""
-    assert command("corpus", "status", made.folder).status == 0
-    assert command("corpus", "verify", made.folder).out == (
-        f"{made.folder}: 3 shards are whole; 0 frames come out the same when simulated again\n"
-    )

@@ -9,16 +9,15 @@ from scipy.spatial.distance import cdist
 
 from softdeca.benchmarks.studies.agreement.solved import SolvedCase
 from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.cases import CASES, EFFECTS, Case, add_case, get_case, keep_defaults
+from softdeca.benchmarks.studies.cases import CASES, Case, add_case, get_case
 from softdeca.benchmarks.studies.person import Person, person
 from softdeca.lhm import check_head
-from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.base.geometry.mirror import find_twins
 from softdeca.lhm.head.flesh import POLICY, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Face, Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
-from softdeca.surrogate.methods import CARRIED, FENICSX, FENICSX_NEO_HOOKEAN, PD
+from softdeca.surrogate.methods import CARRIED, FENICSX, PD
 
 from ..conftest import with_regions
 
@@ -55,23 +54,6 @@ def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
     assert np.all(np.abs(some[:, 0]) > 10) and len(some) > 10
 
 
-def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
-    y = head.skin_wrap.vertices[:, 1]
-    np.testing.assert_allclose(mean_on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
-
-
-@pytest.mark.parametrize("effect", [each for each in EFFECTS if each.without], ids=lambda effect: effect.name)
-def test_every_effect_builds_its_scene(head, effect):
-    changed, plain = effect.parameters(head), effect.without(head)
-    neutral = facial_scene(head, plain, head.skin.vertices, bones="rigid")
-    scene = facial_scene(head, changed, head.skin.vertices, bones="rigid", contact=effect.contact)
-    if effect.contact:
-        assert any(isinstance(term, terms.Contact) for term in scene.terms)
-        assert len(scene.terms) > len(neutral.terms)
-    else:
-        assert changed != plain and len(scene.terms) >= len(neutral.terms)
-
-
 def test_a_stylised_head_is_fitted_and_simulated():
     usual, case = person(level=1, seed=None), CASES["stylised"]
     skin = case.changed(usual.head)
@@ -82,14 +64,6 @@ def test_a_stylised_head_is_fitted_and_simulated():
     assert check_head(solved.person.head).inverted_tets == 0 and solved.answer(PD).converged
     moved = np.linalg.norm(solved.answer(PD).skin - skin.vertices, axis=1)
     assert 5.0 < moved.max() < 40.0
-
-
-def test_cases_by_name():
-    assert get_case("jaw") is CASES["jaw"] and get_case("jawOpen*0.5").expression == {"jawOpen": 0.5}
-    with pytest.raises(InputError, match="'slimming': none of jawOpen, .*bells-palsy, weight-20"):
-        get_case("slimming")
-    with pytest.raises(InputError, match="'jaw' is there already"):
-        add_case(CASES["jaw"])
 
 
 def test_a_case_of_ones_own_is_asked_like_the_others(monkeypatch):
@@ -206,29 +180,6 @@ def test_palsy_is_measured(head):
     told = solved.tell_face()
     assert told["change_max_mm"] == np.linalg.norm(skins[1] - skins[0], axis=1).max()
     assert told["energy_rise"] < 1e-12 and told["least_ratio"] > 0.0 and told["to_other_start_mm"] < 1e-5
-
-
-def test_an_effect_by_both_laws(head):
-    """FEniCSx settles the face itself and finds PD's answer; the law's is that of scikit-fem."""
-    pytest.importorskip("dolfinx")
-    weight = Case("weight", "", {"browInnerUp": 1.0}, lambda head: Parameters(soft_volume=1.3), keep_defaults)
-    solved = solved_on(head, weight, [0.0, 1.0, 0.0])
-    pd, same, law = (solved.answer(solver) for solver in (PD, FENICSX, FENICSX_NEO_HOOKEAN))
-    assert same.settled is not pd.settled and same.another is None
-    assert all(answer.converged for answer in (pd, same, law))
-    everything, skin = solved.compare(PD, FENICSX)
-    assert everything["max"] < 1e-6 and skin["share"] < 1e-6
-    np.testing.assert_allclose(solved.skins[CARRIED], solved.shape, atol=1e-5)
-    face = Face(head, parameters=Parameters(soft_volume=1.3), settling={"solver": "skfem", "tolerance": 1e-9})
-    scene = face.expression_scene(solved.shape, "neo-Hookean")
-    other = solve(scene, solver="skfem", start=pd.solution.positions, tolerance=1e-9)
-    apart = np.linalg.norm(face.expression_skin(solved.shape, other.positions, "neo-Hookean") - pd.skin, axis=1)
-    everything, skin = solved.compare(FENICSX_NEO_HOOKEAN, PD)
-    np.testing.assert_allclose([skin["mean"], skin["max"]], [apart.mean(), apart.max()], rtol=1e-3)
-    motion = np.linalg.norm(pd.skin - solved.shape, axis=1)
-    assert skin["share"] == pytest.approx(apart[motion > 0.05].mean() / motion[motion > 0.05].mean(), rel=1e-3)
-    inside = solved.compare_inside()
-    assert inside["vertices"]["max"] == pytest.approx(everything["max"]) and inside["held_at_pd"]["force"] > 0.0
 
 
 @dataclass(frozen=True, eq=False)

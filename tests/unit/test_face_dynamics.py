@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.sparse import csr_matrix
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import expressions
 from softdeca.lhm.head.flesh import flesh_share
-from softdeca.reference import Face, Parameters, Scene, SceneError, Sequence, facial_scene, march, solve, terms
+from softdeca.reference import Face, Parameters, SceneError, Sequence, facial_scene, solve
 from softdeca.reference.face.dynamics import (
     CLOSE,
     DEEP,
@@ -53,25 +52,6 @@ def test_the_free_skin_passes_through_the_continuous_motion_at_any_frame_rate():
         assert found == pytest.approx(np.array([exact(t) for t in times]), abs=1e-12)
 
 
-def test_implicit_euler_is_what_a_march_over_springs_does():
-    """Each step has the closed form (k S + m/h² (2 x₁ - x₂)) / (k + m/h²) at every vertex."""
-    corners = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
-    density, f = 1.04e-6, 5.0
-    mass = density * 1000 / 6 / 4
-    k = mass * (2 * np.pi * f) ** 2
-    pulled = corners + [3.0, 0, 0]
-    euler = from_implicit_euler(f, STEP)
-    moving = np.tile([0.1, 0.2, 0.0], (4, 1)) / STEP
-    scene = Scene(corners, [[0, 1, 2, 3]], [terms.Strain(1e-3), terms.Target(range(4), pulled, k)])
-    run = march(
-        scene, time_step=STEP, steps=30, density=density, solver="projective", velocities=moving, tolerance=1e-13
-    )
-    places = [corners - STEP * moving, *run.positions]
-    for before, last, step in zip(places, places[1:], places[2:], strict=False):
-        assert euler.target(pulled, last, before) == pytest.approx(step, abs=1e-9)
-    assert euler.stiffness(k) == pytest.approx(k + mass / STEP**2, rel=1e-12)
-
-
 def test_skin_that_is_loose_in_part_swings_faster_and_nearer_to_critical_until_it_only_follows():
     """At a share s: frequency f/s, damping 1 - s (1 - ζ); at 1 what it was to the bit, at 0 the target itself."""
     share = np.array([1.0, 0.5, 0.25])
@@ -99,14 +79,6 @@ def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_i
         even = np.arange(600)[:, None, None] * np.ones((201, 3))
         ends = rolled(found, even, *np.zeros((2, 201, 3)))[-1, :, 0]
         assert 599 - ends == pytest.approx(lag, abs=1e-3)
-
-
-def test_a_recurrence_at_other_vertices_is_the_mean():
-    found = from_oscillator(np.array([2.0, 8.0]), 0.3, STEP)
-    between = found.average(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
-    assert between.alpha == pytest.approx(np.array([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]) @ found.alpha, abs=1e-15)
-    assert between.gamma[[0, 2]] == pytest.approx(found.gamma, abs=1e-15)
-    assert from_oscillator(4.0, 0.3, STEP).average(csr_matrix(np.eye(3))).beta.shape == (3,)
 
 
 @pytest.fixture(scope="module")
@@ -242,27 +214,6 @@ def test_the_motion_nears_that_of_the_differential_equation_as_frames_come_close
     assert np.log2(off[:-1]) - np.log2(off[1:]) == pytest.approx([1.0, 1.0, 1.0], abs=0.25)
 
 
-@pytest.mark.parametrize("loose", [1.0, 0.6])
-def test_skin_that_is_spun_evenly_flies_out_to_its_closed_form(loose):
-    """x = S / (1 - (Ω/ω)²) across the axis, to first order in Ωh; along it S. Loose in part, ω is that over loose."""
-    f, rate, fine = 4.0, 5.0, 20
-    rotations = Rotation.from_rotvec(np.arange(3000)[:, None] * [0.0, STEP / fine * rate, 0.0]).as_matrix()
-    s = np.array([[40.0, 70.0, -30.0]])
-    found = rolled_turning(from_oscillator(f, 0.3, STEP / fine, loose=loose), [s] * 2998, rotations, s, s)[-1, 0]
-    out = 1 / (1 - (rate * loose / (2 * np.pi * f)) ** 2)
-    assert np.linalg.norm(found[[0, 2]]) == pytest.approx(50.0 * out, rel=1e-4)
-    assert np.linalg.norm(found[[0, 2]] - s[0, [0, 2]] * out) < 2 * (out - 1) * 50.0 * rate * STEP / fine
-    assert found[1] == pytest.approx(70.0, abs=1e-9)
-
-
-def test_what_is_not_loose_stays_in_the_head():
-    none = from_oscillator(4.0, 0.3, STEP, loose=np.array([1.0, 0.01, 0.0]))
-    assert none.driven[0] == pytest.approx(none.gamma[0] / (8 * np.pi * STEP) ** 2, rel=1e-12)
-    assert none.driven[1] == pytest.approx(1e-4 / (8 * np.pi * STEP) ** 2, rel=1e-6) and none.driven[2] == 0.0
-    euler = from_implicit_euler(4.0, STEP)
-    assert euler.driven == euler.beta
-
-
 def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(sphere_head):
     """At rest D = -(1 - Qᵀ)² y of one frame's turn Q; the answer minimises the static energy for S + D/(ωh)²."""
     p, rotations = replace(P, frequency=3.0, damping=0.5), spin(4.0, 80)
@@ -296,15 +247,6 @@ def test_a_head_that_does_not_turn_has_the_frames_it_had_to_the_bit(sphere_head)
     assert np.abs(told.state.positions - plain.state.positions).max() > 0.5
 
 
-def test_only_how_a_head_turns_matters_not_where_it_looks(sphere_head):
-    x, away = sphere_head.skin.vertices, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
-    one, other = (Sequence(Face(sphere_head, parameters=P), dynamic=True, tolerance=1e-9) for _ in range(2))
-    for base in nod(np.arange(5) * STEP):
-        moved = one.frame(x, base=base).positions
-        assert other.frame(x, base=away @ base).positions == pytest.approx(moved, abs=1e-7)
-    assert np.abs(moved[: len(x)] - x).max() > 1.0
-
-
 def test_a_motion_goes_on_into_its_first_frame(sphere_head):
     """Begun as if at rest, a head that turns already is jerked: skin is thrown back by far more than it flies out."""
     x, rotations = sphere_head.skin.vertices, spin(1.5, 9)
@@ -316,25 +258,6 @@ def test_a_motion_goes_on_into_its_first_frame(sphere_head):
         start = sequence.begin(x, base=begun).positions
         thrown.append(max(np.abs(sequence.frame(x, base=base).positions - start).max() for base in rotations))
     assert 0.1 < thrown[0] < 0.25 * thrown[1]
-
-
-def test_statics_do_not_know_how_a_head_turns(sphere_head):
-    x = sphere_head.skin.vertices
-    plain, turning = Sequence(Face(sphere_head, parameters=P)), Sequence(Face(sphere_head, parameters=P))
-    for k, base in enumerate(nod(np.arange(3) * STEP)):
-        s = x * (1 + 0.01 * k)
-        assert np.array_equal(plain.frame(s).positions, turning.frame(s, base=base).positions)
-
-
-def test_a_state_carries_how_the_head_turned(sphere_head):
-    x, rotations = sphere_head.skin.vertices, nod(np.arange(6) * STEP)
-    whole, first, second = (Sequence(Face(sphere_head, parameters=P), dynamic=True) for _ in range(3))
-    expected = [whole.frame(x, base=base).positions for base in rotations]
-    for base in rotations[:3]:
-        first.frame(x, base=base)
-    assert np.array_equal(first.state.turns, rotations[1:3])
-    second.state = first.state
-    assert np.array_equal([second.frame(x, base=base).positions for base in rotations[3:]], expected[3:])
 
 
 def test_a_head_turns_about_its_neck(sphere_head):

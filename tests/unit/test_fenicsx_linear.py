@@ -14,7 +14,6 @@ from softdeca.reference.fenicsx.energy.surface_strain import _planar_svd
 from softdeca.reference.fenicsx.linear.problem import Problem
 from softdeca.reference.fenicsx.linear.solvers import LINEAR_SOLVERS, ConjugateGradients, hold
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
-from softdeca.reference.fenicsx.policy import LinearPolicy
 from softdeca.reference.problems import meshes
 
 
@@ -77,17 +76,6 @@ def test_indefinite_matrices_are_told_and_forgotten(box, kind, first):
     assert answer.converged and residual <= 1.01e-6
 
 
-def test_a_kept_set_up_costs_little(box):
-    """A sequence takes no more iterations beyond those of solvers new for each matrix than two set-ups are worth."""
-    kept = LINEAR_SOLVERS["cg"](box[0].matrix)
-    extra, stretches = 0, np.linspace(1.0, 1.2, 8)
-    for stretch in stretches:
-        iterations = solved(kept, box[0], box[1], stretch, 0.0, box[2], 1e-6)[0].iterations
-        alone = solved(LINEAR_SOLVERS["cg"](box[0].matrix), box[0], box[1], stretch, 0.0, box[2], 1e-6)[0].iterations
-        extra += iterations - alone
-    assert extra <= 2 * LinearPolicy().setup
-
-
 def flat_prisms():
     """Thin layers of tissue that are held below, and their columns from face to face."""
     X, tets = meshes.box((10, 10, 8), (10.0, 10.0, 0.8))
@@ -111,21 +99,6 @@ def test_levels_of_the_mesh_spare_iterations_and_keep_the_residual(degree, layer
         assert all(answer.converged and residual <= 1.01e-6 for answer, residual in steps)
         counts.append(sum(answer.iterations for answer, _ in steps))
     assert counts[1] <= share * counts[0], counts
-
-
-def test_levels_follow_what_is_held():
-    """A level below that is made for other held dofs than before is as good as a new one."""
-    scene, columns = flat_prisms()
-    scene = replace(scene, columns=(columns,))
-    problem = Problem(scene, Numbering(scene))
-    levels, x = problem.levels, problem.numbering.X
-    first, second = (np.flatnonzero(np.repeat(x[:, 0] == place, 3)) for place in (0.0, 10.0))
-    b = np.random.default_rng(0).normal(size=x.size)
-    used, new = ConjugateGradients(problem.matrix, levels), ConjugateGradients(problem.matrix, levels)
-    solved(used, problem, first, 1.0, 0.0, b, 1e-6)
-    used._start_over()
-    after, alone = (solved(each, problem, second, 1.0, 0.0, b, 1e-6)[0] for each in (used, new))
-    assert after.converged and after.iterations == alone.iterations
 
 
 def test_columns_that_are_none_are_named():

@@ -5,13 +5,10 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from petsc4py import PETSc
-from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
 from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx.linear.problem import Problem
-from softdeca.reference.fenicsx.linear.solvers import Factorisation
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import FenicsxPolicy
 from softdeca.reference.fenicsx.prepared import soften
@@ -104,21 +101,3 @@ def test_descent_stops_where_it_is_told():
     inverted = np.array(scene.vertices)
     inverted[:, 0] *= -1.0
     assert descend(scene, start=inverted).reason is Reason.NOT_FINITE
-
-
-def test_factors_follow_values_that_change_between_solves():
-    """The elimination's order is kept; a second factorisation before any solve counts all the same."""
-    A = random(30, 30, 0.2, random_state=0)
-    A = csr_matrix(A + A.T + 10.0 * csr_matrix(np.eye(30)))
-    b = np.arange(30.0)
-    matrix = PETSc.Mat().createAIJ(A.shape, csr=(A.indptr, A.indices, A.data), comm=PETSc.COMM_SELF)
-    factors = Factorisation()
-    for scale in (1.0, -2.0):
-        for times in (5.0, scale):
-            matrix.setValuesCSR(A.indptr, A.indices, times * A.data)
-            matrix.assemble()
-            assert factors.factor(matrix, symmetric=True)
-        assert np.allclose(scale * (A @ factors.solve(b)), b, atol=1e-10)
-        assert factors.negative == (0 if scale > 0 else 30)
-    matrix.zeroEntries()
-    assert not factors.factor(matrix, symmetric=True)

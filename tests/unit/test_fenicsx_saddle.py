@@ -10,8 +10,7 @@ from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.fenicsx.linear.problem import Problem
-from softdeca.reference.fenicsx.linear.saddle import FactoredSaddle
-from softdeca.reference.fenicsx.linear.saddle_block import BlockSaddle, make_saddle_solver
+from softdeca.reference.fenicsx.linear.saddle_block import make_saddle_solver
 from softdeca.reference.fenicsx.linear.solvers import hold
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import FenicsxPolicy, SaddlePolicy
@@ -79,25 +78,6 @@ def test_held_motions_spread_as_by_factors(law):
     assert np.abs(answers[0].x - answers[1].x).max() < 1e-7
 
 
-@each_law
-def test_steps_at_once_are_those_by_factors(law):
-    condensed, state, held = strained(law, by=0.01)
-    state = condensed.beside(state.u, state.p)
-    steps = []
-    for kind in ("mumps", "block"):
-        solver = make_saddle_solver(kind, condensed.matrix, held)
-        state.hessian()
-        forces = state.gradient().ravel()
-        forces[held] = 0.0
-        step = solver.newton_step(np.concatenate([forces, state.strain()]))
-        assert step is not None
-        after = step.follow(np.concatenate([2.0 * forces, state.strain()]))
-        steps.append((step.x[: len(forces)], step.x[len(forces) :], after[: len(forces)]))
-        solver.release()
-    for direct, iterative, share in zip(*steps, (3e-3, 1e-3, 0.2), strict=True):
-        assert 0.0 < np.linalg.norm(direct - iterative) < share * np.linalg.norm(direct)
-
-
 def test_iterations_grow_slowly_with_the_mesh():
     counts = []  # on 48, 384 and 3072 tets
     for cells in (2, 4, 8):
@@ -108,29 +88,6 @@ def test_iterations_grow_slowly_with_the_mesh():
         counts.append(solver.solve(b, relative=1e-6).iterations)
         solver.release()
     assert counts[2] < 2 * counts[0]
-
-
-def test_energies_that_curve_downwards_are_told():
-    condensed, state, held = strained(LAWS["incompressible"])
-    solver = make_saddle_solver("block", condensed.matrix, held)
-    for shift, found in ((-0.5, False), (0.0, True)):
-        hessian = state.hessian(0.0)
-        hessian.shift(shift * hessian.getDiagonal().norm())
-        b = -state.gradient().ravel()
-        hold(hessian, held, np.zeros(len(held)), b)
-        assert solver.solve(b, relative=1e-6).converged is found
-    hessian = condensed.beside(state.u, state.p).hessian()
-    hessian.shift(-0.5 * hessian.getDiagonal().norm())
-    forces = state.gradient().ravel()
-    forces[held] = 0.0
-    assert solver.newton_step(np.concatenate([forces, state.strain()])) is None
-    hessian = state.hessian()
-    hessian.shift(-0.5 * hessian.getDiagonal().norm())
-    b = -forces
-    hold(hessian, held, np.zeros(len(held)), b)
-    answer = solver.solve(b, relative=1e-6)  # along the motion found, without GMRES
-    assert not answer.converged and answer.iterations == 0 and answer.why == "negative curvature"
-    solver.release()
 
 
 @each_law
@@ -168,21 +125,6 @@ def test_a_column_buckles_as_by_factors():
     sideways = np.abs(found["block"].positions - X)[:, :2].max()
     assert sideways > 1.0
     assert found["block"].energy == pytest.approx(found["mumps"].energy, rel=1e-8)
-
-
-def test_the_size_chooses():
-    condensed, _, held = strained(LAWS["incompressible"])
-    problem = condensed.problem
-    size = 3 * len(problem.numbering.X) + problem.pressures.count
-    for large, expected in ((size, BlockSaddle), (size + 1, FactoredSaddle)):
-        policy = FenicsxPolicy(saddle=SaddlePolicy(large=large))
-        assert type(make_saddle_solver("cg", condensed.matrix, held, policy)) is expected
-    assert type(make_saddle_solver("mumps", condensed.matrix, held)) is FactoredSaddle
-    scene = standing(LAWS["incompressible"])
-    for large, iterative in ((size, True), (size + 1, False)):
-        policy = FenicsxPolicy(saddle=SaddlePolicy(large=large), large=len(scene.tets))
-        detail = solve(scene, solver="fenicsx", element="P2P1", policy=policy).detail  # of the linear start, too
-        assert (detail["linear_iterations"] > 10 * detail["linear_solves"]) is iterative
 
 
 def test_other_elements_have_no_blocks():

@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import io
 import json
 import os
 import shlex
@@ -11,10 +10,8 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from softdeca.benchmarks.harness import RunRequest, Task, compare_results, processes, run, run_together, runner
 from softdeca.benchmarks.harness.processes import Job
@@ -216,22 +213,6 @@ def results_file(path, rows):
     return path
 
 
-def test_changes_are_told_beyond_noise(toys, tmp_path):
-    quiet, noisy = [1.0, 1.001, 0.999], [1.0, 1.4, 0.8]
-    before = results_file(tmp_path / "a.json", {"quiet": quiet, "noisy": noisy, "gone": quiet, "late": None})
-    slower = results_file(
-        tmp_path / "b.json", {"quiet": [1.1, 1.101, 1.1], "noisy": [1.1, 1.5, 0.9], "gone": None, "late": quiet}
-    )
-    found = compare_results(before, slower, toys.Toy)
-    assert {change.task: change.is_beyond_noise for change in found.changes} == {"quiet, m": True, "noisy, m": False}
-    assert found.changes[0].share == pytest.approx(0.1) and found.changes[0].cost
-    assert found.broken == ["gone, m: done before, failed after"]
-    assert found.other == ["late, m: failed before, done after"]
-    (tmp_path / "c.json").write_text("{}")
-    with pytest.raises(InputError, match="c.json: no results of a study"):
-        compare_results(before, tmp_path / "c.json", toys.Toy)
-
-
 def test_answers_are_compared_but_for_rounding(toys, tmp_path):
     def written(name, values, reached):
         rows = [
@@ -387,16 +368,3 @@ def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_
     monkeypatch.setattr(toys.Toy, "timed", True)
     again = run_together(asked[::2], workers=2)
     assert [each.rows for each in again] == [first.rows, third.rows] and lanes_used == [2, 1]
-
-
-def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_path, monkeypatch):
-    picture = io.BytesIO()
-    Image.new("RGB", (40, 30), "white").save(picture, "PNG")
-    drawn = {"a picture": picture.getvalue(), "turn it": b"<!doctype html><p>round</p>"}
-    monkeypatch.setattr(runner, "measure_jobs", lambda jobs, lanes: map(processes._measure, jobs))
-    monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
-    (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
-    kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}
-    assert kept == drawn and [Path(row.values[key]).suffix for key in drawn] == [".png", ".html"]
-    text = (tmp_path / "out" / "index.html").read_text()
-    assert "&lt;p&gt;round" in text and "data:image/webp;base64" in text

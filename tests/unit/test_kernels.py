@@ -11,9 +11,8 @@ from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
-from softdeca.lhm.base.errors import MissingDependencyError, SceneError
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Scene, materials, terms
-from softdeca.reference.clock import Clock
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx.energy import kernels
 from softdeca.reference.fenicsx.energy.assembly import Stiffness
@@ -136,21 +135,6 @@ def test_one_inverted_tet_makes_the_energy_infinite(degree):
 
 
 @dataclass(frozen=True)
-class Foreign(materials.NeoHookean):
-    """The neo-Hookean law, with a term of no weight whose function kernels do not know."""
-
-    @staticmethod
-    def density(F, p):
-        ufl = seam.ufl
-        return materials.NeoHookean.density(F, p) + 1e-30 * p.mu * ufl.erf(ufl.det(F) - 1)
-
-
-def test_a_function_that_kernels_do_not_know_is_named():
-    with pytest.raises(SceneError, match="cannot model Foreign: its density has UFL's Erf"):
-        solids_of(1, Foreign(MU, LMBDA))
-
-
-@dataclass(frozen=True)
 class Branched(materials.EnergyLaw):
     """A law of every operation that kernels know; of no physical meaning."""
 
@@ -194,15 +178,6 @@ def test_every_operation_of_ufl_that_kernels_know():
         assert state.energy() == pytest.approx(forms.assemble_energy(), rel=1e-13)
         assert_close(gradient.ravel(), expected, 1e-13)
         assert_close(ours.values, theirs.values, 1e-13)
-
-
-def test_compilation_counts_as_such(tmp_path, monkeypatch):
-    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
-    kernels.load_library.cache_clear()
-    clock = Clock()
-    solids_of(1, LAWS["neo-Hookean"])
-    assert clock.read().compilation > 0.1
-    assert len(list(tmp_path.glob("kernels/*.so"))) == 1
 
 
 USE = """

@@ -3,12 +3,10 @@
 FEniCSx has laws by kernels, which test_kernels holds to UFL's forms, scikit-fem derivatives by hand.
 """
 
-import functools
 from itertools import product
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
@@ -21,8 +19,6 @@ from softdeca.reference.fenicsx.energy.solids import VolumeLaw, hyperelastic_law
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.materials.material import HasInvariants, HasRotation
 from softdeca.reference.problems import meshes
-from softdeca.reference.projective.terms import lanes
-from softdeca.reference.projective.terms import volumes as projective
 from softdeca.reference.skfem import solids as skfem
 
 STEP = 1e-5
@@ -361,58 +357,3 @@ def test_signed_svd(F):
         assert np.allclose(np.linalg.det(rotation), 1.0)
     assert (np.diff(s, axis=1) <= 1e-15).all() and (s[:, 1] >= np.abs(s[:, 2]) - 1e-15).all()
     assert np.allclose(np.abs(s), np.linalg.svd(F, compute_uv=False), atol=1e-14)
-
-
-# A flat shape of volume 1 is nearer than one like a ball from stretches of 1.905 on.
-ALIKE = [(1.95, 1.95, 1.95), (1.9, 1.9, 1.9), (1.905, 1.9045, 1.904), (1.912, 1.912, 1.912), (1.93, 1.9, 1.87)]
-
-
-def nearest_by_blocks(s, v):
-    """The local step's, whose way is s - t."""
-    w = np.zeros(lanes.ROWS * lanes.LANES)
-    for row, values in ((lanes.S0, s[0, 0]), (lanes.S1, s[0, 1]), (lanes.S2, s[0, 2]), (lanes.TARGET, v[0])):
-        w[row : row + lanes.LANES] = values
-    projective.project_volume(w)
-    return s - w[[lanes.D0, lanes.D1, lanes.D2]]
-
-
-def nearest_by_kernel(s, v):
-    """The stress of a stiffness of 1 is the way from the nearest deformation gradient."""
-    F = s[:, :, None] * np.eye(3)
-    return np.linalg.svd(F - ByKernel(VolumeLaw, 1.0, v[0]).stress(F), compute_uv=False)
-
-
-NEAREST = {
-    "fenicsx": nearest_by_kernel,
-    "skfem": lambda s, v: skfem.nearest_of_determinant(s, v)[0],
-    "projective": nearest_by_blocks,
-    "projective in doubt": lambda s, v: np.array([projective.nearest_of_determinant(*s[0], v[0])]),
-}
-SOUGHT = [
-    *product([(1.3, 0.8, 0.5), (2.5, 1.2, -0.7), (0.0, 0.0, 0.0), (9.0, 5.0, 3.0), (3.0, 3.0, 3.0)], (1.0, 1.4)),
-    ((1.2, 0.9, 0.5), 1.0),
-    ((1.5, 1.2, 0.9), 0.8),
-    ((1.1, 0.6, -0.4), 1.0),
-    ((2.0, 1.0, 0.5), 0.05),
-    *((sigma, 1.0) for sigma in ALIKE),
-]
-
-
-@functools.cache
-def least_distance(sigma, target):
-    """Squared, by a minimisation over the two free stretches, from many starts."""
-
-    def distance(logs):
-        trial = np.exp(np.clip(np.append(logs, np.log(target) - np.sum(logs)), -50, 50))
-        return np.sum((trial - sigma) ** 2)
-
-    starts = product((-1.5, 0.0, 1.0, 2.0), repeat=2)
-    return min(minimize(distance, start, method="BFGS", options={"gtol": 1e-10}).fun for start in starts)
-
-
-@pytest.mark.parametrize("solver", NEAREST)
-@pytest.mark.parametrize(("sigma", "target"), SOUGHT)
-def test_nearest_of_determinant_is_the_nearest(solver, sigma, target):
-    t = NEAREST[solver](np.array([sigma]), np.array([target]))[0]
-    assert np.isclose(np.prod(t), target, rtol=1e-12)
-    assert np.isclose(np.sum((t - sigma) ** 2), least_distance(sigma, target), rtol=1e-8, atol=1e-12)

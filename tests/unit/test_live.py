@@ -1,20 +1,16 @@
 """The live page's parts without a browser: changes in, frames out, answers better and better, newer changes first."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softdeca.animation.live.controls import CONTROLS, PRESETS, describe_controls
 from softdeca.animation.live.face import FirstAnswer
-from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
+from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame
 from softdeca.animation.live.refinement import Refinement, SupersededError
-from softdeca.animation.live.server import serve_face
 from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import fit_head, identities, load_template
-from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, PD
@@ -137,27 +133,3 @@ def test_frames_travel_as_they_are():
     assert np.abs(numbers[21:28] - np.linalg.norm(skin - blended, axis=1)).max() < 1e-4
     unknown = pack_frame(Frame(9, "blendshapes", skin, None, None, certain=False, is_last=False, seconds=0.5), blended)
     assert b'"mean": null' in unknown and len(unknown) % 4 == 0
-
-
-def test_changes_are_read_from_where_the_page_began():
-    start = Parameters(soft_volume=1.1, skin_stiffness=10.0)
-    said = {"change": 7, "weights": {"jawOpen": 0.5, "tongueOut": 1}, "parameters": {"gravity": 2}}
-    read = read_change(json.dumps(said), start)
-    assert read.number == 7 and read.weights.sum() == pytest.approx(1.5)
-    assert read.parameters == Parameters(soft_volume=1.1, skin_stiffness=10.0, gravity=2.0)
-
-
-def test_every_effect_is_within_its_sliders():
-    for name, values in PRESETS.items():
-        said = {"change": 0, "weights": {}, "parameters": values}
-        assert read_change(json.dumps(said), Parameters()).parameters != Parameters(), name
-    for control in CONTROLS:
-        info = Parameters.info(control.name)
-        assert info.low <= control.low < control.high <= info.high and control.low <= control.default <= control.high
-    assert {each["name"]: each["start"] for each in describe_controls(Parameters(gravity=2.0))}["gravity"] == 2.0
-
-
-def test_without_websockets_a_line_says_what_to_install(face, monkeypatch):
-    monkeypatch.setitem(sys.modules, "websockets", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'softdeca\[view\]', or export one by --out"):
-        serve_face(face, "ball", on_ready=print, on_trouble=print)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 
 pytest.importorskip("dolfinx")
 
@@ -38,17 +37,6 @@ def poles(x):
     """Modulus and angle per step of the swing that x (k,) is: x_n+1 = 2 r cos(a) x_n - r² x_n-1."""
     (last, before), *_ = np.linalg.lstsq(np.column_stack([x[2:-1], x[1:-2]]), x[3:], rcond=None)
     return np.sqrt(-before), np.arccos(last / (2 * np.sqrt(-before)))
-
-
-def angle_of(x, about):
-    """The angle per step of the swing that fits x (k,) best, near one."""
-    n = np.arange(len(x))
-
-    def miss(angle):
-        waves = np.column_stack([np.cos(angle * n), np.sin(angle * n)])
-        return np.linalg.lstsq(waves, x, rcond=None)[1][0]
-
-    return minimize_scalar(miss, bounds=(0.95 * about, 1.05 * about), method="bounded", options={"xatol": 1e-9}).x
 
 
 @pytest.mark.parametrize(("solver", "options"), WAYS)
@@ -120,15 +108,6 @@ def test_order_on_springs_whose_ends_move(name, order, solver):
     assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(order, abs=0.2)
 
 
-def test_targets_as_arrays_are_those_as_a_function():
-    def ends(t):
-        return X + np.sin(OMEGA * t)
-
-    whole = march(swinging(), time_step=H, steps=5, density=DENSITY, targets=ends)
-    array = march(swinging(), time_step=H, steps=5, density=DENSITY, targets=[ends(H * k) for k in range(1, 6)])
-    assert np.abs(whole.positions - array.positions).max() < 1e-12 < np.abs(whole.positions - X).max()
-
-
 def test_scenes_by_time_move_what_targets_and_fixed_move():
     base = standing(terms.Target(np.arange(len(X)), X, OMEGA**2 * MASSES))
     held = X[base.of(terms.Fixed)[0].vertices]
@@ -162,12 +141,6 @@ def ringing(**choices):
     run = march(scene, time_step=period / 80, steps=160, scheme="Newmark", density=DENSITY, positions=start, **choices)
     assert run.converged
     return (run.positions - scene.vertices)[:, :, 2] @ shape, 2 * np.pi / 80
-
-
-def test_frequency_of_a_bar():
-    """Ten linear elements per quarter wave, of lumped mass, are late by about (π/20)²/24 = 0.1 %."""
-    x, angle = ringing()
-    assert angle_of(x, angle) / (2 * np.arctan(angle / 2)) == pytest.approx(1 - 1.03e-3, abs=3e-4)
 
 
 def test_damping_ratio_by_logarithmic_decrement():

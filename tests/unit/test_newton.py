@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.polynomial.legendre import leggauss
-from scipy.optimize import brentq
-from scipy.sparse import csc_matrix
 from scipy.spatial.transform import Rotation
 
-from softdeca.reference import Reason, Scene, materials, solve, terms
+from softdeca.reference import Reason, Scene, materials, terms
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems import meshes
 from softdeca.reference.problems.homogeneous import rollers
-from softdeca.reference.skfem.newton import solve_definite, solve_semidefinite
 
 from .by_solver import DISCRETE, prepare_by, solve_by
 
@@ -68,16 +64,6 @@ def test_convergence_is_quadratic_at_the_end():
     relative = norms[norms > 1e-13] / norms[0]
     order = np.log(relative[-1] / relative[-2]) / np.log(relative[-2] / relative[-3])
     assert order > 1.5
-
-
-def test_skfem_knows_definiteness():
-    right = np.array([1.0, 2.0])
-    definite = csc_matrix([[2.0, 1.0], [1.0, 3.0]])
-    assert np.allclose(definite @ solve_definite(definite, right), right)
-    assert solve_definite(csc_matrix([[1.0, 2.0], [2.0, 1.0]]), right) is None
-    assert solve_definite(csc_matrix([[0.0, 1.0], [1.0, 0.0]]), right) is None
-    semidefinite = csc_matrix([[1.0, 1.0], [1.0, 1.0]])
-    assert np.allclose(semidefinite @ solve_semidefinite(semidefinite, np.ones(2), scale=1.0), 1.0, rtol=1e-6)
 
 
 @FEM
@@ -149,48 +135,6 @@ def test_a_block_comes_back_from_inverted_tets(element, cells):
     assert solution.history.energy[0] == pytest.approx(at.energy(begin), rel=1e-12)
 
 
-def test_a_way_out_of_inverted_tets_may_be_interrupted_and_bounded():
-    X, tets = meshes.block(2)
-    scene = Scene(X, tets, [terms.Strain(1.0), terms.Volume(20.0)])
-    start = np.random.default_rng(0).uniform(-1.0, 1.0, X.shape)
-    stopped = solve(scene, solver="skfem", start=start, on_iteration=lambda i, x, energy, norm: i == 2)
-    assert (stopped.reason, stopped.iterations) == (Reason.INTERRUPTED, 2)
-    bounded = solve(scene, solver="skfem", start=start, max_iterations=3)
-    assert (bounded.reason, bounded.iterations) == (Reason.MAX_ITERATIONS, 3)
-    assert len(bounded.history.energy) == 4
-
-
-def hanging_energy(law, load, length):
-    """Of a neo-Hookean column [0, length] of 1 mm² that rollers hold at its sides, pulled by `load` [mN/mm³].
-
-    Its stress mu (J - 1/J) + lmbda ln J / J carries what hangs below, load (length - x), where J = 1 + u'. Twice
-    integrated by parts, the load's potential is -∫ load (length - x) u' dx.
-    """
-    t, w = leggauss(40)
-    total = 0.0
-    for x, weight in zip(length * (t + 1) / 2, length * w / 2, strict=True):
-        carried = load * (length - x)
-        J = brentq(lambda J, c=carried: law.mu * (J - 1 / J) + law.lmbda * np.log(J) / J - c, 0.9, 3.0, xtol=1e-15)
-        psi = law.mu / 2 * (J**2 - 1) - law.mu * np.log(J) + law.lmbda / 2 * np.log(J) ** 2
-        total += weight * (psi - carried * (J - 1))
-    return total
-
-
-@pytest.mark.parametrize(("element", "order"), [("P1", 2), ("P2", 4)])
-def test_orders_of_scikit_fems_energy(element, order):
-    """The energy's error is the square of the displacement's in H1, of order h² and h⁴."""
-    law, load, length = NeoHookean(1.0, 2.0), 1.0, 2.0
-    exact, errors = hanging_energy(law, load, length), []
-    for cells in (4, 8):
-        X, tets = meshes.box((cells, 1, 1), (length, 1.0, 1.0))
-        walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
-        held = terms.Fixed(meshes.vertices_at(X, 0, 0.0))
-        scene = Scene(X, tets, [terms.Hyperelastic(law), terms.Gravity((load, 0, 0), 1.0), held, *walls])
-        errors.append(solve_by("skfem", scene, element=element, tolerance=1e-12).energy - exact)
-    assert min(errors) > 0
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
-
-
 def test_a_start_whose_projected_hessian_is_singular_is_left():
     """Stretched and not yet thinner, a neo-Hookean bar has lateral modes of negative stiffness, which projection drops.
 
@@ -218,22 +162,6 @@ def test_a_column_bends_under_a_dead_load_beyond_its_buckling():
     end = solve_by("fenicsx", scene, element="P2", tolerance=1e-8).positions[np.unique(tip)].mean(axis=0)
     assert end[0] / 10.0 == pytest.approx(0.560, abs=0.03)
     assert abs(end[1] - 0.5) / 10.0 == pytest.approx(0.719, abs=0.03)
-
-
-@pytest.mark.parametrize(("linear_solver", "unknowns", "tested"), [("cg", 400_000, 1), ("cg", 1, 0), ("mumps", 1, 1)])
-def test_factors_tell_whether_a_pulled_body_is_stable_where_there_is_room(monkeypatch, linear_solver, unknowns, tested):
-    from softdeca.reference.fenicsx.policy import FenicsxPolicy
-    from softdeca.reference.fenicsx.strategies.newton import Newton
-
-    tests, is_stable = [], Newton.is_stable
-    monkeypatch.setattr(Newton, "is_stable", lambda *given: tests.append(given) or is_stable(*given))
-    X, tets = meshes.box((4, 2, 2), (2.0, 1.0, 1.0))
-    pull = terms.Traction(meshes.triangles_at(X, tets, 0, 2.0), (0.2, 0.0, 0.0))
-    law = terms.Hyperelastic(NeoHookean.from_young(1.0, 0.45))
-    scene, policy = Scene(X, tets, [law, pull, *rollers(X)]), FenicsxPolicy(large_stiff=unknowns)
-    answer = solve_by("fenicsx", scene, linear_solver=linear_solver, policy=policy, tolerance=1e-10)
-    assert answer.converged and len(tests) == tested
-    assert answer.positions == pytest.approx(solve_by("skfem", scene, tolerance=1e-10).positions, abs=1e-8)
 
 
 @pytest.mark.parametrize("poisson", [0.4999, 0.49999])

@@ -120,15 +120,6 @@ def find_obstacles(face):
     return face.neutral_scene().of(terms.Contact)[0].obstacles
 
 
-def test_what_touches_nothing_is_solved_as_without_contact_and_again_alike(faces):
-    free, _, touching = faces
-    named = {"browInnerUp": 1.0}
-    apart = solved(touching, named)
-    assert apart.detail["contact_pairs"] == 0
-    np.testing.assert_array_equal(apart.positions, solved(free, named).positions)
-    np.testing.assert_array_equal(solved(touching, BLINK).positions, solved(touching, BLINK).positions)
-
-
 def ball_between_blocks():
     """A block is pressed on a ball that a rigid block below it carries, off its middle, so that it turns on springs."""
     X, tets, (lower, upper) = stacked(bar((2, 2, 2), (6, 2, 6), (0, 0, 0)), bar((4, 2, 4), (6, 2, 6), (0, 4.1, 0)))

@@ -177,19 +177,6 @@ def test_cholmod_tells_definite_matrices_from_others(size, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@cholmod_is_there
-def test_cholmod_takes_over_an_analysis_where_the_pattern_fits():
-    first = cholesky.CholmodFactor(matrix())
-    second = cholesky.CholmodFactor(matrix(seed=5), like=first)
-    assert second.analysis is first.analysis
-    right = np.random.default_rng(1).normal(size=(200, 3))
-    for made, seed in ((second, 5), (first, 0)):
-        np.testing.assert_allclose(made(right), np.linalg.solve(matrix(seed=seed).toarray(), right), atol=1e-8)
-    assert cholesky.CholmodFactor(matrix(150), like=first).analysis is not first.analysis
-    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        cholesky.CholmodFactor(-matrix())
-
-
 def test_anderson_finds_the_same_minimum_in_far_fewer_steps_than_plain(sphere_head):
     scene = scene_of(sphere_head, shift=10.0)
     mixed, steps = (prepare(scene, method=method).solve(tolerance=1e-6) for method in ("anderson", "plain"))
@@ -197,14 +184,3 @@ def test_anderson_finds_the_same_minimum_in_far_fewer_steps_than_plain(sphere_he
     assert 4 * mixed.iterations < steps.iterations
     assert (np.diff(mixed.history.energy) <= 1e-12 * mixed.history.energy[1:]).all()
     np.testing.assert_allclose(mixed.positions, solve(scene, tolerance=1e-9).positions, atol=1e-3)
-
-
-def test_a_start_near_the_answer_saves_steps(sphere_head):
-    scenes = [scene_of(sphere_head, shift=shift) for shift in (8.0, 9.0)]
-    prepared = prepare(scenes[0])
-    first = prepared.solve(scenes[0])
-    absolute = 1e-6 * first.history.gradient_norm[0]
-    cold = prepared.solve(scenes[1], absolute=absolute)
-    near = prepared.solve(scenes[1], absolute=absolute, start=first.positions)
-    assert near.iterations < cold.iterations
-    np.testing.assert_allclose(near.positions, solve(scenes[1], tolerance=1e-9).positions, atol=1e-4)

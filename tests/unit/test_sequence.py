@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from softdeca.lhm import LayeredHead, Surface
 from softdeca.reference import Face, Parameters, Sequence, solve
 from softdeca.reference.face.facial import facial_scene
-from softdeca.reference.face.sequence import Velocities, is_plausible, vertex_frames
+from softdeca.reference.face.sequence import Velocities, is_plausible
 
 STEP = 1 / 60
 # Soft tissue under stiff springs: the skin moves nearly as Eq. 9 alone does.
@@ -114,21 +114,6 @@ def test_a_released_skin_swings_at_its_frequency_and_tissue_damps_it(sphere_head
     assert s == pytest.approx(1 / (1 + recurrence.gamma * (1 / followed - 1)), abs=0.02)
 
 
-def test_an_initial_velocity_carries_the_skin_on(sphere_head):
-    """Without tissue to speak of, the first frame is T* + 2α·0 + β h V: the shift that Eq. 9 makes of V."""
-    rest = sphere_head.skin.vertices
-    velocity = np.clip(-rest[:, 1:2] / 100, 0, 1) * np.array([60.0, 0.0, 0.0])
-    sequence = Sequence(under(sphere_head, STIFF, bones="rigid"), time_step=STEP, dynamic=True, tolerance=1e-9)
-    start = sequence.begin(rest, velocity=velocity).positions[: len(rest)]
-    moved = sequence.frame(rest).positions[: len(rest)] - start
-    free = sequence.recurrence.beta[:, None] * STEP * velocity
-    assert np.linalg.norm(moved - free) < 0.15 * np.linalg.norm(free)
-    assert np.linalg.norm(moved) > 0.5
-    still = Sequence(under(sphere_head, STIFF, bones="rigid"), time_step=STEP, dynamic=True)
-    still.begin(rest)
-    assert np.abs(still.frame(rest).positions[: len(rest)] - start).max() < 1e-6
-
-
 @pytest.mark.parametrize("dynamic", [False, True])
 def test_a_state_is_all_that_is_needed_to_go_on(sphere_head, dynamic):
     frames = talk(sphere_head, 8)
@@ -197,14 +182,6 @@ def test_frames_of_a_settled_face_are_those_of_its_scenes(sphere_head, bones):
     assert sequence.skin(s, solution) == pytest.approx(solution.positions[:n], abs=1e-9)  # skin and wrap are one here
 
 
-def test_a_settled_face_is_where_its_dynamics_rest(sphere_head):
-    face = under(sphere_head, Parameters(soft_volume=1.2))
-    sequence = Sequence(face, dynamic=True, tolerance=1e-9)
-    rest = [sequence.frame(sphere_head.skin.vertices).positions for _ in range(3)]
-    alone = solve(face.neutral_scene(), start=face.settled().positions, tolerance=1e-10).positions
-    assert np.abs(np.array(rest) - alone).max() < 1e-6
-
-
 def moved(head, rotation, scale):
     """The head turned and scaled."""
     wraps = {
@@ -226,16 +203,6 @@ def test_a_head_turned_and_scaled_moves_in_its_own_directions_and_size(sphere_he
         assert found.on(moved(sphere_head, rotation, 0.8), k) == pytest.approx(0.8 * there @ rotation.T, abs=1e-3)
 
 
-def test_vertex_frames_are_rotations_with_the_normal_last(sphere_head):
-    skin = sphere_head.skin
-    lonely = Surface(np.vstack([skin.vertices, [0.0, 0, 0]]), skin.triangles)
-    frames = vertex_frames(lonely)
-    assert np.einsum("nij,nik->njk", frames, frames) == pytest.approx(np.broadcast_to(np.eye(3), frames.shape))
-    assert np.linalg.det(frames) == pytest.approx(np.ones(len(frames)))
-    assert frames[:-1, :, 2] == pytest.approx(skin.vertex_normals)
-    assert np.array_equal(frames[-1], np.eye(3))
-
-
 def test_a_run_gives_what_a_sequence_begins_with(sphere_head):
     """The velocity of a run's frame k lets a new sequence, at rest where that frame was, move on likewise."""
     x = sphere_head.skin.vertices
@@ -252,13 +219,6 @@ def test_a_run_gives_what_a_sequence_begins_with(sphere_head):
     state = begun.state
     carried = state.positions[: len(x)] - state.before
     assert carried == pytest.approx(skins[5] - skins[4], abs=1e-4)
-
-
-def test_frames_without_an_answer_have_no_velocity(sphere_head):
-    x = sphere_head.skin.vertices
-    found = Velocities.from_skins(sphere_head, [x, x + 1, None, x + 9, x + 11], 1.0)
-    assert len(found) == 2
-    assert found.on(sphere_head, 1) == pytest.approx(np.full(x.shape, 2.0), abs=1e-4)
 
 
 def test_a_wild_velocity_is_told(sphere_head):

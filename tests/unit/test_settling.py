@@ -20,13 +20,6 @@ def by_law(sphere_head):
     return settle(sphere_head, GROWN, law="neo-Hookean", **FEM)
 
 
-def test_fenicsx_settles_where_pd_does(sphere_head):
-    pytest.importorskip("dolfinx")
-    by_pd, by_fem = (settle(sphere_head, GROWN, solver=solver, **FEM) for solver in (None, "fenicsx"))
-    moved = np.abs(by_pd.displacement).max()
-    assert by_fem.converged and np.abs(by_pd.positions - by_fem.positions).max() < 1e-6 * moved
-
-
 def test_a_law_settles_at_the_minimum_of_its_own_energy(sphere_head, by_law):
     """scikit-fem, whose stresses are written by hand, finds the same face from where bones carry the tets."""
     scene = apply_law(neutral_scene(sphere_head, GROWN), "neo-Hookean")

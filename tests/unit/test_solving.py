@@ -1,14 +1,11 @@
 """What every solver promises of a solve: its history, why it stopped, a sequence prepared once, what is refused."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
 from softdeca.lhm.base.errors import MissingDependencyError
-from softdeca.reference import Reason, Scene, SceneError, materials, prepare, terms
+from softdeca.reference import Reason, Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
 
 from .by_solver import SOLVERS, WAYS, element_options, prepare_by, solve_by
@@ -96,28 +93,6 @@ def test_a_sequence_is_prepared_once(solver, element):
         prepared.solve(Scene(X, TETS, [terms.Strain(9.0, 1.02, tets=scene.terms[0].tets), *scene.terms[1:]]))
 
 
-def test_only_nodal_terms_that_change_are_made_anew(monkeypatch):
-    pytest.importorskip("dolfinx")
-    from softdeca.reference.fenicsx.linear.problem import Membrane, Rings, Springs
-
-    made = []
-
-    def counted(cls, *arguments):
-        made.append(cls.__name__)
-        return originals[cls](cls, *arguments)
-
-    originals = {model: model.from_scene.__func__ for model in (Membrane, Rings, Springs)}
-    for model in originals:
-        monkeypatch.setattr(model, "from_scene", classmethod(counted))
-    scene = pulled_block()
-    prepared = prepare(scene, solver="fenicsx")
-    prepared.solve(max_iterations=0)
-    assert sorted(made) == ["Membrane", "Rings", "Springs"]
-    prepared.solve(scene.with_targets(scene.of(terms.Target)[0].positions + 0.1), max_iterations=0)
-    prepared.solve(pulled_block(), max_iterations=0)
-    assert made[3:] == ["Springs", "Springs"]
-
-
 @each_way
 @pytest.mark.parametrize("place", [0, 20])
 def test_vertices_of_no_tet_stay_or_are_held(solver, element, place):
@@ -183,17 +158,3 @@ def test_unknown_versions_are_refused_in_one_line():
     for version in ("0.4.1", "0.12.0", "1.0.0"):
         with pytest.raises(MissingDependencyError, match=f"dolfinx {version} is installed; softdeca knows 0.5 to 0.11"):
             parse_version(version)
-
-
-def test_dolfinx_is_loaded_when_asked_for_and_missed_in_one_line():
-    program = (
-        "import sys; import softdeca.reference; print('dolfinx' in sys.modules); sys.modules['dolfinx'] = None\n"
-        "from softdeca.reference import MissingDependencyError, Scene, solve\n"
-        "import numpy as np\n"
-        "scene = Scene(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]], [])\n"
-        "try:\n    solve(scene, solver='fenicsx')\n"
-        "except MissingDependencyError as error:\n    print(error)\n"
-    )
-    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    loaded, error = answer.splitlines()
-    assert loaded == "False" and "needs dolfinx" in error and "apt-get install python3-dolfinx" in error
