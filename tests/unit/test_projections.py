@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from softdeca.reference import Scene, terms
-from softdeca.reference.projective.terms.lanes import (
+from softdeca.reference.projective.terms.local_step import (
     F00,
     LANES,
     R00,
@@ -16,9 +16,10 @@ from softdeca.reference.projective.terms.lanes import (
     S0,
     U00,
     V00,
+    decompose,
+    nearest_rotation,
+    stretches,
 )
-from softdeca.reference.projective.terms.polar import nearest_rotation, stretches
-from softdeca.reference.projective.terms.singular import decompose
 
 from .by_solver import DISCRETE, SOLVERS
 

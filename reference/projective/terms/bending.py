@@ -23,7 +23,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Bending
 from ..unknowns.sparsity import add_block
-from .lanes import (
+from .local_step import (
     COMPILED,
     D0,
     F00,
@@ -34,9 +34,9 @@ from .lanes import (
     S2,
     U00,
     V00,
+    decompose,
 )
 from .part import Part
-from .singular import decompose
 
 # Share of Σ w⁺ |E|² below which a ring is so far collapsed that its rotation is held.
 FLOOR = 1e-9

@@ -11,7 +11,7 @@ from numba import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Inertia, Target
-from .lanes import COMPILED
+from .local_step import COMPILED
 from .part import Part
 
 

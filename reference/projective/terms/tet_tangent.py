@@ -2,7 +2,7 @@
 
 With F = U diag(s) Vᵀ and principal stresses p, dP/dF has a 3x3 block on the stretches and, per pair (i, j), a twist
 (p_i + p_j)/(s_i + s_j) and a flip (p_i - p_j)/(s_i - s_j) (Smith, de Goes, Kim 2019, "Analytic Eigensystems for
-Isotropic Distortion Energies", Section 4). Volume's nearest stretches (`volumes`) have t_i (t_i - s_i) = m, so
+Isotropic Distortion Energies", Section 4). Volume's nearest stretches have t_i (t_i - s_i) = m, so
 with q_i = 1/(t_i² + m) its block, flip and twist are rational in t and m and nothing cancels where stretches are equal.
 Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a tet's corners as `PAIRS`.
 """
@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-# isort: off
-from .lanes import (
+from ..unknowns.sparsity import add_block
+from .local_step import (
     COMPILED,
     D0,
     D1,
@@ -33,11 +33,9 @@ from .lanes import (
     U00,
     V00,
     VOLUME,
-)  # fmt: skip
-
-# isort: on
-from ..unknowns.sparsity import add_block
-from .local_step import gather, singular_stretches
+    gather,
+    singular_stretches,
+)
 
 PAIRS = np.array([[a, b] for a in range(4) for b in range(a, 4)])
 """The pairs of a tet's corners, one block of the Hessian each."""

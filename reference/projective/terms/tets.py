@@ -12,7 +12,10 @@ import numpy as np
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Strain, Volume
-from .lanes import (
+from .local_step import (
+    HAS_BOUNDS,
+    HAS_GUARDS,
+    HAS_VOLUME,
     HIGH,
     HIGH2,
     LANES,
@@ -23,8 +26,8 @@ from .lanes import (
     STRAIN2,
     TARGET,
     VOLUME,
+    add_tets,
 )
-from .local_step import HAS_BOUNDS, HAS_GUARDS, HAS_VOLUME, add_tets
 from .part import Part
 from .tet_tangent import PAIRS, add_tet_tangent
 
@@ -67,7 +70,7 @@ def _same(one: Strain | Volume, other: Strain | Volume, *names: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class TetBlocks(Part):
-    """Parameters and corners in the layout of `lanes`, and where each Strain and Volume of the scene stands."""
+    """Parameters and corners in the layout of `local_step`, and where each Strain and Volume of the scene stands."""
 
     corners: np.ndarray
     parameters: Floats

@@ -17,7 +17,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import SurfaceStrain
 from ..unknowns.sparsity import add_block
-from .lanes import COMPILED, LANES, rows
+from .local_step import COMPILED, LANES, rows
 from .part import Part
 
 # Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and

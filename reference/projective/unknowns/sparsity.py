@@ -15,7 +15,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
-from ..terms.lanes import COMPILED
+from ..terms.local_step import COMPILED
 from ..terms.part import Part
 from .coordinates import Coordinates
 
