@@ -86,7 +86,6 @@ KEPT: Mapping[str, Kept] = {
     "minimal": Kept("minimal"),
     "mixed": Kept("mixed", {"level": 1}),
     "ranks": Kept("ranks", {"processes": ("1", "2")}),
-    "shapes": Kept("shapes"),
     "split": Kept("split"),
     "throughput": Kept("throughput"),
     "unknowns": Kept("unknowns"),

@@ -11,7 +11,6 @@ from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
-from softdeca.benchmarks.studies.heads.shapes import Shapes
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
@@ -104,21 +103,6 @@ class SphereMixed(OfSphere, Mixed):
 class SphereMeshError(OfSphere, MeshError):
     def mean_person(self, level):
         return sphere(1)
-
-
-class Drawn(SimpleNamespace):
-    """A space of two shapes, of which one does nothing."""
-
-    def expression_deltas(self, code):
-        deltas = np.zeros((52, len(sphere(3).head.skin.vertices), 3))
-        deltas[expressions.index("jawOpen")] = sphere(3).shape("jawOpen") - sphere(3).head.skin.vertices
-        return deltas
-
-
-@dataclass(frozen=True)
-class SphereShapes(OfSphere, Shapes):
-    def person(self, level=None, seed=None):
-        return replace(sphere(3), space=Drawn())
 
 
 @dataclass(frozen=True)

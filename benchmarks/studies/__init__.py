@@ -23,7 +23,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "material": "agreement.material:Material",
         "mesh": "mesh.study:MeshError",
         "face-benchmark": "mesh.face:FaceBenchmark",
-        "shapes": "heads.shapes:Shapes",
     },
     "How far is the network from it?": {
         "surrogate": "surrogate.study:SurrogateOnCorpus",

@@ -1,7 +1,5 @@
 """The study of random identities: repeated, and with failures in its list."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -33,17 +31,10 @@ def test_each_head_is_that_of_its_seed(two):
 
 def test_the_gallery_shows_a_head_as_it_moves(two):
     out, results = two
-    shown = results.rows[2].values["shown"]
-    assert results.rows[2].case == "seed 0" and shown["gates missed at rest"] == "none"
-    assert shown["crossings of the wraps"] == shown["openings of the skin"] == 0
-    # A jaw opens by centimetres, lids close by one.
-    assert 20 < shown["jawOpen: farthest motion [mm]"] < 60 and 4 < shown["blink: farthest motion [mm]"] < 25
+    assert results.rows[2].case == "seed 0"
     text = (out / "index.html").read_text()
     assert text.count('<div class="panels">') == 2 and text.count("src=") == text.count('src="data:')
     assert "<svg" in text and "at least 2 °" in text and "missed by" in text
-    # Of a head from a file it also says what was found and changed there.
-    own = replace(results.rows[2], values=results.rows[2].values | {"notes": ["unit: taken for cm"]})
-    assert ("seed 0", "found in its file", "unit: taken for cm") in Heads().tables([own])[-1].rows
 
 
 def test_scaled_samples_reach_further():

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +26,6 @@ from ....lhm import (
 )
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.geometry.bvh import TriangleTree
-from ....lhm.base.geometry.topology import find_openings
 from ....lhm.base.limits import DRAWN_HEADS, SEED, STUDIED_HEADS
 from ....lhm.base.option import option
 from ....lhm.head.file import load_head
@@ -48,29 +45,17 @@ SIZE = 300
 
 
 def draw_moving_head(head: LayeredHead) -> Values:
-    """Simulate and draw a head that has a rig (some ten seconds): figures, notes, pictures. InputError without one."""
-    skin, report = head.skin, check_head(head)
+    """Simulate and draw a head that has a rig (some ten seconds). InputError without one."""
+    skin = head.skin
     gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
     panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
-    crossings = sum(figure.value or 0.0 for figure in report.figures if figure.name.startswith("crossings"))
-    figures: dict[str, Any] = {
-        "skin vertices": len(skin.vertices),
-        "openings of the skin": len(find_openings(skin.triangles)),
-        "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
-        "smallest dihedral [°]": report.smallest_dihedral,
-        "crossings of the wraps": int(crossings),
-        "gates missed at rest": "; ".join(report.problems) or "none",
-    }
     for pose, names in POSES.items():
         shape = head.expression(expressions.weights_of(dict.fromkeys(names, 1.0)))
         solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
         moved = head.skin_after(shape, solution.positions[: len(head.bone)])
         panels.append(Panel(pose, skin.with_vertices(moved)))
-        figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
-        figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
     faces = draw_strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
-    layers = draw_cut_away(head, size=SIZE)
-    return {"shown": figures, "notes": list(head.notes), "as it moves": faces, "cut open": layers}
+    return {"as it moves": faces, "cut open": draw_cut_away(head, size=SIZE)}
 
 
 WORST = 5
@@ -152,21 +137,15 @@ class Heads(OfPerson):
         return sentence + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate failures and their reasons, distributions, and the gallery's figures."""
+        """Tabulate failures and their reasons, and distributions."""
         fits = _select_fits(rows)
         unfit = [(row.case, row.values["error"]) for row in fits if row.values["error"]]
         unfit += [(row.case, "; ".join(row.values["problems"])) for row in fits if row.values["problems"]]
-        reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
         head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
         figures = [_describe_figure(figure, values) for figure, values in collect_figures(fits)]
-        drawn = [row for row in rows if row.method == DRAWN]
-        shown = [(row.case, *pair) for row in drawn for pair in row.values["shown"].items()]
-        shown += [(row.case, "found in its file", note) for row in drawn for note in row.values["notes"]]
         return [
-            *([Table("Failures", ["head", "reason"], unfit), Table("By reason", ["reason", "heads"], reasons)]
-              if unfit else []),
+            *([Table("Failures", ["head", "reason"], unfit)] if unfit else []),
             *([Table("Distributions", head, figures)] if figures else []),
-            *([Table("The gallery's figures", ["head", "figure", "value"], shown)] if shown else []),
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
