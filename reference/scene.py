@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, Target, Term
+from .terms import Cells, Fixed, Inertia, OnTets, OnTriangles, RigidBody, Solid, Target, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +21,10 @@ class Scene:
 
     `columns` are a hint for solvers: arrays (k, m) of k rows of m vertices, one behind the other through thin layers of
     tets. A mesh without those inside a row, which has only their ends, models all but what is finer than a row.
+    `prisms` (k, 3) are the tets that share a deformation in some terms, three a row.
     Raises SceneError for a tet that is inverted, flat or there twice (by index), where nothing is there to be deformed,
-    for a term that names vertices, tets or triangles that are not there, or that is no term, and for columns that are
-    no indices or share a vertex inside a row.
+    for a term that names vertices, tets or triangles that are not there, or that is no term, for a tet that is in two
+    prisms, and for columns that are no indices or share a vertex inside a row.
     """
 
     vertices: Floats
@@ -30,6 +32,7 @@ class Scene:
     terms: tuple[Term, ...]
     columns: tuple[Ints, ...] = field(default=(), repr=False, kw_only=True)
     volumes: Floats = field(init=False, repr=False)
+    prisms: Ints = field(init=False, repr=False)
 
     def __post_init__(self):
         try:
@@ -52,9 +55,28 @@ class Scene:
                 term.check(self)
             except SceneError as error:
                 raise SceneError(f"term {position} ({term.name}): {error}") from None
+        object.__setattr__(self, "prisms", self._gather_prisms())
         self._check_columns()
         held, _ = self.dirichlet()
         self._check_bodies(held.any(axis=1))
+
+    def _gather_prisms(self) -> Ints:
+        """Gather the terms' rows of three tets, each once; SceneError where a tet is in two."""
+        mates = np.full((len(self.tets), 3), -1)
+        for term in self.of(Solid):
+            if not term.on_prisms:
+                continue
+            before, own = mates[term.tets], term.tets[:, None]
+            clash = ((before != own) & (before >= 0)).any(axis=2)
+            if clash.any():
+                raise SceneError(f"{term.name}: tet {term.tets[clash][0]} shares its deformation with others elsewhere")
+            mates[term.tets] = own
+        return mates[mates[:, 0] == np.arange(len(mates))]
+
+    @cached_property
+    def prism_cells(self) -> Cells:
+        """The prisms as cells."""
+        return Cells.from_mesh(self, self.prisms)
 
     def _check_columns(self):
         """Take columns of indices (k, m) of vertices; SceneError for others, and where two rows share an inner one."""
@@ -100,7 +122,7 @@ class Scene:
         return [term for term in self.terms if isinstance(term, kind)]
 
     def tets_of(self, term: OnTets) -> Ints:
-        """The indices of the tets that a term acts on, shape (k,)."""
+        """The indices of the tets that a term acts on, shape (k,), or (k, 3) of prisms."""
         return term.tets_of(self)
 
     def dirichlet(self) -> tuple[np.ndarray, Floats]:
@@ -194,8 +216,12 @@ def refuse_unknown(
     solver: str,
     known: tuple[type[Term], ...],
     laws: tuple[type[Material], ...] = (),
+    *,
+    prisms: bool = False,
 ):
-    """Raise SceneError for the first term or law of tissue that a solver cannot model."""
+    """Raise SceneError for the first term or law of tissue that a solver cannot model; prisms, if it can, it says."""
+    if len(scene.prisms) and not prisms:
+        raise SceneError(f"solver {solver!r} cannot model prisms of three tets; it models tets")
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)

@@ -101,10 +101,10 @@ class Solution:
     """A solver's answer.
 
     positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
-    attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail`
-    holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
-    [kPa], one per tet, and reactions [mN] are worked out by the same solver when they are first asked for, from its own
-    nodes and integration points.
+    attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,), where the
+    tets of a prism have its F; `detail` holds counts that only one solver has, such as linear iterations; `times` is
+    None unless a solver made it. Stresses [kPa], one per tet, and reactions [mN] are worked out by the same solver when
+    they are first asked for, from its own nodes and integration points.
     """
 
     positions: Floats
@@ -192,8 +192,11 @@ class Recorder:
 
 
 def volume_ratio(scene: Scene, positions: Floats) -> Floats:
-    """Return J = det F per tet, shape (m,)."""
-    return tet_volumes(positions, scene.tets) / scene.volumes
+    """Return J = det F per tet, shape (m,); the tets of a prism have its F."""
+    ratios = tet_volumes(positions, scene.tets) / scene.volumes
+    if len(scene.prisms):
+        ratios[scene.prisms] = np.linalg.det(scene.prism_cells.deformation(positions))[:, None]
+    return ratios
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The energies of tissue, over tets: a hyperelastic law, and SoftDECA's strain and volume."""
+"""The energies of tissue: a hyperelastic law, SoftDECA's strain and volume, and what holds a prism's three tets."""
 
 from __future__ import annotations
 
@@ -10,24 +10,42 @@ import numpy as np
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Ints
 from ..materials import Guccione, Incompressible, Material
+from .cells import prism_vertices
 from .term import Amount, Mesh, OnTets
 
 
 class Solid(OnTets):
-    """Base of energies of tets."""
+    """Base of energies of cells, one per row of `tets`: tets (k,), or prisms (k, 3) of three tets.
+
+    A prism has one deformation, the mean of its tets' weighted by volume; see `Cells`.
+    """
+
+    in_threes: ClassVar[bool] = True
+
+    @property
+    def on_prisms(self) -> bool:
+        """Whether its cells are prisms."""
+        return self.tets is not None and self.tets.ndim == 2
+
+    def check(self, mesh: Mesh):
+        """See Term; the three tets of a prism have six vertices."""
+        super().check(mesh)
+        self.element_vertices(mesh)
 
     def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
-        return mesh.tets[self.tets_of(mesh)]
+        tets = self.tets_of(mesh)
+        return prism_vertices(mesh, tets) if self.on_prisms else mesh.tets[tets]
 
     def _force_by(self, stiffness: float | np.ndarray, mesh: Mesh) -> float:
-        """Return the force [mN] of a stiffness [kPa], one or one per tet, on faces of the tets' size."""
-        return float(np.sum(stiffness * mesh.volumes[self.tets_of(mesh)] ** (2 / 3)))
+        """Return the force [mN] of a stiffness [kPa], one or one per cell, on faces of the cells' size."""
+        volumes = mesh.volumes[self.tets_of(mesh)]
+        return float(np.sum(stiffness * (volumes.sum(axis=1) if self.on_prisms else volumes) ** (2 / 3)))
 
 
 @dataclass(frozen=True, eq=False)
 class Hyperelastic(Solid):
-    """The energy of a hyperelastic law, integral of growth psi(F growth^(-1/3)) over the tets.
+    """The energy of a hyperelastic law, integral of growth psi(F growth^(-1/3)) over the cells.
 
     growth > 0 is the volume ratio at which the tissue is at rest: F growth^(-1/3) is the elastic part of F, and grown
     tissue is as stiff as it was (Rodriguez, Hoger, McCulloch 1994, "Stress-dependent finite growth in soft elastic
@@ -48,11 +66,11 @@ class Hyperelastic(Solid):
         super().__post_init__()
 
     def check(self, mesh: Mesh):
-        """See Term; fibres are one for all, or one per tet."""
+        """See Term; fibres are one for all, or one per cell."""
         super().check(mesh)
         count = len(self.tets_of(mesh))
         if self.fibres is not None and self.fibres.ndim == 2 and len(self.fibres) != count:
-            raise SceneError(f"{len(self.fibres)} fibres for {count} tets")
+            raise SceneError(f"{len(self.fibres)} fibres for {count} cells")
 
     def unit_force(self, mesh: Mesh) -> float:
         """See Term."""
@@ -120,3 +138,27 @@ class Volume(Solid):
     def relax(self, share: float) -> Strain:
         """See Term; Strain alone was never seen to stay among inverted tets."""
         return Strain(share * self.stiffness, tets=self.tets)
+
+
+@dataclass(frozen=True, eq=False)
+class Hourglass(Solid):
+    """stiffness/2 ‖F_t - F‖² per rest volume, of the tets t of prisms (k, 3) and their one deformation F.
+
+    It holds what F does not see of a prism (Flanagan and Belytschko 1981): the two of its motions, besides the affine
+    ones, that leave F as it is. It is quadratic, zero for affine motions and the same however space is turned.
+    stiffness [kPa].
+    """
+
+    amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0)}
+
+    stiffness: float | np.ndarray
+    tets: np.ndarray = field(repr=False)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.on_prisms:
+            raise SceneError("Hourglass.tets: expected prisms, indices of shape (k, 3)")
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return self._force_by(self.stiffness, mesh)

@@ -94,10 +94,10 @@ class Term:
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
-    def _set_ids(self, key: str) -> Ints:
+    def _set_ids(self, key: str, *, in_threes: bool = False) -> Ints:
         """Take the indices that `vertices` or `tets` name; the length of a mask is kept for the scene to check."""
         values = getattr(self, key)
-        ids = as_ids(f"{self.name}.{key}", values)
+        ids = as_ids(f"{self.name}.{key}", values, in_threes=in_threes)
         if np.asarray(values).dtype == bool:
             self._set(_masks={**self.masks, key: len(values)})
         self._set(**{key: ids})
@@ -139,13 +139,17 @@ class Amount:
 
 
 class OnTets(Term):
-    """Base of terms on tets, None for all; `amounts` are fields of one number or one per tet."""
+    """Base of terms on tets, None for all; `amounts` are fields of one number or one per row of `tets`.
+
+    in_threes: whether `tets` may have rows of three, shape (k, 3), which are prisms.
+    """
 
     amounts: ClassVar[dict[str, Amount]] = {}
+    in_threes: ClassVar[bool] = False
     tets: Ints | None
 
     def __post_init__(self):
-        count = None if self.tets is None else len(self._set_ids("tets"))
+        count = None if self.tets is None else len(self._set_ids("tets", in_threes=self.in_threes))
         self._set_amounts(self.amounts, count)
 
     def check(self, mesh: Mesh):
@@ -157,7 +161,7 @@ class OnTets(Term):
                 raise SceneError(f"{key} has {len(values)} values for {len(mesh.tets)} tets")
 
     def tets_of(self, mesh: Mesh) -> Ints:
-        """Return the indices of the tets that it acts on, shape (k,)."""
+        """Return the indices of the tets that it acts on, shape (k,), or (k, 3) of prisms."""
         return np.arange(len(mesh.tets)) if self.tets is None else self.tets
 
     def lump(self, mesh: Mesh, density: float | Floats) -> Floats:
@@ -208,22 +212,29 @@ def as_numbers(name: str, values) -> np.ndarray:
         raise SceneError(f"{name}: expected numbers, got {values!r:.60}") from None
 
 
-def as_ids(name: str, values) -> Ints:
-    """Return unique indices, shape (k,), from indices or a mask; SceneError for others."""
+def as_ids(name: str, values, *, in_threes: bool = False) -> Ints:
+    """Return unique indices, shape (k,), from indices or a mask; SceneError for others.
+
+    in_threes: indices may have shape (k, 3) too, and are returned ascending in each row.
+    """
+    shapes = "(k,) or (k, 3)" if in_threes else "(k,)"
     try:
         array = np.asarray(values)
     except ValueError:
-        raise SceneError(f"{name}: expected indices of shape (k,) or a mask") from None
+        raise SceneError(f"{name}: expected indices of shape {shapes} or a mask") from None
     if array.dtype == bool and array.ndim == 1:
         array = np.flatnonzero(array)
     if array.size == 0 and array.ndim == 1:
         array = array.astype(np.int64)
-    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or isinstance(values, np.ma.MaskedArray):
-        kind = type(values).__name__
-        raise SceneError(f"{name}: expected indices of shape (k,), got {kind} of shape {array.shape} of {array.dtype}")
-    if len(np.unique(array)) != len(array):
+    fits = array.ndim == 1 or (in_threes and array.ndim == 2 and array.shape[1] == 3)
+    if not fits or not np.issubdtype(array.dtype, np.integer) or isinstance(values, np.ma.MaskedArray):
+        got = f"{type(values).__name__} of shape {array.shape} of {array.dtype}"
+        raise SceneError(f"{name}: expected indices of shape {shapes}, got {got}")
+    if len(np.unique(array)) != array.size:
         raise SceneError(f"{name}: an index appears twice")
     array = array.astype(np.int64)
+    if array.ndim == 2:
+        array.sort(axis=1)
     array.flags.writeable = False
     return array
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import MeshError, TetMesh
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Scene, SceneError, terms
 from softdeca.reference.problems.meshes import box
+from softdeca.reference.solution import volume_ratio
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 TETS = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
@@ -50,6 +52,44 @@ def test_prism_split_handles_every_order_of_corners():
         outer[corners] = [[0, 0, 1], [1, 0, 1], [0, 1, 1]]  # counter-clockwise seen from above, the outside
         vertices = np.vstack([outer, outer - [0, 0, 1]])
         assert TetMesh(vertices, prism_tets(np.array([corners]), 0, 3)).volumes.sum() == pytest.approx(0.5)
+
+
+PRISM = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]])
+THREE = np.vstack([prism_tets(np.array([[0, 1, 2]]), 3, 0), [[1, 2, 5, 6]]])
+
+
+def test_a_prism_of_three_tets_has_one_deformation():
+    """Its mean over the prism is the mean over the triangles around it; an affine motion is seen as it is."""
+    rng = np.random.default_rng(0)
+    scene = Scene(np.vstack([PRISM, [[2.0, 2, 2]]]), THREE, [terms.Strain([1.0], tets=[[2, 0, 1]])])
+    (A, moved) = rng.normal(size=(3, 3)), scene.vertices + 0.1 * rng.normal(size=(7, 3))
+    cells = scene.prism_cells
+    assert cells.vertices.tolist() == [[0, 1, 2, 3, 4, 5]] and cells.volumes == pytest.approx([0.5])
+    np.testing.assert_allclose(cells.deformation(scene.vertices @ A.T + 1.0), [A], atol=1e-14)
+    tets = terms.Cells.from_mesh(scene, np.arange(3)).deformation(moved)
+    np.testing.assert_allclose(cells.deformation(moved), [tets.mean(axis=0)], atol=1e-14)
+    np.testing.assert_allclose(volume_ratio(scene, moved)[:3], np.linalg.det(tets.mean(axis=0)))
+    assert volume_ratio(scene, moved)[3] == pytest.approx(tet_volumes(moved, THREE)[3] / scene.volumes[3])
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (lambda: [terms.Volume(1.0, tets=[[0, 3, 4]])], "tets 0, 3, 4 have 7 vertices; three tets of a prism have 6"),
+        (lambda: [terms.Strain(1.0, tets=[[0, 1, 2], [2, 1, 3]])], "an index appears twice"),
+        (lambda: [terms.Strain(1.0, tets=[[0, 1]])], r"expected indices of shape \(k,\) or \(k, 3\)"),
+        (lambda: [terms.Strain([1.0] * 3, tets=[[0, 1, 2]])], r"expected one number or shape \(1,\)"),
+        (lambda: [terms.Gravity((0, 0, 1), 1.0, tets=[[0, 1, 2]])], r"expected indices of shape \(k,\), got"),
+        (lambda: [terms.Hourglass(1.0, tets=[0, 1, 2])], r"Hourglass.tets: expected prisms"),
+        (
+            lambda: [terms.Hourglass(1.0, tets=[[0, 1, 2]]), terms.Strain(1.0, tets=[[0, 1, 3]])],
+            "Strain: tet 0 shares its deformation with others elsewhere",
+        ),
+    ],
+)
+def test_prisms_that_do_not_fit_are_named(parts, message):
+    with pytest.raises(SceneError, match=message):
+        Scene(np.vstack([PRISM, [[2.0, 2, 2]]]), np.vstack([THREE, [[0, 1, 2, 6]]]), parts())
 
 
 def test_held_components_and_their_conflicts():
