@@ -84,16 +84,12 @@ KEPT: Mapping[str, Kept] = {
     "material": Kept("material"),
     "mesh": Kept("mesh"),
     "minimal": Kept("minimal"),
-    "mixed": Kept("mixed", {"level": 1}),
     "ranks": Kept("ranks", {"processes": ("1", "2")}),
     "split": Kept("split"),
     "throughput": Kept("throughput"),
     "unknowns": Kept("unknowns"),
     "verification": Kept("verification"),
     "work-precision": Kept("work-precision"),
-    "further/mixed-58k": Kept(
-        "mixed", {"level": 2, "expressions": ("jawOpen*0.5",), "laws": ("incompressible",)}, part="jawOpen*0.5"
-    ),
     "further/unknowns-640000": Kept("unknowns", {"up_to": 640_000}, part="level 3, 5 sub-layers, P1, FEniCSx, neo"),
     "surrogate/study": Kept("surrogate", {"corpus": "study", "people": "all"}, corpora=("study",)),
     "surrogate/fresh": Kept("surrogate", {"corpus": "fresh", "people": "all"}, corpora=("fresh",)),

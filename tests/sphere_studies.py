@@ -15,7 +15,6 @@ from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.minimal import Minimal
-from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
@@ -95,14 +94,8 @@ class SphereRanks(OfSphere, Ranks):
 
 
 @dataclass(frozen=True)
-class SphereMixed(OfSphere, Mixed):
-    pass
-
-
-@dataclass(frozen=True)
 class SphereMeshError(OfSphere, MeshError):
-    def mean_person(self, level):
-        return sphere(1)
+    pass
 
 
 @dataclass(frozen=True)

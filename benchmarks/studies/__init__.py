@@ -36,7 +36,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "throughput": "scaling.throughput:Throughput",
         "unknowns": "scaling.unknowns:Unknowns",
         "ranks": "scaling.ranks:Ranks",
-        "mixed": "scaling.mixed:Mixed",
     },
     "What can a scene leave out?": {
         "minimal": "scaling.minimal:Minimal",

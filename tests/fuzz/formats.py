@@ -83,7 +83,7 @@ def all_formats() -> Iterator[Format]:
     yield Format("corpus/person-00001.json", read_corpus, tree)
     yield Format("corpus/person-00000.h5", read_corpus, mutations.of_shard)
     yield Format("weights.safetensors", read_weights, mutations.of_safetensors, ("weights: ", "anchors: "))
-    yield Format("results.json", read_results, tree, ("mixed",))
+    yield Format("results.json", read_results, tree, ("ranks",))
     # An archive's error may name a part of it, an answer's what it is about.
     yield Format(
         "benchmark.zip", lambda path: score_answer(path.with_name("gravity.vtu"), path), mutations.of_zip, ("",)
@@ -194,7 +194,7 @@ def read_weights(path: Path) -> list[np.ndarray]:
 
 
 def read_results(path: Path) -> list[np.ndarray]:
-    kind = load_study("mixed")
+    kind = load_study("ranks")
     out = path.parent / "report"
     try:
         write_report([read_part(path, load_study)], out, "a title")

@@ -205,7 +205,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made["plan.toml", "whole"] = (
         b'preset = "tiny"\nframes = 2\nidentities = 5\nseconds = 3.0\nresponses = 0.5\n[kinds]\neffects = 1.0\n'
     )
-    results = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "mixed.json"
+    results = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "ranks.json"
     made["results.json", "whole"] = results.read_bytes()
     message = {"change": 7, "weights": {"jawOpen": 0.5}, "parameters": {"gravity": 1.5}}
     made["change.json", "whole"] = json.dumps(message).encode()

@@ -21,7 +21,7 @@ from softdeca.surrogate.corpus.plan import PRESETS
 from ..conftest import measure_here
 
 COMMIT = "0123456789ab"
-QUICK = ("material", "verification", "hard", "heads", "face-benchmark", "mesh")
+QUICK = ("material", "verification", "hard", "heads", "face-benchmark")
 """Kept results whose cheap part takes some seconds."""
 SMALL = {"poisson": ("0.45",), "modes": ("one axis",)}
 

@@ -106,7 +106,7 @@ class WorkPrecision(OfPerson):
         "factor; one of Newton is a linear system. Rigs are judged on the skin, under default parameters, where bones "
         "carry nothing. A bind is given the head. libigl fits its rotations in float32, hence its own floor. Its "
         "handles are what the facial scene holds and every 16th vertex of the skin wrap. It and plain PD end after "
-        "the arena's budget. Quadratic tets with a pressure solve another, incompressible law: see the study `mixed`."
+        "the arena's budget."
     )
     version = 2
     timed = True

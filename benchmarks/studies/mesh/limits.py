@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from ....lhm.base.errors import SoftdecaError
-from ....lhm.base.geometry.mirror import find_twins
 from ....lhm.base.mesh import Floats
 from ....lhm.head.head import LayeredHead
-from ....lhm.head.remesh import refine_head, remesh
-from ....reference import Parameters, Scene, facial_scene
+from ....lhm.head.remesh import refine_head
+from ....reference import Parameters, Scene, apply_law, facial_scene, materials, terms
 from ....surrogate.ruler import measure
 from ..measures import difference, distances, limit_of_three, limit_of_two, solve_to_end
-from ..person import Person
-from ..scaling.mixed import make_law_scene
 
-SPLIT_PRISMS, FREE_TETS = "split prisms", "free tets (gmsh)"
 SPLIT = "P1, split into eight"
 SUB_LAYERS = (1, 2, 4)
 ALONG = 2
@@ -28,11 +21,6 @@ ORDER_ALONG = 1.0
 """Of the two surface levels, assumed: smooth answers show 2, but springs and borders of bone let less be trusted."""
 LINEAR_TOLERANCE, QUADRATIC_TOLERANCE, PRESSURE_TOLERANCE = 1e-7, 2e-3, 1e-6
 """Gradient norm over its start. Quadratic tets start at the linear answer, where .002 leaves the skin 0.0001 mm."""
-ONE_SIDED = "mouthSmileLeft*0.6"
-"""Expression that is mirrored."""
-SOFT = 0.45
-"""Poisson's ratio of the mirrored loads."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +91,7 @@ class LawOnHead:
         self._head, self._shape, self._poisson = head, shape, poisson
         self._element = "P2P1" if poisson >= 0.49 else "P2"  # from there on with a pressure
         self._linear = solve_linear(head, shape, poisson)
-        self._quadratic = self._solve_quadratic(head, self._linear)
+        self._quadratic = self._solve_quadratic()
         self._motion = distances(self._quadratic.skin, shape)
 
     def compare_sub_layers(self, counts: Sequence[int]) -> list[dict]:
@@ -115,20 +103,12 @@ class LawOnHead:
             for count, answer in {1: self._linear, **finer}.items()
         ]
 
-    def compare_free_tets(self, size: float) -> list[dict]:
-        """Compare free tets of so many mm, which share no inner edge with split prisms, element by element."""
-        free = remesh(self._head, size)
-        linear = solve_linear(free, self._shape, self._poisson)
-        quadratic = self._solve_quadratic(free, linear)
-        pairs = (("P1", linear, self._linear), (self._element, quadratic, self._quadratic))
-        return [compare(what, answer, own.skin, self._motion) for what, answer, own in pairs]
-
-    def _solve_quadratic(self, head: LayeredHead, near: Answer) -> Answer:
-        scene = make_law_scene(head, self._shape, self._poisson)
-        how: dict[str, Any] = {"start": near.positions, "tolerance": QUADRATIC_TOLERANCE}
+    def _solve_quadratic(self) -> Answer:
+        scene = make_law_scene(self._head, self._shape, self._poisson)
+        how: dict[str, Any] = {"start": self._linear.positions, "tolerance": QUADRATIC_TOLERANCE}
         if self._element == "P2P1":
             how = {"tolerance": PRESSURE_TOLERANCE}
-        return find_answer(head, self._shape, scene, solver="fenicsx", element=self._element, **how)
+        return find_answer(self._head, self._shape, scene, solver="fenicsx", element=self._element, **how)
 
 
 def solve_linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple[int, int] = (1, 1)) -> Answer:
@@ -137,23 +117,18 @@ def solve_linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple
     return find_answer(head, shape, scene, solver="fenicsx", tolerance=LINEAR_TOLERANCE)
 
 
-def compare_mirrored_loads(person: Person, size: float) -> list[dict]:
-    """Compare a one-sided smile with its mirror image, on split prisms and free tets of a symmetric skin.
-
-    SoftdecaError for a skin that is not its own mirror image.
-    """
-    rest = person.head.skin.vertices
-    displacement = person.shape(ONE_SIDED) - rest
-    twins = find_twins(rest)
-    if twins is None:
-        raise SoftdecaError("the mean skin is not its own mirror image")
-    rows = []
-    for what, head in ((SPLIT_PRISMS, person.head), (FREE_TETS, remesh(person.head, size))):
-        shapes = [rest + displacement, rest + displacement[twins] * MIRROR]
-        left, right = (solve_linear(head, shape, SOFT) for shape in shapes)
-        motion = distances(right.skin, shapes[1])
-        rows.append(compare(what, left, right.skin[twins] * MIRROR, motion[twins]))
-    return rows
+def make_law_scene(head: LayeredHead, shape: Floats, poisson: float, layers: tuple[int, int] = (1, 1)) -> Scene:
+    """Make an expression's neo-Hookean scene of a Poisson's ratio, with prescribed bones."""
+    scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
+    parts: list[terms.Term] = []
+    for term in scene.terms:
+        if isinstance(term, terms.Hyperelastic):
+            law = term.material
+            assert isinstance(law, materials.NeoHookean)
+            young = 2 * law.mu * (1 + poisson)
+            term = replace(term, material=materials.NeoHookean.from_young(young, poisson))
+        parts.append(term)
+    return replace(scene, terms=tuple(parts))
 
 
 def compare(what: str, answer: Answer, reference: Floats, motion: Floats) -> dict[str, Any]:

@@ -1,23 +1,20 @@
-"""How far linear tets on a head are from their limit: ever finer meshes, quadratic tets, another mesh, a mirror."""
+"""How far linear tets on a head are from their limit: ever finer meshes, and quadratic tets."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
-from ..person import OfPerson, Person, parse_poisson, person
-from .limits import FREE_TETS, SPLIT, SUB_LAYERS, LawOnHead, compare_finer_meshes, compare_mirrored_loads, name_layers
+from ..person import OfPerson, parse_poisson
+from .limits import SPLIT, SUB_LAYERS, LawOnHead, compare_finer_meshes, name_layers
 
-FINER, QUADRATIC, FREE, MIRRORED = "finer meshes", "quadratic tets", FREE_TETS, "mirrored loads"
-"""What linear tets on split prisms are compared with."""
-MEAN = ", mean head"
+FINER, QUADRATIC = "finer meshes", "quadratic tets"
+"""What linear tets are compared with."""
 COARSE = 1
 """Level of the heads on which Poisson's ratio is varied: quadratic tets with a pressure take minutes there."""
 PRESSED = "mouthPucker"
@@ -33,24 +30,19 @@ LOCKS = 6.3
 
 Measured on level 1 from nu 0.38 to 0.499: 7.8.
 """
-TWO_MESHES = 0.08
-"""Bound of quadratic tets' distance between the two meshes, over that of linear to quadratic tets on one mesh.
-
-Measured on level 1, nu 0.45: 0.066; linear tets in their place, 0.38.
-"""
 
 
 @dataclass(frozen=True)
 class MeshError(OfPerson):
-    """Linear tets beside finer meshes by expression, quadratic tets by Poisson's ratio, free tets, mirrored loads."""
+    """Linear tets beside finer meshes by expression, and beside quadratic tets by Poisson's ratio."""
 
     name = "mesh"
     heading = "Is the head's mesh fine enough?"
     question = (
-        "How far are linear tets on a head from ever finer meshes, how far from quadratic tets as tissue nears "
-        "incompressibility, and what does the split of prisms add?"
+        "How far are linear tets on a head from ever finer meshes, and how far from quadratic tets as tissue nears "
+        "incompressibility?"
     )
-    cheap = "level 1, mean head, mirrored loads"
+    cheap = "level 1, nu 0.45"
     columns = (
         Column("what", "mesh"),
         Column("tets", "tets"),
@@ -69,10 +61,7 @@ class MeshError(OfPerson):
         "RMS error of the finest mesh. The GCI along is 3 times it, since two levels show no order. The assumed order "
         "of 1 is low, so the error is rather stated too large. A split surface has springs at its middles too. "
         "Quadratic tets: neo-Hookean tissue of default shear moduli on the same mesh, by displacement (P2) below nu "
-        "0.49, with a pressure (P2-P1) from there. Free tets are compared with split prisms of the same element. T is "
-        "the reference's skin; no bone is scaled, so carried(S) is S. Mirrored loads are a one-sided smile and its "
-        "mirror image on the mean head. Its skin and wraps are symmetric, its split prisms but for those across the "
-        "middle, and its free tets are not. The distance is that of one answer to the other's mirror image."
+        "0.49, with a pressure (P2-P1) from there. T is the reference's skin; no bone is scaled, so carried(S) is S."
     )
     limit = 7200.0
 
@@ -85,22 +74,16 @@ class MeshError(OfPerson):
         f"a Poisson's ratio, beside quadratic tets of level {COARSE}; repeat for several",
     )
     finer: tuple[str, ...] = ("0.45",)
-    free: tuple[str, ...] = ("0.45",)
-    size: float = 8.0
 
     def tasks(self) -> Sequence[Task]:
         """List what linear tets are compared with. Raises InputError for options out of range."""
         self.check(self.expressions)
-        for text in (*self.poisson, *self.finer, *self.free):
+        for text in (*self.poisson, *self.finer):
             parse_poisson(text, MOST)
-        if not np.isfinite(self.size) or self.size <= 0.0:
-            raise InputError(f"size: expected a length above 0 mm, got {self.size:g}")
         levels = [(COARSE, text) for text in self.poisson] + [(self.level, text) for text in self.finer]
         return [
             *(Task(text, FINER) for text in self.expressions),
             *(Task(_name_case(level, text), QUADRATIC) for level, text in dict.fromkeys(levels)),
-            *(Task(_name_case(COARSE, text), FREE) for text in self.free),
-            *(Task(f"level {level}{MEAN}", MIRRORED) for level in dict.fromkeys((COARSE, self.level))),
         ]
 
     def measure(self, task: Task) -> Values:
@@ -108,21 +91,13 @@ class MeshError(OfPerson):
         if task.method == FINER:
             subject = self.person()
             return compare_finer_meshes(subject.head, subject.shape(task.case))
-        if task.method == MIRRORED:
-            level = int(task.case.removeprefix("level ").removesuffix(MEAN))
-            return {"rows": compare_mirrored_loads(self.mean_person(level), self.size)}
         level, text = _read_case(task.case)
-        solved = _solve_law(self, level, float(text))
-        if task.method == FREE:
-            return {"rows": solved.compare_free_tets(self.size)}
+        subject = self.person(level)
+        solved = LawOnHead(subject.head, subject.shape(PRESSED), float(text))
         return {"rows": solved.compare_sub_layers(SUB_LAYERS if level == COARSE else FINER_LAYERS)}
 
-    def mean_person(self, level: int) -> Person:
-        """Make the mean head, whose skin is its own mirror image."""
-        return person(self.identities, None, level)
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Check the error of the own mesh, that linear tets lock, and that quadratic tets are a reference for them.
+        """Check the error of the own mesh, and that linear tets lock.
 
         A mesh that may do all that another can has at most its energy.
         """
@@ -139,18 +114,10 @@ class MeshError(OfPerson):
             low, high = (coarse[nu]["over_all"] for nu in (min(coarse), max(coarse)))
             what = "error of linear tets over the motion, highest over lowest Poisson's ratio"
             gates.append(above(what, high / low, LOCKS))
-        apart = [
-            row.values["rows"][1]["mean"] / coarse[ratio]["mean"]
-            for row in rows
-            if row.method == FREE and (ratio := float(_read_case(row.case)[1])) in coarse
-        ]
-        if apart:
-            what = "quadratic tets on two independent meshes, over linear to quadratic tets, worst"
-            gates.append(at_most(what, max(apart), TWO_MESHES))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell the errors to both limits, the free tets' distance, and the asymmetry of both meshes."""
+        """Tell the errors to both limits."""
         sentences = []
         own = [row.values["rows"][0] for row in rows if row.method == FINER]
         if own:
@@ -166,12 +133,6 @@ class MeshError(OfPerson):
                     f"{row.case}: linear tets are {lines[0]['mean']:.3f} mm from quadratic ones on average, "
                     f"{lines[0]['max']:.2f} mm at most, {lines[0]['over_all']:.1f} times |T - carried(S)|."
                 )
-            if row.method == FREE:
-                parts = ", ".join(f"{line['what']} {line['mean']:.4f} mm" for line in lines)
-                sentences.append(f"{row.case}, free tets to split prisms: {parts}.")
-            if row.method == MIRRORED:
-                parts = ", ".join(f"{line['what']} {100.0 * line['over_all']:.1f} %" for line in lines)
-                sentences.append(f"{row.case}: mirrored loads differ, of |T - S|, by {parts}.")
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
@@ -211,12 +172,6 @@ class MeshError(OfPerson):
         if quadratic:
             pictures["Distance of linear to quadratic tets by Poisson's ratio."] = _draw_ratios(quadratic)
         return pictures
-
-
-@lru_cache(maxsize=2)
-def _solve_law(study: MeshError, level: int, poisson: float) -> LawOnHead:
-    subject = study.person(level)
-    return LawOnHead(subject.head, subject.shape(PRESSED), poisson)
 
 
 Quadratic = Mapping[tuple[int, str], Sequence[Values]]
