@@ -21,7 +21,7 @@ from .descent import Descent, Point, Problem, Watch, after_untangling, anderson,
 from .hessian.newton_step import newton_step
 from .hessian.tangent import Pattern, Tangent
 from .policy import POLICY, ProjectivePolicy
-from .terms.energy import PARTS, Energy, recover
+from .terms.energy import ENERGIES, Energy, recover
 from .terms.gaps import Pairs
 from .unknowns.coordinates import Coordinates, Place
 from .unknowns.system import System
@@ -35,7 +35,7 @@ METHODS: dict[str, Descent] = {
     "anderson": partial(after_untangling, anderson, untangle=lbfgs),
     "plain": plain,
 }
-TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
+TERMS: tuple[type[Term], ...] = (*ENERGIES, Fixed, RigidBody, Contact)
 """Those with an energy, those that restrict `Coordinates`, and contact, which has a descent of its own."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
@@ -132,7 +132,7 @@ class ProjectivePrepared:
         precondition = work.precondition if metric is None else work.by(metric)
         bounded = energy.is_bounded and metric is None
         problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, policy=policy.descent)
-        if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
+        if untangle and (volume_ratio(self.scene, scene.vertices + place.u) <= 0).any():
             relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
             untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
             problem = replace(problem, untangling=untangling)
@@ -159,7 +159,7 @@ class ProjectivePrepared:
             iterations=watch.iteration,
             energy=point.energy,
             history=recorder.history(),
-            volume_ratio=volume_ratio(scene, positions),
+            volume_ratio=volume_ratio(self.scene, positions),
             detail=work.counts() | contact,
             recovery=partial(recover, scene, positions),
             times=recorder.times(self.spent),
@@ -246,7 +246,7 @@ def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy 
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
-    refuse_unknown(scene, "projective", TERMS)
+    refuse_unknown(scene, "projective", TERMS, prisms=True)
     if not isinstance(policy, ProjectivePolicy):
         raise SceneError(f"projective: policy: expected a ProjectivePolicy, got {quote(policy)}")
     clock = Clock()

@@ -1,5 +1,7 @@
 """Every energy of every solver: gradient and Hessian by differences, the projected Hessian, and closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
@@ -35,11 +37,29 @@ PD = [terms.Strain(np.linspace(1.0, 3.0, len(TETS)), limit=1.05), terms.Volume(5
 OVERLAPPING = [terms.Strain(0.5, tets=[0, 1, 2]), terms.Volume(0.2, tets=[2, 3]), terms.Strain(GRADED)]
 BODIES = [terms.RigidBody(np.arange(40, 52)), terms.RigidBody(np.arange(56, 64), 1.1 * X[56:64])]
 INERTIA = terms.Inertia(1e-4, 0.01, X + RNG.normal(size=X.shape), RNG.normal(size=X.shape))
+PRISMS = np.arange(len(TETS)).reshape(-1, 6)[:, [0, 1, 4, 2, 3, 5]].reshape(-1, 3)  # halves of the mesh's cells
+EACH = np.linspace(1.0, 2.0, len(PRISMS))
+ON_PRISMS = [
+    terms.Strain(EACH, limit=1.02, tets=PRISMS),
+    terms.Volume(5.0, 0.8 * EACH, tets=PRISMS),
+    terms.Hourglass(EACH, PRISMS),
+]
+PRISMS_AND_TETS = [
+    *ON_PRISMS,
+    terms.Strain(2.0, tets=PRISMS[::3]),
+    terms.Strain(1.0, tets=PRISMS[3:9]),
+    terms.Volume(2.0, tets=PRISMS[5:12]),
+    terms.Hourglass(1.0, PRISMS[4:7]),
+    terms.Strain(GRADED, limit=1.1),
+]
 ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "Strain": ([terms.Strain(RNG.uniform(1.0, 3.0, len(TETS)))], 0.3, SOLVERS),
     "Volume": ([terms.Volume(3.0, RNG.uniform(0.7, 1.4, len(TETS)))], 0.1, SOLVERS),
     "Volume, tangled": ([terms.Strain(1.0), terms.Volume(50.0, 1.2)], 1.5, SOLVERS),
     "all of projective dynamics, overlapping": ([*PD, *OVERLAPPING], 0.2, SOLVERS),
+    "prisms": (ON_PRISMS, 0.2, SOLVERS[:1]),
+    "prisms, tangled": ([terms.Strain(1.0, tets=PRISMS), terms.Volume(50.0, 1.2, tets=PRISMS)], 1.5, SOLVERS[:1]),
+    "prisms among tets, overlapping": ([*PRISMS_AND_TETS, PULL, *BODIES], 0.2, SOLVERS[:1]),
     "grown by tet": (GROWN, 0.03, SOLVERS[1:]),
     "laws on the same tets": ([*TWO_LAWS, terms.Strain(1.0), terms.Volume(5.0, tets=SOME)], 0.03, SOLVERS[1:]),
     "SurfaceStrain": ([terms.SurfaceStrain(SKIN, 2.0, growth=1.3)], 0.3, SOLVERS),
@@ -161,7 +181,7 @@ def test_solvers_measure_one_energy_and_its_forces(name, element):
     parts, size, solvers = ENERGIES[name]
     free = [part for part in parts if not isinstance(part, terms.RigidBody)]
     energies, forces = [], []
-    for solver in solvers if element == "P1" else SOLVERS[1:]:
+    for solver in solvers if element == "P1" else [other for other in solvers if other != "projective"]:
         discrete = DISCRETE[solver](Scene(X, TETS, free), element)
         in_order = np.lexsort(np.round(discrete.nodes, 9).T)
         step = size * np.random.default_rng(4).normal(size=discrete.nodes.shape)
@@ -212,6 +232,28 @@ CLOSED_FORMS = {  # terms, motion, energy
 def test_closed_forms(name, way):
     parts, motion, expected = CLOSED_FORMS[name]
     assert energy_of(way, parts, motion) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("way", WAYS[:1], ids=" ".join)
+def test_prisms_have_the_energy_of_tets_in_affine_motions(way):
+    """And the hourglass none; in others it has what tets' deformations are off their mean, wherever that is turned."""
+    F = TURN.as_matrix() @ [[1.2, 0.1, 0.3], [0.0, 0.8, 0.1], [0.0, 0.2, 1.1]]
+    on_tets = [terms.Strain(2.0, 1.05), terms.Volume(5.0, 1.1)]
+    on_prisms = [*(replace(term, tets=PRISMS) for term in on_tets), terms.Hourglass(100.0, PRISMS)]
+    by_prisms, by_tets = (energy_of(way, parts, lambda x: x @ F.T + 4.0) for parts in (on_prisms, on_tets))
+    assert by_prisms == pytest.approx(by_tets, rel=1e-11)
+
+    def bend(x):
+        return x * [1.2, 0.9, 1.0] + 0.3 * np.sin(x[:, [1, 2, 0]])
+
+    scene = Scene(X, TETS, on_prisms)
+    away = terms.Cells.from_mesh(scene, np.arange(len(TETS))).deformation(bend(X))[PRISMS]
+    away -= scene.prism_cells.deformation(bend(X))[:, None]
+    left = 0.5 * np.sum(EACH[:, None] * scene.volumes[PRISMS] * np.sum(away**2, axis=(2, 3)))
+    for parts in ([terms.Hourglass(EACH, PRISMS)], ON_PRISMS):
+        energy = energy_of(way, parts, bend)
+        assert energy == pytest.approx(left, rel=1e-11) if len(parts) == 1 else energy > left > 0.01
+        assert energy_of(way, parts, lambda x: TURN.apply(bend(x)) + 4.0) == pytest.approx(energy, rel=1e-11)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -15,7 +15,7 @@ from ....lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_defini
 from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...terms import Contact, Target
-from ..terms.energy import PARTS, Energy
+from ..terms.energy import ENERGIES, Energy
 from ..unknowns.coordinates import Coordinates, Place
 from ..unknowns.sparsity import Sparsity
 
@@ -160,7 +160,7 @@ class Tangent:
     def _energy_of(self, scene: Scene) -> Energy:
         """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
         mine, its = (
-            [type(t) for t in which.terms if t.element_vertices(which).size and type(t) in PARTS]
+            [type(t) for t in which.terms if t.element_vertices(which).size and isinstance(t, ENERGIES)]
             for which in (self.scene, scene)
         )
         return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)

@@ -1,6 +1,6 @@
 """A scene's energy and its gradient at a displacement, and the PD matrix that majorises it.
 
-Stresses and reactions of an answer: P from what each tet alone gives to the gradient.
+Stresses and reactions of an answer: P from what each cell alone gives to the gradient.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from ...scene import Scene
 from ...solution import Stresses
 from ...terms import (
     Bending,
+    Cells,
     Gaps,
     Gravity,
+    Hourglass,
     Inertia,
     Strain,
     SurfaceStrain,
@@ -27,24 +29,25 @@ from ...terms import (
     Volume,
 )
 from .bending import Rings
+from .cells import CellBlocks, Hourglasses, PrismBlocks, TetBlocks
 from .gaps import Pairs
 from .part import Part
 from .springs import DeadLoads, Springs
-from .tets import TetBlocks, shape_gradients
 from .triangles import Triangles
 
-PARTS: dict[type[Term], type[Part]] = {
-    Gravity: DeadLoads,
-    Traction: DeadLoads,
-    Strain: TetBlocks,
-    Volume: TetBlocks,
-    SurfaceStrain: Triangles,
-    Bending: Rings,
-    Target: Springs,
-    Inertia: Springs,
-    Gaps: Pairs,
+PARTS: dict[type[Part], tuple[type[Term], ...]] = {
+    DeadLoads: (Gravity, Traction),
+    TetBlocks: (Strain, Volume),
+    PrismBlocks: (Strain, Volume),
+    Hourglasses: (Hourglass,),
+    Triangles: (SurfaceStrain,),
+    Rings: (Bending,),
+    Springs: (Target, Inertia),
+    Pairs: (Gaps,),
 }
-"""The class that models each term that has an energy, in the order in which their energies are added up."""
+"""The terms that each part models, in the order in which energies are added up."""
+ENERGIES: tuple[type[Term], ...] = tuple(dict.fromkeys(term for terms in PARTS.values() for term in terms))
+"""The terms that have an energy."""
 AnyPart = TypeVar("AnyPart", bound=Part)
 
 
@@ -57,7 +60,7 @@ class Energy:
     @classmethod
     def from_scene(cls, scene: Scene) -> Energy:
         """Build what depends on mesh and stiffnesses."""
-        parts = (kind.from_scene(scene) for kind in dict.fromkeys(PARTS.values()))
+        parts = (kind.from_scene(scene) for kind in PARTS)
         return cls(tuple(part for part in parts if part is not None))
 
     def for_scene(self, scene: Scene) -> Energy:
@@ -87,7 +90,7 @@ class Energy:
 
     def untangling(self, volume_share: float = 1.0) -> Energy:
         """Return an energy that leads out of inverted tets: all weight on their shape, bounded by a share's matrix."""
-        parts = (part.untangling(volume_share) if isinstance(part, TetBlocks) else part for part in self.parts)
+        parts = (part.untangling(volume_share) if isinstance(part, CellBlocks) else part for part in self.parts)
         return Energy(tuple(parts))
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
@@ -116,19 +119,20 @@ class Energy:
 
 
 def recover(scene: Scene, positions: Floats) -> Stresses:
-    """Recover stresses and reactions at positions [mm], shape (n, 3)."""
+    """Recover stresses and reactions at positions [mm], shape (n, 3); the tets of a prism have its."""
     energy, u = Energy.from_scene(scene), positions - scene.vertices
     reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
-    every = np.arange(len(scene.tets))
-    _, gradients = shape_gradients(scene, every)
-    F = np.eye(3) + np.einsum("mai,maj->mij", u[scene.tets], gradients)
-    P = np.zeros((len(every), 3, 3))
-    if (tets := energy.part(TetBlocks)) is not None:
-        # The local step on tets that share no vertex: P = Σ f_a (X_a - X_0)ᵀ / V from the nodes' forces f = V P ∇N.
-        apart = tets.separate()
-        forces = np.zeros((4 * len(apart.tets), 3))
-        apart.add_to(u[scene.tets[apart.tets]].reshape(-1, 3), forces)
-        X = scene.vertices[scene.tets[apart.tets]]
-        rows = np.einsum("rai,raj->rij", forces.reshape(-1, 4, 3)[:, 1:], (X - X[:, :1])[:, 1:])
-        np.add.at(P, apart.tets, rows / scene.volumes[apart.tets, None, None])
+    F = np.eye(3) + Cells.from_mesh(scene, np.arange(len(scene.tets))).deformation(u)
+    F[scene.prisms] = np.eye(3) + scene.prism_cells.deformation(u)[:, None]
+    P = np.zeros_like(F)
+    for part in energy.parts:
+        if isinstance(part, CellBlocks):
+            # The local step on cells that share no vertex: P = Σ f_a ⊗ X_a / V from the nodes' forces f = V P ∇N.
+            apart, vertices = part.separate(), part.cells.vertices
+            forces = np.zeros((vertices.size, 3))
+            apart.add_to(u[vertices].reshape(-1, 3), forces)
+            edges = scene.vertices[vertices] - scene.vertices[vertices[:, :1]]
+            stress = np.einsum("rai,raj->rij", forces.reshape(*vertices.shape, 3), edges)
+            tets = part.tets.reshape(len(vertices), -1)
+            np.add.at(P, tets, (stress / part.cells.volumes[:, None, None])[:, None])
     return Stresses.from_points(P[:, None], F[:, None], scene.volumes[:, None], reactions)

@@ -28,30 +28,36 @@ def rows(first: int, count: int) -> tuple[int, ...]:
     return tuple(LANES * row for row in range(first, first + count))
 
 
-# What depends on the scene: Dm_inv (row j belongs to edge j), then weights (with the rest volume) and bounds.
-G00, G01, G02, G10, G11, G12, G20, G21, G22 = rows(0, 9)
-VOLUME, TARGET, STRAIN, LOW = rows(9, 4)
-ALWAYS_READ = 13
-HIGH, STRAIN2, LOW2, HIGH2 = rows(13, 4)
-PARAMETERS = 17
+# What depends on the scene: bounds and weights (with the rest volume), and per edge of a cell a row of three of how F
+# grows with it. An edge goes from a cell's first vertex to another: three of a tet, five of a prism.
+HIGH, STRAIN2, LOW2, HIGH2 = rows(0, 4)
+SELDOM_READ = 4
+VOLUME, TARGET, STRAIN, LOW = rows(4, 4)
+WEIGHTS = 8
+GRADIENTS = LANES * WEIGHTS
+MOST_EDGES = 5
 
-# What the local step computes. F starts as the edges of the displacement and ends as the nodal forces.
-F00, F01, F02, F10, F11, F12, F20, F21, F22 = rows(17, 9)
-S0, S1, S2 = rows(26, 3)
-D0, D1, D2 = rows(29, 3)
-ENERGY, DOUBT, MULTIPLIER = rows(32, 3)
+# What the local step computes. An edge of the displacement, a row of three, becomes the force on its end.
+F00, F01, F02, F10, F11, F12, F20, F21, F22 = rows(WEIGHTS + 3 * MOST_EDGES, 9)
+S0, S1, S2 = rows(32, 3)
+D0, D1, D2 = rows(35, 3)
+ENERGY, DOUBT, MULTIPLIER = rows(38, 3)
 
 # By singular values F = U diag(s) Vᵀ, with V from Jacobi's sweeps on C = FᵀF.
-C00, C11, C22, C01, C02, C12 = rows(35, 6)
-V00, V01, V02, V10, V11, V12, V20, V21, V22 = rows(41, 9)
-U00, U01, U02, U10, U11, U12, U20, U21, U22 = rows(50, 9)
+C00, C11, C22, C01, C02, C12 = rows(41, 6)
+V00, V01, V02, V10, V11, V12, V20, V21, V22 = rows(47, 9)
+U00, U01, U02, U10, U11, U12, U20, U21, U22 = rows(56, 9)
 
 # By the nearest rotation F = R S: cofactors of F, invariants of S, and a stress R (A0 + A1 S + A2 S²).
-R00, R01, R02, R10, R11, R12, R20, R21, R22 = rows(59, 9)
-K00, K01, K02, K10, K11, K12, K20, K21, K22 = rows(68, 9)
-FIRST, SECOND, THIRD, SQUARES, MINORS = rows(77, 5)
-A0, A1, A2 = rows(82, 3)
-ROWS = 85
+R00, R01, R02, R10, R11, R12, R20, R21, R22 = rows(65, 9)
+K00, K01, K02, K10, K11, K12, K20, K21, K22 = rows(74, 9)
+FIRST, SECOND, THIRD, SQUARES, MINORS = rows(83, 5)
+A0, A1, A2 = rows(88, 3)
+EDGES = LANES * 91
+ROWS = 91 + 3 * MOST_EDGES
+
+TET, PRISM = (1, 2, 3), (1, 2, 3, 4, 5)
+"""The edges of a cell by the corner at their ends. A tuple, so that the compiler knows their number."""
 
 # No fast-math: with it, code loaded from numba's cache rounds otherwise than code just compiled, and a corpus made by
 # two processes would differ from one made by one. It would be a tenth faster.
@@ -474,38 +480,38 @@ ALIKE = 1e-3
 @njit(**COMPILED)
 def _read_bounds(w, parameters):
     """Copy the parameters of a block that not every block needs."""
-    for i in range(ALWAYS_READ * LANES, PARAMETERS * LANES):
+    for i in range(SELDOM_READ * LANES):
         w[i] = parameters[i]
 
 
 @njit(**COMPILED)
-def gather(w, parameters, corners, kinds, u):
-    """Copy a block's parameters, and compute F = I + Du Dm_inv of the displacement u.
+def gather(w, parameters, corners, edges, kinds, u):
+    """Copy a block's parameters, and compute F = I + Σ e ⊗ g over the edges e of the displacement u.
 
     Guards' parameters are left out. From displacements, for differences of positions far from the origin lose digits.
     """
-    for i in range(ALWAYS_READ * LANES):
+    for i in range(SELDOM_READ * LANES, (WEIGHTS + 3 * len(edges)) * LANES):
         w[i] = parameters[i]
     if kinds & HAS_BOUNDS:
         _read_bounds(w, parameters)
     for k in range(LANES):
-        a, b, c, d = corners[k], corners[LANES + k], corners[2 * LANES + k], corners[3 * LANES + k]
-        w[F00 + k], w[F01 + k], w[F02 + k] = u[b, 0] - u[a, 0], u[c, 0] - u[a, 0], u[d, 0] - u[a, 0]
-        w[F10 + k], w[F11 + k], w[F12 + k] = u[b, 1] - u[a, 1], u[c, 1] - u[a, 1], u[d, 1] - u[a, 1]
-        w[F20 + k], w[F21 + k], w[F22 + k] = u[b, 2] - u[a, 2], u[c, 2] - u[a, 2], u[d, 2] - u[a, 2]
+        first = corners[k]
+        x, y, z = u[first, 0], u[first, 1], u[first, 2]
+        for edge in range(len(edges)):
+            end, row = corners[(edge + 1) * LANES + k], EDGES + 3 * edge * LANES + k
+            w[row], w[row + LANES], w[row + 2 * LANES] = u[end, 0] - x, u[end, 1] - y, u[end, 2] - z
     for k in range(LANES):
-        g00, g01, g02 = w[G00 + k], w[G01 + k], w[G02 + k]
-        g10, g11, g12 = w[G10 + k], w[G11 + k], w[G12 + k]
-        g20, g21, g22 = w[G20 + k], w[G21 + k], w[G22 + k]
-        a, b, c = w[F00 + k], w[F01 + k], w[F02 + k]
-        w[F00 + k] = 1.0 + (a * g00 + b * g10 + c * g20)
-        w[F01 + k], w[F02 + k] = a * g01 + b * g11 + c * g21, a * g02 + b * g12 + c * g22
-        a, b, c = w[F10 + k], w[F11 + k], w[F12 + k]
-        w[F11 + k] = 1.0 + (a * g01 + b * g11 + c * g21)
-        w[F10 + k], w[F12 + k] = a * g00 + b * g10 + c * g20, a * g02 + b * g12 + c * g22
-        a, b, c = w[F20 + k], w[F21 + k], w[F22 + k]
-        w[F22 + k] = 1.0 + (a * g02 + b * g12 + c * g22)
-        w[F20 + k], w[F21 + k] = a * g00 + b * g10 + c * g20, a * g01 + b * g11 + c * g21
+        f00, f01, f02, f10, f11, f12, f20, f21, f22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for edge in range(len(edges)):
+            row = 3 * edge * LANES + k
+            x, y, z = w[EDGES + row], w[EDGES + row + LANES], w[EDGES + row + 2 * LANES]
+            a, b, c = w[GRADIENTS + row], w[GRADIENTS + row + LANES], w[GRADIENTS + row + 2 * LANES]
+            f00, f01, f02 = f00 + x * a, f01 + x * b, f02 + x * c
+            f10, f11, f12 = f10 + y * a, f11 + y * b, f12 + y * c
+            f20, f21, f22 = f20 + z * a, f21 + z * b, f22 + z * c
+        w[F00 + k], w[F01 + k], w[F02 + k] = 1.0 + f00, f01, f02
+        w[F10 + k], w[F11 + k], w[F12 + k] = f10, 1.0 + f11, f12
+        w[F20 + k], w[F21 + k], w[F22 + k] = f20, f21, 1.0 + f22
 
 
 @njit(**COMPILED)
@@ -581,49 +587,46 @@ def _bounded_stress(w, strain, low, high):
 
 
 @njit(**COMPILED)
-def _forces(w):
-    """Write the nodal derivatives P Dm_invᵀ to F: row r, column j belongs to vertex j; and add limit 1's energy."""
+def _forces(w, edges):
+    """Write the forces P g on the ends of all edges, and add limit 1's energy."""
     for k in range(LANES):
         strain, size = w[STRAIN + k], w[LOW + k]
         quadratic = w[A2 + k]
         turned = w[A0 + k] - quadratic * w[SECOND + k]
         linear = w[A1 + k] + quadratic * w[FIRST + k]
-        g00, g01, g02 = w[G00 + k], w[G01 + k], w[G02 + k]
-        g10, g11, g12 = w[G10 + k], w[G11 + k], w[G12 + k]
-        g20, g21, g22 = w[G20 + k], w[G21 + k], w[G22 + k]
         f0, f1, f2 = w[F00 + k], w[F01 + k], w[F02 + k]
         r0, r1, r2 = w[R00 + k], w[R01 + k], w[R02 + k]
         a, b, c = f0 - size * r0, f1 - size * r1, f2 - size * r2
         squares = a * a + b * b + c * c
-        p = strain * a + turned * r0 + linear * f0 + quadratic * w[K00 + k]
-        q = strain * b + turned * r1 + linear * f1 + quadratic * w[K01 + k]
-        r = strain * c + turned * r2 + linear * f2 + quadratic * w[K02 + k]
-        w[F00 + k], w[F01 + k] = p * g00 + q * g01 + r * g02, p * g10 + q * g11 + r * g12
-        w[F02 + k] = p * g20 + q * g21 + r * g22
+        p00 = strain * a + turned * r0 + linear * f0 + quadratic * w[K00 + k]
+        p01 = strain * b + turned * r1 + linear * f1 + quadratic * w[K01 + k]
+        p02 = strain * c + turned * r2 + linear * f2 + quadratic * w[K02 + k]
         f0, f1, f2 = w[F10 + k], w[F11 + k], w[F12 + k]
         r0, r1, r2 = w[R10 + k], w[R11 + k], w[R12 + k]
         a, b, c = f0 - size * r0, f1 - size * r1, f2 - size * r2
         squares += a * a + b * b + c * c
-        p = strain * a + turned * r0 + linear * f0 + quadratic * w[K10 + k]
-        q = strain * b + turned * r1 + linear * f1 + quadratic * w[K11 + k]
-        r = strain * c + turned * r2 + linear * f2 + quadratic * w[K12 + k]
-        w[F10 + k], w[F11 + k] = p * g00 + q * g01 + r * g02, p * g10 + q * g11 + r * g12
-        w[F12 + k] = p * g20 + q * g21 + r * g22
+        p10 = strain * a + turned * r0 + linear * f0 + quadratic * w[K10 + k]
+        p11 = strain * b + turned * r1 + linear * f1 + quadratic * w[K11 + k]
+        p12 = strain * c + turned * r2 + linear * f2 + quadratic * w[K12 + k]
         f0, f1, f2 = w[F20 + k], w[F21 + k], w[F22 + k]
         r0, r1, r2 = w[R20 + k], w[R21 + k], w[R22 + k]
         a, b, c = f0 - size * r0, f1 - size * r1, f2 - size * r2
         squares += a * a + b * b + c * c
-        p = strain * a + turned * r0 + linear * f0 + quadratic * w[K20 + k]
-        q = strain * b + turned * r1 + linear * f1 + quadratic * w[K21 + k]
-        r = strain * c + turned * r2 + linear * f2 + quadratic * w[K22 + k]
-        w[F20 + k], w[F21 + k] = p * g00 + q * g01 + r * g02, p * g10 + q * g11 + r * g12
-        w[F22 + k] = p * g20 + q * g21 + r * g22
+        p20 = strain * a + turned * r0 + linear * f0 + quadratic * w[K20 + k]
+        p21 = strain * b + turned * r1 + linear * f1 + quadratic * w[K21 + k]
+        p22 = strain * c + turned * r2 + linear * f2 + quadratic * w[K22 + k]
+        for edge in range(len(edges)):
+            row = 3 * edge * LANES + k
+            a, b, c = w[GRADIENTS + row], w[GRADIENTS + row + LANES], w[GRADIENTS + row + 2 * LANES]
+            w[EDGES + row] = p00 * a + p01 * b + p02 * c
+            w[EDGES + row + LANES] = p10 * a + p11 * b + p12 * c
+            w[EDGES + row + 2 * LANES] = p20 * a + p21 * b + p22 * c
         w[ENERGY + k] += 0.5 * strain * squares
 
 
 @njit(**COMPILED)
-def _forces_by_frames(w):
-    """Write the nodal derivatives of P = U diag(D) Vᵀ to F as `_forces` does, and the energy, by singular vectors."""
+def _forces_by_frames(w, edges):
+    """Write the forces of P = U diag(p) Vᵀ as `_forces` does, and the energy, by singular vectors."""
     p = np.empty(3)
     for k in range(LANES):
         d = w[D0 + k], w[D1 + k], w[D2 + k]
@@ -636,31 +639,35 @@ def _forces_by_frames(w):
             p[i] = weight * d[i] + first * a + other * b
             energy += first * a * a + other * b * b
         w[ENERGY + k] = 0.5 * energy
-        for r in range(3):
-            for j in range(3):
+        for edge in range(len(edges)):
+            for r in range(3):
                 total = 0.0
                 for i in range(3):
                     along = 0.0
                     for c in range(3):
-                        along += w[V00 + (3 * c + i) * LANES + k] * w[G00 + (3 * j + c) * LANES + k]
+                        along += w[V00 + (3 * c + i) * LANES + k] * w[GRADIENTS + (3 * edge + c) * LANES + k]
                     total += w[U00 + (3 * r + i) * LANES + k] * p[i] * along
-                w[F00 + (3 * r + j) * LANES + k] = total
+                w[EDGES + (3 * edge + r) * LANES + k] = total
 
 
 @njit(**COMPILED)
-def _scatter(w, corners, gradient):
-    """Add a block's nodal derivatives to the gradient; vertex 0 of each tet gets minus their sum."""
+def _scatter(w, corners, edges, gradient):
+    """Add a block's forces to the gradient, and minus their sum at the first vertex of each cell."""
     total = 0.0
     for k in range(LANES):
         total += w[ENERGY + k]
-        a, b, c, d = corners[k], corners[LANES + k], corners[2 * LANES + k], corners[3 * LANES + k]
-        for r in range(3):
-            row = F00 + 3 * r * LANES + k
+        x, y, z = 0.0, 0.0, 0.0
+        for edge in range(len(edges)):
+            end, row = corners[(edge + 1) * LANES + k], EDGES + 3 * edge * LANES + k
             p, q, s = w[row], w[row + LANES], w[row + 2 * LANES]
-            gradient[a, r] -= p + q + s
-            gradient[b, r] += p
-            gradient[c, r] += q
-            gradient[d, r] += s
+            x, y, z = x + p, y + q, z + s
+            gradient[end, 0] += p
+            gradient[end, 1] += q
+            gradient[end, 2] += s
+        first = corners[k]
+        gradient[first, 0] -= x
+        gradient[first, 1] -= y
+        gradient[first, 2] -= z
     return total
 
 
@@ -675,17 +682,17 @@ def singular_stretches(w, parameters, kinds):
 
 
 @njit(nogil=True, **COMPILED)
-def add_tets(parameters, corners, kinds, u, gradient):
-    """Add the tets' gradient [mN] at displacement u [mm], both (n, 3), in place; return their energy [µJ].
+def add_cells(parameters, corners, edges, kinds, u, gradient):
+    """Add the cells' gradient [mN] at displacement u [mm], both (n, 3), in place; return their energy [µJ].
 
-    parameters (blocks, PARAMETERS * LANES) and corners (blocks, 4 * LANES) lie as said above; kinds (blocks,)
-    tells what each block asks for. Guards, which hardly ever act, cost a look at the stretches.
+    parameters (blocks, rows * LANES) and corners (blocks, vertices * LANES) lie as said above; kinds (blocks,) tells
+    what each block asks for; edges is TET or PRISM. Guards, which hardly ever act, cost a look at the stretches.
     """
     w = np.zeros(ROWS * LANES)
     total = 0.0
     for block in range(len(parameters)):
         kind = kinds[block]
-        gather(w, parameters[block], corners[block], kind, u)
+        gather(w, parameters[block], corners[block], edges, kind, u)
         sure = nearest_rotation(w) == 0
         guarded = False
         if sure and kind:
@@ -703,13 +710,13 @@ def add_tets(parameters, corners, kinds, u, gradient):
             w[ENERGY : ENERGY + LANES] = 0.0
         if not sure:
             singular_stretches(w, parameters[block], kind)
-            _forces_by_frames(w)
+            _forces_by_frames(w, edges)
         else:
             if kind & HAS_BOUNDS:
                 _bounded_stress(w, STRAIN, LOW, HIGH)
                 w[STRAIN : STRAIN + LANES] = 0.0
             if guarded and _acts(w, STRAIN2, LOW2, HIGH2):
                 _bounded_stress(w, STRAIN2, LOW2, HIGH2)
-            _forces(w)
-        total += _scatter(w, corners[block], gradient)
+            _forces(w, edges)
+        total += _scatter(w, corners[block], edges, gradient)
     return total

@@ -1,10 +1,10 @@
-"""The exact Hessian of Strain and Volume on tets, or with its eigenvalues raised.
+"""The exact Hessian of Strain and Volume on cells, or with its eigenvalues raised.
 
 With F = U diag(s) Vᵀ and principal stresses p, dP/dF has a 3x3 block on the stretches and, per pair (i, j), a twist
 (p_i + p_j)/(s_i + s_j) and a flip (p_i - p_j)/(s_i - s_j) (Smith, de Goes, Kim 2019, "Analytic Eigensystems for
 Isotropic Distortion Energies", Section 4). Volume's nearest stretches have t_i (t_i - s_i) = m, so
 with q_i = 1/(t_i² + m) its block, flip and twist are rational in t and m and nothing cancels where stretches are equal.
-Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a tet's corners as `PAIRS`.
+Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a cell's corners as `corner_pairs`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ....lhm.base.mesh import Ints
 from ..unknowns.sparsity import add_block
 from .local_step import (
     COMPILED,
     D0,
     D1,
     D2,
-    G00,
+    GRADIENTS,
     HIGH,
     HIGH2,
     LANES,
@@ -37,8 +38,6 @@ from .local_step import (
     singular_stretches,
 )
 
-PAIRS = np.array([[a, b] for a in range(4) for b in range(a, 4)])
-"""The pairs of a tet's corners, one block of the Hessian each."""
 SMALLEST = 1e-9
 """Where s_i + s_j is less, the nearest rotation is not unique and the twist not finite: it is held there."""
 
@@ -180,50 +179,61 @@ def _pair_block(h, alpha, beta, ga, gb, U, block, work):
             block[r, c] = w0 * U[c, 0] + w1 * U[c, 1] + w2 * U[c, 2]
 
 
-@njit(**COMPILED)
-def add_tet_tangent(parameters, corners, kinds, count, slots, least, u, blocks):
-    """Add the tets' Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
+def corner_pairs(corners: int) -> Ints:
+    """Return the pairs (k, 2) of a cell's corners, one block of the Hessian each."""
+    return np.column_stack(np.triu_indices(corners))
 
-    slots (count, 10) are the blocks of `PAIRS`, of which each holds rows of its higher vertex. Where `least` is not
-    negative, no eigenvalue of dP/dF is left below that share of the tet's Strain weight.
+
+@njit(**COMPILED)
+def add_cell_tangent(parameters, corners, edges, kinds, slots, least, u, blocks):
+    """Add the cells' Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
+
+    slots (cells, k) are the blocks of `corner_pairs`, of which each holds rows of its higher vertex. Where `least` is
+    not negative, no eigenvalue of dP/dF is left below that share of the cell's Strain weight. edges: see `local_step`.
     """
     w = np.zeros(ROWS * LANES)
     h, twist, flip, alpha, beta = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    U, g, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    K = np.empty((3, 3, 3, 3))
-    edge = np.empty((3, 3))
-    at = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
+    ends = len(edges)
+    U, g, work = np.empty((3, 3)), np.empty((ends, 3)), np.empty((3, 3))
+    K = np.empty((ends, ends, 3, 3))
+    first = np.empty((3, 3))
     for block in range(len(parameters)):
-        gather(w, parameters[block], corners[block], kinds[block], u)
+        gather(w, parameters[block], corners[block], edges, kinds[block], u)
         singular_stretches(w, parameters[block], kinds[block])
-        for k in range(min(LANES, count - block * LANES)):
+        for k in range(min(LANES, len(slots) - block * LANES)):
             _moduli(w, k, h, twist, flip)
             if least >= 0.0:
                 _raise(h, twist, flip, least * (w[STRAIN + k] + w[STRAIN2 + k]))
             # Pairs in the order 01, 02, 12: i + j - 1 is their number.
             for pair in range(3):
                 alpha[pair], beta[pair] = 0.5 * (flip[pair] + twist[pair]), 0.5 * (flip[pair] - twist[pair])
-            for i in range(3):
-                for j in range(3):
+            for j in range(3):
+                for i in range(3):
                     U[i, j] = w[U00 + (3 * i + j) * LANES + k]
+                for i in range(ends):
                     total = 0.0
                     for r in range(3):
-                        total += w[V00 + (3 * r + j) * LANES + k] * w[G00 + (3 * i + r) * LANES + k]
+                        total += w[V00 + (3 * r + j) * LANES + k] * w[GRADIENTS + (3 * i + r) * LANES + k]
                     g[i, j] = total
-            t = block * LANES + k
-            for a in range(3):
-                for b in range(a, 3):
+            for a in range(ends):
+                for b in range(a, ends):
                     _pair_block(h, alpha, beta, g[a], g[b], U, K[a, b], work)
                     if a != b:
                         K[b, a] = K[a, b].T
-            for a in range(3):
+            # Slots in the order of `corner_pairs`: first those of the first corner, then of each edge's end.
+            t, slot = block * LANES + k, ends + 1
+            for a in range(ends):
                 here = corners[block, (a + 1) * LANES + k]
-                for b in range(a, 3):
-                    add_block(blocks, slots[t, at[a + 1, b + 1]], K[a, b], here < corners[block, (b + 1) * LANES + k])
+                for b in range(a, ends):
+                    add_block(blocks, slots[t, slot], K[a, b], here < corners[block, (b + 1) * LANES + k])
+                    slot += 1
             # Shape gradients add up to nothing, so a corner's row is minus the sum of the others'.
             origin = corners[block, k]
-            for b in range(3):
-                edge[:] = -(K[0, b] + K[1, b] + K[2, b])
-                add_block(blocks, slots[t, at[0, b + 1]], edge, origin < corners[block, (b + 1) * LANES + k])
-                work[:] = edge if b == 0 else work + edge
-            add_block(blocks, slots[t, 0], -work, False)
+            work[:] = 0.0
+            for b in range(ends):
+                first[:] = 0.0
+                for a in range(ends):
+                    first -= K[a, b]
+                add_block(blocks, slots[t, b + 1], first, origin < corners[block, (b + 1) * LANES + k])
+                work -= first
+            add_block(blocks, slots[t, 0], work, False)
