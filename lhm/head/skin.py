@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..base.checks import real
 from ..base.errors import InputError, MeshError
-from ..base.geometry.likeness import BOUNDS
+from ..base.geometry.likeness import FARTHEST
 from ..base.geometry.topology import connected_parts, directed_edges, number_edges
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.arkit import ARKIT
@@ -116,7 +116,7 @@ def check_shapes(expressions, skin: Surface) -> Floats:
 
     InputError for other shapes, and for displacements of another unit or order of vertices.
     """
-    shapes = real("expressions", expressions, (len(ARKIT), len(skin.vertices), 3), most=BOUNDS.farthest)
+    shapes = real("expressions", expressions, (len(ARKIT), len(skin.vertices), 3), most=FARTHEST)
     if shapes.dtype == np.float16:  # whose squares are too coarse
         shapes = shapes.astype(np.float32)
     largest = np.abs(shapes).max(axis=(1, 2))
