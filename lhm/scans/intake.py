@@ -15,7 +15,6 @@ from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
 from ..base.files.texture import read_texture
 from ..base.geometry.bvh import TriangleTree
-from ..base.geometry.topology import find_openings
 from ..base.geometry.warp import Similarity
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
@@ -186,8 +185,6 @@ def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress:
     skin = Surface(where.motion(scan.vertices), scan.triangles)
     if same:
         check_skin(skin)
-    else:
-        notes.append(_describe_openings(skin))
     own = {}
     morphs = find_arkit_morphs(scan.morphs)
     if len(morphs) >= ENOUGH:
@@ -229,15 +226,3 @@ def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
             "own coordinates, or in millimetres along its axes"
         )
     return ids, points * tried[name]
-
-
-def _describe_openings(skin: Surface) -> str:
-    try:
-        loops = find_openings(skin.triangles)
-    except MeshError:
-        return "openings: not counted, the mesh is not a manifold"
-    if not loops:
-        return "openings: none, the surface is closed"
-    sizes = [float(np.linalg.norm(np.ptp(skin.vertices[loop], axis=0))) for loop in loops]
-    large = sum(size > 0.05 * float(np.ptp(skin.vertices, axis=0).max()) for size in sizes)
-    return f"openings: {len(loops)} ({large} of them large); the template's skin closes them"

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ..base.checks import check_arguments
@@ -22,7 +21,7 @@ from ..head.skin import check_outward
 from ..identities.arkit import ARKIT
 from ..identities.space import LinearSpace
 from .depths.depths import DepthRegressor
-from .registration import register, register_by_mapping
+from .registration import register
 from .registration.landmarks import Pairs
 from .template import Template
 from .wraps import inner
@@ -91,7 +90,6 @@ def fit_head(
     *,
     regressor: DepthRegressor | None = None,
     landmarks: Pairs | None = None,
-    mapping: csr_matrix | tuple[Ints, Floats] | None = None,
     own: Mapping[str, Floats] | None = None,
     policy: FitPolicy = POLICY,
     progress: OnProgress = silent,
@@ -103,7 +101,7 @@ def fit_head(
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
     A skin with the template's triangles is the head's skin. On another topology the template's skin is laid, and is
-    the head's: by `mapping` (as in `register_by_mapping`), or by `register` (half a minute), from `landmarks` if given.
+    the head's, by `register` (half a minute), from `landmarks` if given.
 
     The head's rig has the expressions of the template's space, but for those in `own`: displacements [mm], shape
     (n, 3), of the given skin by ARKit names. A laid template gets the former by deformation transfer (Sumner and
@@ -111,18 +109,13 @@ def fit_head(
     the fit.
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
-    InputError for a skin of the template's triangles, or a mapped template, whose size, direction or order of vertices
-    is not the template's; MeshError for one that faces inwards; and what `register` and `register_by_mapping` raise.
+    InputError for a skin of the template's triangles whose size, direction or order of vertices is not the template's;
+    MeshError for one that faces inwards; and what `register` raises.
     """
-    if mapping is None and has_triangles_of(template, skin):
+    if has_triangles_of(template, skin):
         _check_place(template.skin, skin, policy)
         return replace(_fit(template, skin, regressor, policy), rig=_rig(template.space, skin, own or {}))
-    if mapping is None:
-        laid = register(template.skin, template.parts, skin, landmarks=landmarks, stiff_lids=True, progress=progress)
-    else:
-        laid = register_by_mapping(template.skin, template.parts, mapping, skin)
-        _check_place(template.skin, laid.surface, policy)
-        check_outward(skin)
+    laid = register(template.skin, template.parts, skin, landmarks=landmarks, stiff_lids=True, progress=progress)
     carried = {name: laid.template_weights @ delta for name, delta in (own or {}).items()}
     rig = _rig(template.space, laid.surface, carried, laid=True)
     off = laid.residual

@@ -55,7 +55,7 @@ def fitted(file, tmp_path_factory):
 def test_the_fit_says_what_it_found(fitted):
     out, ended = fitted
     assert ended.returncode == 0, ended.stderr
-    said = ("of 2 separate pieces", "unit: taken for cm", "z is up, -y the front", "openings: 1 (1 of them large)")
+    said = ("of 2 separate pieces", "unit: taken for cm", "z is up, -y the front")
     assert all(words in ended.stderr for words in said)
     assert any("taken for cm" in note for note in load_head(out).notes)
 

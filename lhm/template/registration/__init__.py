@@ -1,7 +1,7 @@
 """Registration: a template's topology laid onto skins of any other."""
 
 from .landmarks import landmark_ids, pair_landmarks, read_landmarks
-from .registration import Registration, Residual, register, register_by_mapping
+from .registration import Registration, Residual, register
 
 __all__ = [
     "Registration",
@@ -10,5 +10,4 @@ __all__ = [
     "pair_landmarks",
     "read_landmarks",
     "register",
-    "register_by_mapping",
 ]

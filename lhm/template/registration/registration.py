@@ -53,14 +53,12 @@ class Registration:
     """A template's topology on a given skin.
 
     `surface`: the template's triangles over the registered vertices [mm]; `residual` over the visible face;
-    `skin_weights` (skin vertices, n): barycentric, rows sum to one, displacements of the registered template times
-    these are those of the skin's own vertices; `template_weights` (n, skin vertices): the other way; `crossings`:
-    pairs of triangles that cross and did not in the template.
+    `template_weights` (n, skin vertices): displacements of the skin times these are the template's; rows sum to one;
+    `crossings`: pairs of triangles that cross and did not in the template.
     """
 
     surface: Surface
     residual: Residual
-    skin_weights: csr_matrix = field(repr=False)
     template_weights: csr_matrix = field(repr=False)
     crossings: int
 
@@ -121,38 +119,6 @@ def register(
     return done
 
 
-def register_by_mapping(
-    template_skin: Surface, parts: Ints, mapping: csr_matrix | tuple[Ints, Floats], skin: Surface
-) -> Registration:
-    """Make a registration from a known correspondence: where on the skin each template vertex lies.
-
-    `mapping`: weights (n, skin vertices), or per template vertex three skin vertices and their weights, both (n, 3).
-    Raises InputError for another shape, vertices out of range, and rows that do not sum to one.
-    """
-    n, m = len(template_skin.vertices), len(skin.vertices)
-    weights = _barycentric(mapping[0], mapping[1], n, m) if isinstance(mapping, tuple) else mapping
-    if weights.shape != (n, m):
-        raise InputError(f"mapping: expected shape ({n}, {m}), got {weights.shape}")
-    total = np.asarray(weights.sum(axis=1)).ravel()
-    bad = np.flatnonzero(~(np.abs(total - 1) < 1e-4))
-    if bad.size:
-        raise InputError(f"mapping: {bad.size} rows do not sum to one, the first is {bad[0]} ({total[bad[0]]:.4g})")
-    surface = template_skin.with_vertices(weights @ skin.vertices)
-    crossings_before = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
-    crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - crossings_before
-    return _registration(surface, parts, find_face(template_skin, parts)[1], skin, max(crossings, 0))
-
-
-def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
-    ids, weights = np.asarray(ids), np.asarray(weights, dtype=np.float64)
-    if ids.shape != (n, 3) or weights.shape != (n, 3) or not np.issubdtype(ids.dtype, np.integer):
-        raise InputError(f"mapping: expected vertex numbers and weights of shape ({n}, 3), got {ids.shape}")
-    bad = np.flatnonzero(((ids < 0) | (ids >= m)).any(axis=1))
-    if bad.size:
-        raise InputError(f"mapping: row {bad[0]} names skin vertices outside 0..{m - 1}")
-    return barycentric_matrix(ids, weights, (n, m))
-
-
 def find_face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
     """Find a template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
     if np.shape(parts) != (len(template_skin.vertices),):
@@ -166,13 +132,7 @@ def find_face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
 def _registration(surface: Surface, parts: Ints, face: Mask, skin: Surface, crossings: int) -> Registration:
     gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
-    ties = skin_ties(surface, skin), template_ties(surface, skin, parts == CAP)
-    return Registration(surface, residual, *ties, crossings)
-
-
-def skin_ties(template: Surface, skin: Surface) -> csr_matrix:
-    """Weights (skin vertices, n) of the template's closest point that faces the same way, else of the closest."""
-    return _closest(template, skin)[0]
+    return Registration(surface, residual, template_ties(surface, skin, parts == CAP), crossings)
 
 
 def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
