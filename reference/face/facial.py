@@ -15,7 +15,7 @@ import numpy as np
 from ...lhm.base.checks import array_of_kind, check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.likeness import check_moved
-from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ...lhm.head.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .. import terms
 from ..added import added_laws
@@ -25,7 +25,7 @@ from .bones import Bones, carry_wraps, jaw_motion, prescribed_bones, rigid_bones
 from .organs import RigidOrgan, make_obstacles
 from .palsy import Springs
 from .parameters import TETS_PER_PRISM, TISSUE_DENSITY, Parameters, spread_to_tets, spread_to_triangles
-from .tissue import Attachment, Guard, Stack, connecting_tets, guard
+from .tissue import POLICY, Attachment, CellKind, Guard, Stack, connecting_tets, group_cells, guard_stiffness, on_cells
 
 PARTS = ("muscle", "skin")
 OF_TETS = (
@@ -39,6 +39,8 @@ OF_TETS = (
 )
 GAP = 0.1
 """What contact leaves between surfaces [mm], as thin as a film of tears; where they are nearer at rest, that."""
+HOURGLASS = 0.1
+"""Stiffness of prisms' Hourglass over Strain's."""
 PD_ENERGY = "PD"
 """The law that is projective dynamics' own energy, Strain and Volume."""
 LAWS: dict[str, Callable[[float, float], Material]] = {"neo-Hookean": NeoHookean}
@@ -60,6 +62,7 @@ def facial_scene(
     neutral: Floats | None = None,
     bones: Bones = "rigid",
     layers: tuple[int, int] = (1, 1),
+    cells: CellKind = "tets",
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
     contact: Sequence[str | np.ndarray] = (),
@@ -72,23 +75,25 @@ def facial_scene(
     for is built. `neutral` [mm], of the targets' shape, is the skin at rest, by default the head's: where what lines
     a paralysed eye is tied (see `palsy`). `bones` are "rigid" (cranium held, mandible a free rigid body),
     "prescribed" (the mandible put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of
-    tets divide soft tissue and muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to
-    skull, no muscle wrap) and "skin" (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices,
-    or at a named one, and holds the others where the expression carries them; a head's own volume mesh is taken
-    whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart, and off
-    `organs`; those of a mandible that is soft, or attached, are left out.
+    tets divide soft tissue and muscle from wrap to wrap. Their `cells`, which have one deformation each, are "prisms"
+    of three tets, or "tets", which lock: by them a neutral face settles a third off what converged elements say.
+    `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin" (no membrane). `region`
+    keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the others where the expression
+    carries them; a head's own volume mesh is taken whole, by tets, with one number per parameter of its tets.
+    `contact` names regions whose triangles are kept apart, and off `organs`; those of a mandible that is soft, or
+    attached, are left out.
     `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are.
     Raises SceneError for targets of another shape or that no expression makes of the skin, by unit, place or order of
     vertices, and for unknown or contradicting choices.
     """
     targets = check_targets(head, targets)
     neutral = head.skin.vertices if neutral is None else check_targets(head, neutral, "neutral")
-    _check_choices(bones, without, attached)
+    _check_choices(bones, cells, without, attached)
     wrap_targets, rest = head.wrap_targets(targets), head.wrap_targets(neutral)
     stack = Stack.from_head(head, layers, without)
     start = carry_wraps(head, parameters, rest, wrap_targets)
     inside = _region_mask(head, region)
-    tissue = _make_tissue(head, parameters, stack, inside)
+    tissue = _make_tissue(head, parameters, stack, inside, cells)
     vertices, bodies = _attach(head, parameters, attached, (rest, wrap_targets), stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
@@ -121,33 +126,56 @@ def facial_scene(
 
 @dataclass
 class _Tissue:
-    """Tets and their terms, layer after layer."""
+    """Tets over `vertices` [mm], their terms, layer after layer, and guards of those that are thin."""
 
+    vertices: Floats
     tets: list[Ints] = field(default_factory=list)
     terms: list[terms.Term] = field(default_factory=list)
+    guards: list[Guard] = field(default_factory=list)
 
-    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target):
-        """Put Strain and Volume on those tets (k, 4) that are `kept` (k,).
+    def add(
+        self,
+        tets: Ints,
+        kept: np.ndarray,
+        strain,
+        limit,
+        volume,
+        target,
+        *,
+        kind: CellKind = "tets",
+        guarded: bool = False,
+    ):
+        """Put Strain and Volume, and Hourglass where they are prisms, on cells of those tets (k, 4) that are `kept`.
 
-        Values are one for all, or one per tet of the first of several equal layers.
+        Values are one for all, or one per tet of the first of several equal layers. kept: a mask (k,).
         """
         first = sum(map(len, self.tets))
-        ids = first + np.arange(np.count_nonzero(kept))
+        own = tets[kept]
+        self.tets.append(own)
+        volumes = tet_volumes(self.vertices, own) if kind == "prisms" else np.ones(len(own))
 
         def spread(value):
             return np.tile(value, len(tets) // len(value))[kept] if np.ndim(value) else value
 
         strain, limit, volume, target = map(spread, (strain, limit, volume, target))
-        self.tets.append(tets[kept])
-        self.terms += [terms.Strain(strain, limit, tets=ids), terms.Volume(volume, target, tets=ids)]
+        guard = guard_stiffness(self.vertices, own, strain) if guarded else np.zeros(len(own))
+        for cells in group_cells(kept, kind):
+            w, e, v, t, g = (on_cells(value, cells, volumes) for value in (strain, limit, volume, target, guard))
+            ids = first + cells
+            self.terms += [terms.Strain(w, e, tets=ids), terms.Volume(v, t, tets=ids)]
+            if cells.ndim == 2:
+                self.terms.append(terms.Hourglass(HOURGLASS * w, ids))
+            if np.any(g):
+                self.guards.append(Guard(g[g > 0.0], POLICY.free_stretch, tets=ids[g > 0.0]))
 
 
-def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray) -> _Tissue:
-    """Make soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`, and guard soft tissue's thin tets."""
+def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, kind: CellKind) -> _Tissue:
+    """Make soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`, and guard soft tissue's thin cells."""
     wrap = head.skin_wrap
     layer = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
     if stack.counts is None:
         _check_uniform(p, inside)
+        kind = "tets"
 
     def keep_terms(tets: Ints) -> np.ndarray:
         mask = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(layer, len(tets) // len(layer))
@@ -156,16 +184,14 @@ def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndar
     def value(name: str):
         return spread_to_tets(name, getattr(p, name), wrap)
 
-    tissue = _Tissue()
+    tissue = _Tissue(stack.vertices)
     strain = value("soft_stiffness")
-    volume = value("volume_ratio") * strain
-    tissue.add(stack.soft, keep_terms(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"))
-    soft: terms.Strain = tissue.terms[0]  # type: ignore[assignment]
+    volume, limit, target = value("volume_ratio") * strain, value("strain_limit"), value("soft_volume")
+    tissue.add(stack.soft, keep_terms(stack.soft), strain, limit, volume, target, kind=kind, guarded=True)
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
-        tissue.add(stack.muscle, keep_terms(stack.muscle), strain, 1.0, volume, value("muscle_volume"))
-    if (guarding := guard(stack.vertices, tissue.tets[0], soft.stiffness)) is not None:
-        tissue.terms.append(guarding)
+        tissue.add(stack.muscle, keep_terms(stack.muscle), strain, 1.0, volume, value("muscle_volume"), kind=kind)
+    tissue.terms += tissue.guards
     return tissue
 
 
@@ -266,9 +292,10 @@ def check_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
     return targets
 
 
-def _check_choices(bones: str, without: Collection[str], attached: Sequence[Attachment]):
-    if bones not in get_args(Bones):
-        raise SceneError(f"bones {bones!r}: there are {', '.join(get_args(Bones))}")
+def _check_choices(bones: str, cells: str, without: Collection[str], attached: Sequence[Attachment]):
+    for name, choice, known in (("bones", bones, get_args(Bones)), ("cells", cells, get_args(CellKind))):
+        if choice not in known:
+            raise SceneError(f"{name} {choice!r}: there are {', '.join(known)}")
     unknown = sorted(set(without) - set(PARTS))
     if isinstance(without, str) or unknown:
         raise SceneError(f"without {without!r}: expected some of {', '.join(PARTS)}")

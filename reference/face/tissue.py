@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -33,6 +34,8 @@ from ...lhm.head.layers import prism_tets, stack_wraps
 from ..scene import Scene
 from ..terms import Strain
 
+CellKind = Literal["prisms", "tets"]
+"""What has one deformation each in a head's layers: prisms of three tets, or their tets."""
 EYE_RADIUS = 12.0
 """[mm], of an adult's eyeball (axial length 24 mm)."""
 
@@ -159,20 +162,37 @@ class Guard(Strain):
     """A Strain that is no energy of tissue: it makes thin tets resist stretches that no face has."""
 
 
-def guard(vertices: Floats, tets: Ints, stiffness: float | Floats, policy: TissuePolicy = POLICY) -> Guard | None:
-    """Guard tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
+def guard_stiffness(vertices: Floats, tets: Ints, stiffness: float | Floats, policy: TissuePolicy = POLICY) -> Floats:
+    """Return the stiffness [kPa] of guards of tets (k, 4) over `vertices` [mm], shape (k,); 0 where a tet is not thin.
 
     stiffness [kPa]: soft tissue's, one or one per tet.
     """
     x = vertices[tets]
     doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in FACES]
     height = 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)  # the smallest: over the largest face
-    thin = np.flatnonzero(height < policy.guarded_height)
-    if not thin.size:
-        return None
-    own = np.broadcast_to(stiffness, len(tets))[thin]
-    excess = policy.guarded_height / height[thin] - 1.0
-    return Guard(policy.guard_stiffness * own * excess, policy.free_stretch, tets=thin)
+    return policy.guard_stiffness * stiffness * np.maximum(policy.guarded_height / height - 1.0, 0.0)
+
+
+def group_cells(kept: np.ndarray, kind: CellKind) -> list[Ints]:
+    """Group the tets that are `kept` (k,), by their numbers among these: prisms (j, 3), then tets (i,) that are alone.
+
+    Three tets in a row that are all kept are a prism, if the kind is that.
+    """
+    whole = (
+        np.repeat(kept.reshape(-1, 3).all(axis=1), 3)[kept] if kind == "prisms" else np.zeros(kept.sum(), dtype=bool)
+    )
+    cells = np.flatnonzero(whole).reshape(-1, 3), np.flatnonzero(~whole)
+    return [each for each in cells if len(each)]
+
+
+def on_cells(values: float | Floats, cells: Ints, volumes: Floats) -> float | Floats:
+    """Return values per tet on cells, shape (k,): a prism (k, 3) has the mean by volume; one number stays one."""
+    if not np.ndim(values):
+        return values
+    own: Floats = values[cells]  # type: ignore[index]
+    if cells.ndim == 1:
+        return own
+    return own[:, 0] if (own == own[:, :1]).all() else np.average(own, axis=1, weights=volumes[cells])
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,19 +12,27 @@ from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head.head import LayeredHead
 from softdeca.lhm.head.remesh import refine_head
 from softdeca.reference import Parameters, Scene, SceneError, apply_law, facial_scene, nested_start, solve, terms
-from softdeca.reference.face.tissue import POLICY, Guard, Stack, connecting_tets, guard
+from softdeca.reference.face.tissue import POLICY, Guard, Stack, connecting_tets, group_cells, guard_stiffness, on_cells
 
 # The heights of a corner cut off a cube: its legs are a long, and the one over the slanted face is a / sqrt(3).
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def test_stiffness_grows_as_tets_get_thinner():
+def test_stiffness_of_guards_grows_as_tets_get_thinner():
     scales = np.sqrt(3.0) * POLICY.guarded_height * np.array([0.5, 2.0, 0.1])
     vertices = np.vstack([scale * CORNER for scale in scales])
-    strain = guard(vertices, np.arange(12).reshape(3, 4), np.array([2.0, 2.0, 3.0]))
-    assert strain.tets.tolist() == [0, 2] and isinstance(strain, Guard)
-    assert strain.stiffness == pytest.approx([2.0 * POLICY.guard_stiffness, 27.0 * POLICY.guard_stiffness])
-    assert guard(10.0 * POLICY.guarded_height * CORNER, np.arange(4)[None], 1.0) is None
+    stiffness = guard_stiffness(vertices, np.arange(12).reshape(3, 4), np.array([2.0, 2.0, 3.0]))
+    assert stiffness == pytest.approx(POLICY.guard_stiffness * np.array([2.0, 0.0, 27.0]))
+
+
+def test_cells_are_whole_prisms_and_what_is_left_of_others():
+    kept = np.array([1, 1, 1, 0, 1, 0, 1, 1, 1], dtype=bool)
+    prisms, alone = group_cells(kept, "prisms")
+    assert prisms.tolist() == [[0, 1, 2], [4, 5, 6]] and alone.tolist() == [3]
+    assert [cells.tolist() for cells in group_cells(kept, "tets")] == [list(range(7))]
+    values, volumes = np.array([1.0, 1.0, 1.0, 5.0, 0.0, 0.0, 8.0]), np.array([0.1, 0.2, 0.3, 1.0, 1.0, 2.0, 1.0])
+    assert on_cells(values, prisms, volumes) == pytest.approx([1.0, 2.0])
+    assert on_cells(values, alone, volumes) == pytest.approx([5.0]) and on_cells(3.0, prisms, volumes) == 3.0
 
 
 def test_what_no_guard_is_for_stays_as_it_was(spheres):
