@@ -11,7 +11,7 @@ from .face.parameters import ParameterInfo, Parameters
 from .face.sequence import Sequence
 from .face.settle import SettledFace, settle
 from .face.tissue import nested_start
-from .march import Trajectory, march
+from .march import Moment, march
 from .scene import Scene
 from .solution import History, Reason, Solution, Times, write_solution
 from .solve import Prepared, prepare, solve
@@ -21,6 +21,7 @@ __all__ = [
     "Face",
     "History",
     "MissingDependencyError",
+    "Moment",
     "NotModelledError",
     "ParameterInfo",
     "Parameters",
@@ -33,7 +34,6 @@ __all__ = [
     "Smallest",
     "Solution",
     "Times",
-    "Trajectory",
     "add_file",
     "add_law",
     "add_solver",

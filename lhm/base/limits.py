@@ -67,7 +67,6 @@ SPEECH_LETTERS = Bound("letters", 5_000, "five minutes; the work grows with the 
 RECORDINGS = Bound("recordings", 10_000, "the plan `paper` has 400 of a kind")
 RECORDED_FILES = Bound("files of takes", 10_000, "each is read and resampled before anything begins")
 MARCH_STEPS = Bound("steps", 1_000_000, "a step takes 0.1 s or more: a day of work", 1)
-MARCH_VALUES = Bound("recorded numbers", 250_000_000, "a march keeps two 64-bit numbers for each; 4 GB in all")
 SEED = Bound("as a seed", 2**63 - 1, "64 bits")
 PEOPLE = Bound("people", 99_999, "names of shards have five digits; the plan `paper` has 7,813 people", 2)
 PARAMETER_SETS = Bound("parameter sets", 1_000_000, "all are permuted for each person; `paper` has 31,252", 1)

@@ -89,7 +89,7 @@ EMPTY_OF = {
 }
 BY_DEFAULT = {
     "space", "folder", "values", "tets", "rest", "positions", "velocities", "kappa", "start", "max_iterations", "scene",
-    "keep", "acceleration", "region", "velocity", "hinge", "centre", "parameters", "blended", "out", "base", "seconds",
+    "scenes", "acceleration", "region", "velocity", "hinge", "centre", "parameters", "blended", "out", "base", "seconds",
     "after", "code", "surrogate",
 }  # fmt: skip
 
@@ -248,8 +248,9 @@ def functions() -> Iterator[Function]:
     yield Function("Prepared.solve", prepared.solve, {"scene": SCENE, "start": X, "tolerance": 1e-3})
     passive = Scene(X, TETS, [terms.Strain(1.0), FIXED])
     march = {"scene": passive, "time_step": 0.01, "steps": 2, "scheme": "Newmark", "density": 1e-6}
-    march |= {"damping": 0.0, "positions": X, "velocities": 0 * X, "keep": [0, 1], "tolerance": 1e-6}
-    yield Function("march", reference.march, march | {"acceleration": np.zeros((2, 3))})
+    march |= {"damping": 0.0, "positions": X, "velocities": 0 * X, "tolerance": 1e-6}
+    march |= {"scenes": lambda t: passive, "acceleration": lambda t: np.zeros(3)}
+    yield Function("march", lambda **a: list(reference.march(**a)), march)
     for info in Parameters.infos():
         yield Function(
             "Parameters", lambda name=info.name, **a: Parameters(**{name: a[name]}), {info.name: info.default}

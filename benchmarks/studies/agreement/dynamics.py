@@ -12,7 +12,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import LayeredHead
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
-from ....reference import Face, Trajectory
+from ....reference import Face
 from ....reference.face.dynamics import Recurrence
 from ....reference.march import SCHEMES
 from ...harness.study import Column, Row, Task, Values, at_most
@@ -136,7 +136,7 @@ def let_go(release: Release, frames: int) -> dict:
         "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
         EQUATION_AS_EULER: Recurrence.from_implicit_euler(p.frequency, FRAME),
     }
-    frames_of: dict[str, Frames | Trajectory] = {
+    frames_of: dict[str, Frames] = {
         name: release.play_recurrence(recurrence, frames) for name, recurrence in equation.items()
     }
     frames_of[PROJECTIVE] = release.play("implicit Euler", frames, solver="projective", tolerance=TIGHT)
@@ -144,33 +144,25 @@ def let_go(release: Release, frames: int) -> dict:
     runs |= {
         _name_march(scheme, count): release.play(scheme, frames, count) for scheme in SCHEMES for count in PER_FRAME
     }
-    rows = [
-        _describe_motion(release, name, run.positions, FRAME) | _describe_end(run) for name, run in frames_of.items()
-    ]
+    rows = [_describe_motion(release, name, run) | _describe_end(run) for name, run in frames_of.items()]
     for name, run in runs.items():
-        rows.append(
-            _describe_motion(release, name, run.positions, run.time_step) | _count_work(run) | _describe_end(run)
-        )
+        rows.append(_describe_motion(release, name, run) | _count_work(run) | _describe_end(run))
     same = runs.pop(EULER)
-    n, amplitude = len(release.face.head.bone), float(np.abs(release.start - release.scene.vertices).max())
+    amplitude = float(np.abs(release.start - release.scene.vertices).max())
     return {
         "areal_density": release.areal,
         "amplitude_mm": amplitude,
         "rows": rows,
         "to_fem": {
-            name: _compare_motions(frames_of[name].positions[:, :n], same.positions, amplitude)
+            name: _compare_motions(frames_of[name].positions, same.positions, amplitude)
             for name in (EQUATION_AS_EULER, PROJECTIVE)
         },
         "traces": {
             name: {
-                "times": (FRAME * np.arange(len(run.positions))).tolist(),
+                "times": (run.time_step * np.arange(len(run.positions))).tolist(),
                 "left": release.motion(run.positions).tolist(),
             }
-            for name, run in frames_of.items()
-        }
-        | {
-            name: {"times": run.times.tolist(), "left": release.motion(run.positions).tolist()}
-            for name, run in runs.items()
+            for name, run in (frames_of | runs).items()
         },
     }
 
@@ -184,19 +176,19 @@ def _name_march(scheme: str, per_frame: int) -> str:
     return f"FEM, {scheme}, {per_frame} per frame"
 
 
-def _describe_motion(release: Release, name: str, positions: Floats, time_step: float) -> dict:
-    shares = release.motion(positions)
-    fit = swing(time_step * np.arange(len(shares)), shares) if len(shares) > FEWEST else Swing(None, None, None)
-    return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(fit)
+def _describe_motion(release: Release, name: str, run: Frames) -> dict:
+    shares = release.motion(run.positions)
+    fit = swing(run.time_step * np.arange(len(shares)), shares) if len(shares) > FEWEST else Swing(None, None, None)
+    return {"name": name, "steps_per_s": 1.0 / run.time_step} | asdict(fit)
 
 
-def _describe_end(run: Trajectory | Frames) -> dict:
+def _describe_end(run: Frames) -> dict:
     """Whether a march made all its steps; if not, after how many it stopped, and why."""
     steps = len(run.positions) - 1
     return {"converged": run.converged, "stopped": None if run.converged else f"after {steps} steps: {run.reason}"}
 
 
-def _count_work(run: Trajectory) -> dict:
+def _count_work(run: Frames) -> dict:
     return {"iterations": float(run.iterations.mean()) if run.iterations.size else None}
 
 
@@ -215,7 +207,7 @@ def shake(release: Release, frames: int) -> dict:
     runs |= {f"FEM, {scheme}": release.play(scheme, frames, shaken=shaken) for scheme in SCHEMES[1:]}
     fine = release.play("Newmark", frames, PER_FRAME[-1], shaken=shaken)
     finest, exact = f"FEM, Newmark, {PER_FRAME[-1]} per frame", fine.positions[:: PER_FRAME[-1]]
-    motions = {name: run.positions[:, : len(rest)] for name, run in runs.items()} | {finest: exact}
+    motions = {name: run.positions for name, run in runs.items()} | {finest: exact}
     rows = []
     for name, positions in motions.items():
         together = min(len(positions), len(exact))

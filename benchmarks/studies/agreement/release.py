@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from ....lhm.base.mesh import Floats
+from ....lhm.base.mesh import Floats, Ints
 from ....reference import (
     Face,
     Reason,
     Scene,
     Sequence,
     Solution,
-    Trajectory,
     march,
     solve,
 )
@@ -62,12 +61,14 @@ def swing(times: Floats, motion: Floats) -> Swing:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A motion by Eq. 9: positions [mm], shape (k + 1, n, 3), and why the frame after the last failed.
+    """A motion in steps of `time_step` [s]: positions [mm], shape (k + 1, n, 3), and iterations per step, (k,).
 
-    Of a whole motion the reason is CONVERGED.
+    `reason` is why the step after the last failed; of a whole motion it is CONVERGED.
     """
 
+    time_step: float
     positions: Floats
+    iterations: Ints
     reason: Reason
 
     @property
@@ -103,9 +104,9 @@ class Release:
 
     def motion(self, positions: Floats) -> Floats:
         """Measure the share of the skin wrap's first displacement that is left, (k,), of positions (k, n, 3) [mm]."""
-        n = len(self.face.head.bone)
-        first = (self.start - self.scene.vertices)[:n]
-        return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
+        rest = self.scene.vertices[: len(self.face.head.bone)]
+        first = self.start[: len(rest)] - rest
+        return np.einsum("kni,ni->k", positions - rest, first) / np.sum(first**2)
 
     def play_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
         """March frames of Eq. 9 through projective dynamics, the start first."""
@@ -113,7 +114,7 @@ class Release:
         sequence = Sequence(self.face, time_step=FRAME, dynamic=True, tolerance=TIGHT)
         sequence.recurrence = recurrence
         sequence.state = State(self.start, self.sought, self.start[: len(self.face.head.bone)])
-        return _collect_frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
+        return self._collect(FRAME, self.start, (sequence.frame(neutral) for _ in range(frames)), REACHED)
 
     def play(
         self,
@@ -124,15 +125,16 @@ class Release:
         solver: str = "fenicsx",
         tolerance: float = FINE,
         shaken: Callable[[float], Floats] | None = None,
-    ) -> Trajectory:
+    ) -> Frames:
         """March the motion with mass on the skin, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
 
         Let go from the start, or shaken from rest.
         """
-        return march(
+        time_step = FRAME / per_frame
+        moments = march(
             self.scene,
             solver=solver,
-            time_step=FRAME / per_frame,
+            time_step=time_step,
             steps=frames * per_frame,
             scheme=scheme,
             skin=self.face.head.skin_wrap.triangles,
@@ -140,15 +142,20 @@ class Release:
             positions=self.start if shaken is None else None,
             acceleration=shaken,
             tolerance=tolerance,
-            keep=np.arange(len(self.face.head.bone)),
         )
+        start = next(moments).positions
+        return self._collect(time_step, start, (moment.solution for moment in moments), (Reason.CONVERGED,))
 
-
-def _collect_frames(start: Floats, solutions: Iterable[Solution]) -> Frames:
-    """The start and the solutions, up to the first that did not converge."""
-    places = [start]
-    for solution in solutions:
-        if solution.reason not in REACHED:
-            return Frames(np.stack(places), solution.reason)
-        places.append(solution.positions)
-    return Frames(np.stack(places), Reason.CONVERGED)
+    def _collect(
+        self, time_step: float, start: Floats, solutions: Iterable[Solution], reached: tuple[Reason, ...]
+    ) -> Frames:
+        """Keep the skin wrap's places, up to the first solution that ended for a reason that is not `reached`."""
+        n = len(self.face.head.bone)
+        places, iterations, reason = [start[:n]], [], Reason.CONVERGED
+        for solution in solutions:
+            if solution.reason not in reached:
+                reason = solution.reason
+                break
+            places.append(solution.positions[:n])
+            iterations.append(solution.iterations)
+        return Frames(time_step, np.stack(places), np.array(iterations), reason)
