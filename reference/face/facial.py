@@ -100,7 +100,9 @@ def facial_scene(
         parts += _make_skin(head, parameters, inside)
     springs = Springs.from_head(head, parameters)
     drawn_to = springs.positions(wrap_targets, rest)
-    parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness))
+    triangles = head.skin_wrap.triangles
+    triangles = triangles[inside[triangles].any(axis=1)]
+    parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness, triangles))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":
         parts += soft_bones(head, parameters, vertices, first)

@@ -225,6 +225,18 @@ class Discretisation:
             self.by_dof(self._scene.vertices), self.dofs[nodes], np.outer(areas, 2 * weights), shapes, gradients
         )
 
+    def masses(self, name: str, triangles: Ints, density: Floats) -> csr_matrix:
+        """The integral of density u v over a term's triangles (k, 3), shape (size, size); density (k, 3) is linear."""
+        points, weights = get_quadrature(RefTri, 5)
+        nodes, areas = self.nodes_of(name, triangles), rest_gradients(self._scene.vertices, triangles)[1]
+        values = [TRIANGLES[self._degree].lbasis(points, a)[0] + np.zeros_like(weights) for a in range(nodes.shape[1])]
+        linear = np.stack([1.0 - points[0] - points[1], *points])
+        blocks = np.einsum("m,q,mq,aq,bq->mab", areas, 2 * weights, density @ linear, values, values, optimize=True)
+        dofs = self.dofs[nodes]
+        rows, columns = (np.broadcast_to(side, (*blocks.shape, 3)) for side in (dofs[:, :, None], dofs[:, None]))
+        entries = (np.repeat(blocks.ravel(), 3), (rows.ravel(), columns.ravel()))
+        return coo_matrix(entries, shape=(self.size, self.size)).tocsr()
+
     def _tets(self) -> Elements:
         m, k = len(self._scene.tets), self.basis.Nbfun // 3
         first = [self.basis.basis[3 * a][0] for a in range(k)]  # of the three components the first
@@ -233,3 +245,22 @@ class Discretisation:
         shapes = [TETS[self._degree].lbasis(points, a)[0] + np.zeros(points.shape[1]) for a in range(k)]
         dofs = self.basis.element_dofs.T.reshape(m, k, 3).astype(np.int64)
         return Elements(self.by_dof(self._scene.vertices), dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)
+
+    def prisms(self, tets: Ints, vertices: Ints) -> tuple[Elements, Elements]:
+        """Prisms of three linear tets (k, 3) with vertices (k, 6) as elements of six nodes.
+
+        The first have one point, at which F is the mean of the tets' by volume; the second have one for each tet, at
+        which "F" is that tet's less the mean.
+        """
+        dofs, corners = self.dofs[vertices], self.tets.dofs[tets]
+        place = (corners[..., None, 0] == dofs[:, None, None, :, 0]).argmax(axis=-1)
+        gradients = np.zeros((*tets.shape, 6, 3))
+        np.put_along_axis(gradients, place[..., None], self.tets.gradients[tets, 0], axis=2)
+        volumes = self.tets.weights[tets, 0]
+        whole = volumes.sum(axis=1, keepdims=True)
+        mean = np.einsum("kt,ktad->kad", volumes / whole, gradients)[:, None]
+        rest, shapes = self.tets.rest, np.full((1, 6), 1 / 6)
+        return (
+            Elements(rest, dofs, whole, shapes, mean),
+            Elements(rest, dofs, volumes, np.repeat(shapes, 3, axis=0), gradients - mean),
+        )

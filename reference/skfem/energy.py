@@ -19,7 +19,7 @@ from ..scene import Scene
 from .barrier import Barrier
 from .discretisation import Discretisation
 from .gaps import Gaps
-from .solids import Tets, Treatment, project_spd
+from .solids import Tissue, Treatment, project_spd
 from .surfaces import Bends, Membranes
 
 
@@ -45,41 +45,52 @@ class Part(Protocol):
 
 
 class Springs:
-    """Springs that pull vertices (k,) to positions [mm], shape (k, 3), with stiffness [mN/mm], one or (k,)."""
+    """Springs of a matrix of stiffness [mN/mm], (size, size), that pull to places [mm], both by degree of freedom."""
 
-    def __init__(self, vertices: Ints, positions: Floats, stiffness, discretisation: Discretisation):
-        self._dofs = discretisation.dofs[vertices]
-        self._positions = positions
-        self._stiffness = np.zeros(discretisation.size)
-        self._stiffness[self._dofs] = np.broadcast_to(stiffness, (len(vertices),))[:, None]
+    def __init__(self, stiffness: csr_matrix, places: Floats):
+        self._stiffness, self._places = stiffness, places
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Springs]:
         """Make those of each Target, and of all inertia together."""
-        springs = [
-            cls(term.vertices, term.positions, term.stiffness, discretisation) for term in scene.of(terms.Target)
-        ]
+        springs = [cls.of_target(term, scene, discretisation) for term in scene.of(terms.Target)]
         if scene.of(terms.Inertia):
             stiffness, places = scene.inertia()
-            springs.append(cls(np.arange(len(places)), places, stiffness, discretisation))
+            springs.append(cls.at_vertices(np.arange(len(places)), places, stiffness, discretisation))
         return springs
 
-    def _stretch(self, x: Floats) -> Floats:
-        stretch = np.zeros(len(x))
-        stretch[self._dofs] = x[self._dofs] - self._positions
-        return stretch
+    @classmethod
+    def at_vertices(cls, vertices: Ints, positions: Floats, stiffness, discretisation: Discretisation) -> Springs:
+        """Springs at vertices (k,) with positions (k, 3) and stiffness, one or (k,)."""
+        dofs = discretisation.dofs[vertices]
+        diagonal, places = np.zeros(discretisation.size), np.zeros(discretisation.size)
+        diagonal[dofs], places[dofs] = np.broadcast_to(stiffness, (len(vertices),))[:, None], positions
+        return cls(diags(diagonal, format="csr"), places)
+
+    @classmethod
+    def of_target(cls, term: terms.Target, scene: Scene, discretisation: Discretisation) -> Springs:
+        """The springs of a Target: quadratic elements have them spread over its triangles, if it has some."""
+        places = np.array(scene.vertices)
+        places[term.vertices] = term.positions
+        if discretisation.element == "P1" or term.triangles is None:
+            return cls.at_vertices(term.vertices, term.positions, term.stiffness, discretisation)
+        alone, density, _ = term.spread(scene)
+        stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[alone]
+        apart = cls.at_vertices(term.vertices[alone], term.positions[alone], stiffness, discretisation)
+        spread = discretisation.masses(term.name, term.triangles, density)
+        return cls(apart._stiffness + spread, discretisation.by_dof(places))
 
     def value(self, x: Floats) -> float:
         """See Part."""
-        return 0.5 * float(self._stiffness @ self._stretch(x) ** 2)
+        return 0.5 * float((x - self._places) @ self.gradient(x))
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
-        return self._stiffness * self._stretch(x)
+        return self._stiffness @ (x - self._places)
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; a spring's tangent is positive and needs no treatment."""
-        return diags(self._stiffness, format="csr")
+        return self._stiffness
 
 
 class DeadLoads:
@@ -116,9 +127,10 @@ class DeadLoads:
 
 
 PARTS: dict[type[terms.Term], type[Part]] = {
-    terms.Hyperelastic: Tets,
-    terms.Strain: Tets,
-    terms.Volume: Tets,
+    terms.Hyperelastic: Tissue,
+    terms.Strain: Tissue,
+    terms.Volume: Tissue,
+    terms.Hourglass: Tissue,
     terms.Gravity: DeadLoads,
     terms.Traction: DeadLoads,
     terms.SurfaceStrain: Membranes,

@@ -21,7 +21,7 @@ from .discretisation import DEGREES, Discretisation
 from .energy import TERMS, Energy
 from .newton import Scales
 from .policy import POLICY, SkfemPolicy
-from .solids import LAWS, Tets
+from .solids import LAWS, Tissue
 from .unknowns import Body, Unknowns
 
 
@@ -102,7 +102,7 @@ def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) 
 
     Raises SceneError for a term or an element that this solver does not model.
     """
-    refuse_unknown(scene, "skfem", TERMS, LAWS)
+    refuse_unknown(scene, "skfem", TERMS, LAWS, prisms=element == "P1")
     if element not in DEGREES:
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):
@@ -116,8 +116,10 @@ def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) 
 def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     """The stresses at scikit-fem's points and the reactions of positions by degree of freedom [mm], shape (size,)."""
     discretisation = Discretisation(scene, element)
-    F, P = Tets(scene, discretisation).stress(x)
-    volume = discretisation.tets.weights
+    parts, volume = Tissue.from_scene(scene, discretisation), discretisation.tets.weights
+    F, P = parts[0].stress(x)
+    if len(scene.prisms):  # each tet of a prism has its F and P
+        F[scene.prisms], P[scene.prisms] = (values[:, None] for values in parts[1].stress(x))
     forces = np.where(discretisation.held_dofs(scene.dirichlet()[0]), Energy(scene, discretisation).gradient(x), 0.0)[
         discretisation.dofs
     ]

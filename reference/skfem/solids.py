@@ -11,7 +11,7 @@ smallest singular value), so that an inverted tet is led back the short way.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,7 +22,7 @@ from ...lhm.base.mesh import Floats, Ints
 from .. import materials, terms
 from ..materials.material import HasInvariants, HasRotation
 from ..scene import Scene
-from .discretisation import Discretisation
+from .discretisation import Discretisation, Elements
 
 LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasInvariants, HasRotation)))
 """The laws of Hyperelastic that this solver models."""
@@ -34,38 +34,42 @@ Treatment = Callable[[Floats], Floats]
 """A treatment of the tangents at points before they are assembled: `project_spd`, or none."""
 
 
-class Tets:
-    """All tet terms together, so that the tangents are projected once per point and not once per term."""
+class Tissue:
+    """All energies of tissue on some elements together, so that tangents are projected once per point, not per term."""
 
-    def __init__(self, scene: Scene, discretisation: Discretisation):
-        self._elements = discretisation.tets
-        self._laws: list[tuple[Law, Ints]] = []
-        for term in scene.of(terms.Solid):
-            tets = scene.tets_of(term)
-            self._laws.append(
-                (_law(term, len(tets), discretisation.tets.weights.shape[1]), discretisation.tets.points(tets))
-            )
+    def __init__(self, elements: Elements, laws: Sequence[tuple[Law, Ints]]):
+        self.elements, self._laws = elements, laws
 
     @classmethod
-    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Tets]:
-        """See Part."""
-        return [cls(scene, discretisation)]
+    def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Tissue]:
+        """Make those of tets, and where the scene has prisms those of their mean F and of what their tets are off."""
+        solids, tets = scene.of(terms.Solid), discretisation.tets
+        alone = [term for term in solids if not term.on_prisms]
+        parts = [cls(tets, [_law_at_points(term, tets, scene.tets_of(term)) for term in alone])]
+        if len(scene.prisms):
+            row = np.zeros(len(scene.tets), dtype=np.int64)
+            row[scene.prisms[:, 0]] = np.arange(len(scene.prisms))
+            mean, off = discretisation.prisms(scene.prisms, scene.prism_cells.vertices)
+            for elements, holds in ((mean, False), (off, True)):
+                there = [term for term in solids if term.on_prisms and isinstance(term, terms.Hourglass) == holds]
+                parts.append(cls(elements, [_law_at_points(term, elements, row[term.tets[:, 0]]) for term in there]))
+        return parts
 
     def value(self, x: Floats) -> float:
         """See Part."""
-        F = self._elements.deformation_gradients(x)
+        F = self.elements.deformation_gradients(x)
         psi = np.zeros(len(F))
         for law, points in self._laws:
             psi[points] += law.psi(F[points])
-        return self._elements.integral(psi)
+        return self.elements.integral(psi)
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
-        return self._elements.forces(self.stress(x)[1])
+        return self.elements.forces(self.stress(x)[1])
 
     def stress(self, x: Floats) -> tuple[Floats, Floats]:
         """F and P [kPa] at the points, shape (m q, 3, 3), where the energy is finite."""
-        F = self._elements.deformation_gradients(x)
+        F = self.elements.deformation_gradients(x)
         P = np.zeros_like(F)
         for law, points in self._laws:
             P[points] += law.stress(F[points])
@@ -73,11 +77,16 @@ class Tets:
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part."""
-        F = self._elements.deformation_gradients(x)
+        F = self.elements.deformation_gradients(x)
         tangent = np.zeros((len(F), 3, 3, 3, 3))
         for law, points in self._laws:
             tangent[points] += law.tangent(F[points])
-        return self._elements.stiffness(treat(tangent))
+        return self.elements.stiffness(treat(tangent))
+
+
+def _law_at_points(term, elements: Elements, rows: Ints) -> tuple[Law, Ints]:
+    """A term's law on some elements (k,), and their points."""
+    return _law(term, len(rows), elements.weights.shape[1]), elements.points(rows)
 
 
 def _law(term, tets: int, points: int) -> Law:
@@ -88,6 +97,8 @@ def _law(term, tets: int, points: int) -> Law:
 
     if isinstance(term, terms.Volume):
         return Volume(at_points(term.stiffness), at_points(term.target))
+    if isinstance(term, terms.Hourglass):
+        return Quadratic(at_points(term.stiffness))
     if isinstance(term, terms.Strain):
         return Strain(at_points(term.stiffness), at_points(term.limit))
     growth = at_points(term.growth)
@@ -246,6 +257,25 @@ class Volume(Distance):
     def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
         """See Distance."""
         return nearest_of_determinant(sigma, self.target)
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """stiffness/2 ‖F‖², of an F that is zero at rest; stiffness [kPa], shape (m,)."""
+
+    stiffness: Floats
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.stiffness / 2 * np.sum(F**2, axis=(1, 2))
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.stiffness[:, None, None] * F
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.stiffness[:, None, None, None, None] * IDENTITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,10 +179,7 @@ class OnTriangles(Term):
     triangles: Ints
 
     def __post_init__(self):
-        try:
-            triangles = as_elements(f"{self.name}.triangles", self.triangles, 3, np.iinfo(np.int64).max)
-        except MeshError as error:
-            raise SceneError(str(error)) from None
+        triangles = as_triangles(f"{self.name}.triangles", self.triangles)
         self._set(triangles=triangles)
         self._set_amounts(self.amounts, len(triangles))
 
@@ -191,14 +188,32 @@ class OnTriangles(Term):
         super().check(mesh)
         rest = getattr(self, "rest", None)
         for points in (mesh.vertices,) if rest is None else (mesh.vertices, rest):
-            flat = np.flatnonzero(self.areas(points) <= 0)
-            if flat.size:
-                raise SceneError(f"triangle {flat[0]} has no area")
+            check_areas(self.triangles, points)
 
     def areas(self, points: Floats) -> Floats:
         """Return the triangles' areas [mm²], shape (k,), with vertices at points [mm], shape (n, 3)."""
-        a, b, c = (points[self.triangles[:, k]] for k in range(3))
-        return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+        return triangle_areas(points, self.triangles)
+
+
+def triangle_areas(points: Floats, triangles: Ints) -> Floats:
+    """Return the areas [mm²], shape (k,), of triangles (k, 3) with vertices at points [mm], shape (n, 3)."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+
+
+def check_areas(triangles: Ints, points: Floats):
+    """Raise SceneError for the first triangle without an area."""
+    flat = np.flatnonzero(triangle_areas(points, triangles) <= 0)
+    if flat.size:
+        raise SceneError(f"triangle {flat[0]} has no area")
+
+
+def as_triangles(name: str, values) -> Ints:
+    """Return triangles, shape (k, 3); SceneError for others."""
+    try:
+        return as_elements(name, values, 3, np.iinfo(np.int64).max)
+    except MeshError as error:
+        raise SceneError(str(error)) from None
 
 
 def as_numbers(name: str, values) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from .term import Amount, Mesh, OnTets, Term, as_numbers, as_places
+from .term import Amount, Mesh, OnTets, Term, as_numbers, as_places, as_triangles, check_areas, triangle_areas
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +17,9 @@ class Target(Term):
     """Springs: stiffness/2 |x_i - positions_i|² for each vertex (SoftDECA Eq. 14).
 
     vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
+    `triangles` (t, 3) of these vertices, if any, are where the springs are spread. Linear elements integrate by their
+    corners, and so have springs at vertices. Quadratic elements integrate over the triangles: a face between springs
+    at vertices would dimple.
     """
 
     varying: ClassVar[tuple[str, ...]] = ("positions",)
@@ -24,11 +27,36 @@ class Target(Term):
     vertices: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
+    triangles: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         count = len(self._set_ids("vertices"))
         self._set(positions=as_places("Target.positions", self.positions, count))
         self._set_amounts({"stiffness": Amount(0.0)}, count)
+        if self.triangles is not None:
+            self._set(triangles=as_triangles("Target.triangles", self.triangles))
+
+    def check(self, mesh: Mesh):
+        """See Term; triangles have an area, and vertices of the term."""
+        super().check(mesh)
+        if self.triangles is not None:
+            check_areas(self.triangles, mesh.vertices)
+            strange = np.setdiff1d(self.triangles, self.vertices)
+            if strange.size:
+                raise SceneError(f"triangles: vertex {strange[0]} is none of the term's")
+
+    def spread(self, mesh: Mesh) -> tuple[np.ndarray, Floats, Floats]:
+        """Return what quadratic elements integrate: which vertices (k,) have no triangle, and values at corners.
+
+        These are the springs' stiffness per area [mN/mm³], shape (t, 3), and places [mm], shape (t, 3, 3).
+        """
+        triangles = np.empty((0, 3), dtype=np.int64) if self.triangles is None else self.triangles
+        n, areas = len(mesh.vertices), triangle_areas(mesh.vertices, triangles)
+        around = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=n)
+        stiffness, places = np.zeros(n), np.zeros((n, 3))
+        stiffness[self.vertices], places[self.vertices] = self.stiffness, self.positions
+        density = np.divide(stiffness, around, out=np.zeros(n), where=around > 0.0)
+        return around[self.vertices] == 0.0, density[triangles], places[triangles]
 
     def hold(self, mesh: Mesh, held: np.ndarray):
         """See Term."""

@@ -24,6 +24,7 @@ TWO_LAWS = [
 ]
 GRADED = np.linspace(1.0, 1.5, len(TETS))
 GROWN = [terms.Hyperelastic(term.material, growth=GRADED) for term in (SOFT, *TWO_LAWS)]
+SPREAD = terms.Target(np.unique(SKIN), 1.1 * X[np.unique(SKIN)], RNG.uniform(1.0, 2.0, len(np.unique(SKIN))), SKIN[::2])
 PULL = terms.Target(np.arange(20), X[:20] + RNG.normal(size=(20, 3)), RNG.uniform(1.0, 2.0, 20))
 LOADS = [
     terms.Gravity((0.2, -1.0, 3.0), density=np.linspace(1.0, 2.0, len(TETS))),
@@ -57,9 +58,9 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "Volume": ([terms.Volume(3.0, RNG.uniform(0.7, 1.4, len(TETS)))], 0.1, SOLVERS),
     "Volume, tangled": ([terms.Strain(1.0), terms.Volume(50.0, 1.2)], 1.5, SOLVERS),
     "all of projective dynamics, overlapping": ([*PD, *OVERLAPPING], 0.2, SOLVERS),
-    "prisms": (ON_PRISMS, 0.2, SOLVERS[:1]),
-    "prisms, tangled": ([terms.Strain(1.0, tets=PRISMS), terms.Volume(50.0, 1.2, tets=PRISMS)], 1.5, SOLVERS[:1]),
-    "prisms among tets, overlapping": ([*PRISMS_AND_TETS, PULL, *BODIES], 0.2, SOLVERS[:1]),
+    "prisms": (ON_PRISMS, 0.2, SOLVERS[::2]),
+    "prisms, tangled": ([terms.Strain(1.0, tets=PRISMS), terms.Volume(50.0, 1.2, tets=PRISMS)], 1.5, SOLVERS[::2]),
+    "prisms among tets, overlapping": ([*PRISMS_AND_TETS, PULL, *BODIES], 0.2, SOLVERS[::2]),
     "grown by tet": (GROWN, 0.03, SOLVERS[1:]),
     "laws on the same tets": ([*TWO_LAWS, terms.Strain(1.0), terms.Volume(5.0, tets=SOME)], 0.03, SOLVERS[1:]),
     "SurfaceStrain": ([terms.SurfaceStrain(SKIN, 2.0, growth=1.3)], 0.3, SOLVERS),
@@ -69,7 +70,7 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "Target, Inertia and loads": ([PULL, INERTIA, *LOADS], 1.0, SOLVERS),
     "bodies": ([*PD[1:], *OVERLAPPING, MEMBRANE, PULL, *BODIES], 0.2, SOLVERS),
     "held": ([terms.Strain(5.0), PULL, terms.Fixed([3, 4], components=1), terms.Fixed([7, 8])], 0.3, ("projective",)),
-    "all": ([*PD, SOFT, MEMBRANE, terms.Bending(TOP, 0.3), PULL, INERTIA, *LOADS], 0.02, SOLVERS[1:]),
+    "all": ([*PD, SOFT, MEMBRANE, terms.Bending(TOP, 0.3), PULL, SPREAD, INERTIA, *LOADS], 0.02, SOLVERS[1:]),
 }
 QUADRATIC = ("all of projective dynamics, overlapping", "laws on the same tets", "bodies", "all")
 CASES = [
@@ -174,8 +175,15 @@ def energy_of(way, parts, motion, mesh=(X, TETS)):
     return discrete.energy(discrete.at(motion(discrete.nodes)))
 
 
-@pytest.mark.parametrize("element", ["P1", "P2"])
-@pytest.mark.parametrize("name", [name for name in ENERGIES if name != "held"])
+@pytest.mark.parametrize(
+    ("name", "element"),
+    [
+        (name, way)
+        for name in ENERGIES
+        for way in ("P1", "P2")
+        if name != "held" and not (way == "P2" and "prisms" in name)
+    ],
+)
 def test_solvers_measure_one_energy_and_its_forces(name, element):
     """At one disturbed state; on quadratic elements by each library's own tables of shapes and points."""
     parts, size, solvers = ENERGIES[name]
@@ -234,7 +242,7 @@ def test_closed_forms(name, way):
     assert energy_of(way, parts, motion) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-@pytest.mark.parametrize("way", WAYS[:1], ids=" ".join)
+@pytest.mark.parametrize("way", [("projective", "P1"), ("skfem", "P1")], ids=" ".join)
 def test_prisms_have_the_energy_of_tets_in_affine_motions(way):
     """And the hourglass none; in others it has what tets' deformations are off their mean, wherever that is turned."""
     F = TURN.as_matrix() @ [[1.2, 0.1, 0.3], [0.0, 0.8, 0.1], [0.0, 0.2, 1.1]]

@@ -15,6 +15,7 @@ import numpy as np
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Gravity, Pressure, Target, Traction
+from ...terms.term import triangle_areas
 from .. import dolfinx_version as seam
 from ..mesh.numbering import CELL_SHARES, FACE_SHARES, Numbering
 from .assembly import add_forces, skew
@@ -22,6 +23,8 @@ from .nodal import NodalEnergy
 
 PRESSURE_DEGREES = {3: 2, 6: 6}
 """Degree of the rule that is exact, by the nodes of a triangle."""
+SPREAD_DEGREE = 5
+"""Degree of the rule that is exact for springs of linear stiffness between quadratic shape functions."""
 
 
 def dead_loads(scene: Scene, numbering: Numbering) -> Floats:
@@ -98,35 +101,61 @@ class FollowerPressure(NodalEnergy):
 
 @dataclass(frozen=True, eq=False)
 class Springs(NodalEnergy):
-    """Springs of a Target, or of inertia, at nodes that this process owns.
+    """Springs of a Target, or of inertia: at nodes (m, 1) that this process owns, or spread over its triangles (m, 6).
 
-    nodes (k, 1), positions [mm] (k, 3), stiffness [mN/mm] (k,).
+    places [mm] (m, k, 3); stiffness [mN/mm] (m, k, k) joins the nodes of an element.
     """
 
     nodes: Ints
-    positions: Floats
+    places: Floats
     stiffness: Floats
 
     @classmethod
     def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Springs]:
         """Make the springs of each target, and of all inertia together."""
-        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
+        springs = []
+        for term in scene.of(Target):
+            at_vertices = np.ones(len(term.vertices), dtype=bool)
+            if numbering.degree == 2 and term.triangles is not None:
+                at_vertices, density, places = term.spread(scene)
+                springs.append(cls.over_triangles(term, scene, numbering, density, places))
+            stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[at_vertices]
+            ids, places = term.vertices[at_vertices], term.positions[at_vertices]
+            springs.append(cls.at_vertices(term.name, ids, places, stiffness, numbering))
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)
-        owned = []
-        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
-            mine, dofs = numbering.own_dofs(name, vertices)
-            owned.append(cls(dofs[:, None], positions[mine], np.broadcast_to(values, len(vertices))[mine]))
-        return owned
+        return [*springs, cls.at_vertices("Inertia", moving, places[moving], stiffness[moving], numbering)]
+
+    @classmethod
+    def at_vertices(cls, name: str, vertices: Ints, places: Floats, stiffness: Floats, numbering: Numbering) -> Springs:
+        """Springs (k,) at a term's vertices."""
+        mine, dofs = numbering.own_dofs(name, vertices)
+        return cls(dofs[:, None], places[mine, None], stiffness[mine, None, None])
+
+    @classmethod
+    def over_triangles(
+        cls, term: Target, scene: Scene, numbering: Numbering, density: Floats, places: Floats
+    ) -> Springs:
+        """Springs of a density and to places that are linear on quadratic triangles; see `Target.spread`."""
+        here, nodes = numbering.faces(term.name, term.triangles)
+        points, weights = seam.quadrature_rule(SPREAD_DEGREE, "triangle")
+        shapes, linear = (seam.shapes(degree, points, "triangle")[0] for degree in (2, 1))
+        weighted = (density[here] @ linear.T) * weights / weights.sum()
+        areas = triangle_areas(scene.vertices, term.triangles[here])
+        stiffness = np.einsum("m,mq,qa,qb->mab", areas, weighted, shapes, shapes)
+        corners = places[here]
+        between = 0.5 * (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]])
+        return cls(nodes, np.concatenate([corners, between], axis=1), stiffness)
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        return 0.5 * float(self.stiffness @ np.sum((x[self.nodes[:, 0]] - self.positions) ** 2, axis=1))
+        away = x[self.nodes] - self.places
+        return 0.5 * float(np.sum(away * (self.stiffness @ away)))
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
-        into[self.nodes[:, 0]] += self.stiffness[:, None] * (x[self.nodes[:, 0]] - self.positions)
+        add_forces(self.nodes, self.stiffness @ (x[self.nodes] - self.places), into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """See NodalEnergy."""
-        return np.multiply.outer(self.stiffness, np.eye(3))[:, None, None]
+        return np.multiply.outer(self.stiffness, np.eye(3))
