@@ -14,7 +14,6 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.mesh import Floats, tet_volumes
@@ -215,7 +214,7 @@ class Limits:
             raise SceneError(f"tolerance must lie between 0 and 1, got {self.tolerance}")
         if self.absolute is not None and not (np.isfinite(self.absolute) and self.absolute > 0.0):
             raise SceneError(f"absolute: expected a gradient norm above 0 mN, got {self.absolute}")
-        if self.iterations is not None and self.iterations < 0:
+        if self.iterations is not None and not self.iterations >= 0:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
     def threshold(self, scene: Scene, first: float) -> float:
@@ -234,7 +233,6 @@ def first_positions(scene: Scene, start: Floats | None) -> Floats:
     return positions
 
 
-@check_arguments
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with its solution, whole or not at all.
 

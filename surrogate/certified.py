@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..lhm.base.checks import check_arguments, finite, number
+from ..lhm.base.checks import finite, number
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..reference.face.correction import Correction, predict
@@ -106,7 +106,6 @@ class CertifiedFace:
         """The head's neutral skin without p [mm]."""
         return self.face.skin
 
-    @check_arguments
     def frame(
         self,
         weights,
@@ -131,7 +130,6 @@ class CertifiedFace:
             return frame
         return replace(frame, certain=False) if is_late else self._part(frame, accuracy, after)
 
-    @check_arguments
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
 

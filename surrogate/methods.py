@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..reference import Solution, prepare
@@ -60,7 +59,6 @@ class Method:
     mark: str = "s"
 
 
-@check_arguments
 def get_live(face: AnyFace) -> Face:
     """Return a face on a head; InputError for one of a corpus whose head nobody fits."""
     return face.live if isinstance(face, KeptFace) else face
@@ -113,26 +111,22 @@ def _check_converged(method: str, solution: Solution) -> Solution:
     return solution
 
 
-@check_arguments
 def blend(face: AnyFace) -> CorrectedRig:
     """Bind T = S: the error of doing nothing."""
     return CorrectedRig(face.skin, face.shapes, lambda weights: np.float32(0.0))
 
 
-@check_arguments
 def carry(face: AnyFace) -> CorrectedRig:
     """Bind T - S as scaled bones carry the neutral skin, whatever the expression."""
     carried = face.carried.astype(np.float32)
     return CorrectedRig(face.skin, face.shapes, lambda weights: carried)
 
 
-@check_arguments
 def rest(face: AnyFace) -> BoundSurrogate:
     """Bind T - S as the neutral face settles, whatever the expression."""
     return _bind_linear(face, np.zeros(face.shapes.shape, dtype=np.float32))
 
 
-@check_arguments
 def differentiate(face: AnyFace) -> BoundSurrogate:
     """Bind one factor and 52 solves, then blendshapes: the simulator to first order."""
     return _bind_linear(face, face.responses.astype(np.float32))
@@ -164,7 +158,6 @@ def use_dial(accuracy: float = ACCURACY) -> Binder:
     return bind
 
 
-@check_arguments
 def start_at_first_order(face: AnyFace) -> SolvedRig:
     """Bind PD whose frames begin at the first order and go on by the PD matrix, as a corpus makes them."""
     live = get_live(face)
@@ -214,7 +207,6 @@ READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDS
 """Methods at the price of blendshapes that learn nothing from a corpus."""
 
 
-@check_arguments
 def bind_cheaply(
     face: Face, surrogate: Surrogate, *, exact: bool = False, beyond: Beyond = "refuse"
 ) -> tuple[str, BoundRig]:
@@ -260,7 +252,6 @@ def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> 
     return ready | _added
 
 
-@check_arguments
 def certify(face: Face, surrogate: Surrogate | None = None) -> CertifiedFace:
     """Bind a face that tells each frame's error to the simulator; some seconds.
 

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.base.checks import check_arguments, finite
+from ..lhm.base.checks import finite
 from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
@@ -61,7 +61,6 @@ class Surrogate:
         self.weights, self.inputs = weights, Inputs.from_weights(weights)
 
     @classmethod
-    @check_arguments
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
         """Read weights; None is the network that is shipped, of the default space, read once. InputError if damaged."""
         return _load_shipped() if path is None else cls(Weights.load(path))
@@ -84,7 +83,6 @@ class Surrogate:
         """Find the person of the default space nearest to a skin [mm]; None for one that the weights do not know."""
         return NearestPerson.from_skin(self._people, skin) if self.knows(skin) else None
 
-    @check_arguments
     def bind(
         self,
         skin: Surface,
@@ -132,7 +130,6 @@ class Surrogate:
             return np.zeros(skin.vertices.shape)
         return Face(self._head(skin, head), parameters=chosen).carried
 
-    @check_arguments
     def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
         """Bind a face, live or of a corpus; with `exact`, with its own offset and responses.
 

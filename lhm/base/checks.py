@@ -6,25 +6,16 @@ All raise `error`, by default InputError, with one line. They return the value i
     triangles = indices_below("triangles", arrays["triangles"], len(vertices), (None, 3))
     solver = one_of("solver", solver, SOLVERS, error=SceneError)
     step = number("time_step", step, above=0, most=1, unit="s")
-
-`check_arguments` decorates a function: it refuses arguments of other kinds than the annotations say.
 """
 
 from __future__ import annotations
 
-import collections.abc
-import functools
-import inspect
 import math
 import numbers
-import os
-import types
-import typing
-from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
 from .errors import InputError, SoftdecaError, quote
@@ -162,7 +153,7 @@ def text(name: str, value: Any) -> str:
     """Return a text, also one that is stored as an array of one."""
     array = np.asarray(value)
     if array.dtype.kind != "U" or array.ndim:
-        raise InputError(f"{name}: expected a text, got {_quote_kind(value)}")
+        raise InputError(f"{name}: expected a text, got {quote(value)}")
     try:
         return str(array)
     except ValueError:  # numbers beyond the last character
@@ -221,115 +212,7 @@ def _place(flat: int, array: np.ndarray) -> str:
     return str(place[0]) if len(place) == 1 else str(place)
 
 
-Checked = TypeVar("Checked", bound=Callable[..., Any])
-
-
-def check_arguments(target: Checked) -> Checked:
-    """Make a function, or a class when one is made, refuse arguments of other kinds than its annotations'.
-
-    InputError then names function and argument, what was expected and what came. A text is no list, and an array
-    is one of numbers. Shapes, ranges and NaN are the function's to check.
-    """
-    if isinstance(target, type):
-        target.__init__ = _with_checks(target.__init__, target.__name__)  # type: ignore[misc]
-        return target
-    return _with_checks(target, target.__qualname__)  # type: ignore[return-value]
-
-
-def _with_checks(function: Callable[..., Any], name: str) -> Callable[..., Any]:
-    signature = inspect.signature(function)
-
-    @functools.cache
-    def kinds() -> dict[str, Any]:
-        hints = typing.get_type_hints(function)  # when first called: annotations may name what is imported later
-        variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-        return {
-            p.name: hints[p.name] for p in signature.parameters.values() if p.kind not in variadic and p.name in hints
-        }
-
-    @functools.wraps(function)
-    def check_and_call(*arguments, **named):
-        try:
-            given = signature.bind(*arguments, **named).arguments
-        except TypeError:
-            return function(*arguments, **named)  # whose own words for it are better
-        for argument, kind in kinds().items():
-            if argument in given and not is_of_kind(given[argument], kind):
-                raise InputError(
-                    f"{name}: {argument}: expected {_kind_in_words(kind)}, got {_quote_kind(given[argument])}"
-                )
-        return function(*arguments, **named)
-
-    return check_and_call
-
-
-LISTS = (list, collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable)
-
-
-def is_of_kind(value: object, kind: Any) -> bool:
-    """Return whether a value is of an annotation's kind."""
-    origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    if kind is Any or isinstance(kind, TypeVar) or getattr(kind, "_is_protocol", False):
-        return True
-    if _is_array_kind(kind):
-        if isinstance(value, np.ma.MaskedArray):
-            return False
-        try:
-            return np.asarray(value).dtype.kind in "biuf"
-        except (TypeError, ValueError):  # rows of several lengths, or what refuses to be an array
-            return False
-    if origin in (typing.Union, types.UnionType):
-        return any(is_of_kind(value, option) for option in inner)
-    if origin is typing.Literal:
-        return any(type(value) is type(option) for option in inner)
-    if kind is float:
-        return _is_number(value)
-    if kind is int:
-        return isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if kind is bool:
-        return isinstance(value, (bool, np.bool_))
-    if origin is collections.abc.Callable:
-        return callable(value)
-    if origin is tuple or origin in LISTS:
-        # Lists and arrays do for tuples; a text or a dict is no list of anything.
-        is_list = isinstance(value, (list, tuple, np.ndarray)) or (origin is not tuple and isinstance(value, origin))
-        is_list = is_list and not isinstance(value, (str, bytes, collections.abc.Mapping))
-        return is_list and all(is_of_kind(entry, inner[0]) for entry in value)  # type: ignore[attr-defined]
-    return isinstance(value, origin or kind)
-
-
-def _is_array_kind(kind: Any) -> bool:
-    return kind == ArrayLike or kind is np.ndarray or typing.get_origin(kind) is np.ndarray
-
-
 def _is_number(value: object) -> bool:
     if isinstance(value, numbers.Real):
         return not isinstance(value, bool)
     return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
-
-
-WORDS: dict[Any, str] = {float: "a number", int: "an integer", bool: "True or False", str: "a text", type(None): "None"}
-WORDS |= {os.PathLike: "a path", collections.abc.Mapping: "a dict", collections.abc.Callable: "a function"}
-
-
-def _kind_in_words(kind: Any) -> str:
-    origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    if _is_array_kind(kind):
-        return "an array of numbers"
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_kind_in_words(option) for option in inner))
-    if origin is typing.Literal:
-        return " or ".join(repr(option) for option in inner)
-    if origin is tuple or origin in LISTS:
-        return f"a list, each {_kind_in_words(inner[0])}"
-    return WORDS.get(origin or kind) or _with_article((origin or kind).__name__)
-
-
-def _quote_kind(value: object) -> str:
-    if value is None or isinstance(value, (str, numbers.Number)):
-        return f"{value!r:.40}"
-    return _with_article(type(value).__name__)
-
-
-def _with_article(word: str) -> str:
-    return f"{'an' if word[0] in 'AEIOUaeiou' else 'a'} {word}"

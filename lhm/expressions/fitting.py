@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from ..base.checks import check_arguments, finite
+from ..base.checks import finite
 from ..base.errors import InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.likeness import check_moved
@@ -47,7 +47,6 @@ class FittingPolicy:
 POLICY = FittingPolicy()
 
 
-@check_arguments
 @dataclass(frozen=True, eq=False)
 class TrackedFace:
     """A face whose vertices are known over time: `rest` [mm] in the head's frame, and its `shapes` (52, n, 3) [mm].
@@ -65,14 +64,12 @@ class TrackedFace:
         object.__setattr__(self, "shapes", np.asarray(finite("shapes", self.shapes, size), dtype=np.float64))
 
     @classmethod
-    @check_arguments
     def from_skin(cls, neutral: Surface, shapes: Floats) -> TrackedFace:
         """Track all vertices of a skin."""
         count = len(neutral.vertices)
         return cls(neutral, shapes, np.arange(count), count)
 
     @classmethod
-    @check_arguments
     def from_mesh(cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
         """Register a mesh of other triangles by its first frame [mm], which is neutral.
 
@@ -132,7 +129,6 @@ class FittedTake:
     residuals: Floats
 
 
-@check_arguments
 def fit_take(
     face: TrackedFace,
     frames: Iterable[Floats],

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError, MissingDependencyError, quote
 from ..base.limits import SPEECH_LETTERS
 from ..base.mesh import Floats
@@ -161,7 +160,6 @@ GESTURES = {
 }
 
 
-@check_arguments
 def sample_weights(rng: np.random.Generator) -> Floats:
     """Draw one random expression: ARKit weights in [0, 1], shape (52,).
 
@@ -188,7 +186,6 @@ def sample_weights(rng: np.random.Generator) -> Floats:
     return weights if weights.any() else sample_weights(rng)
 
 
-@check_arguments
 def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Make up weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -213,7 +210,6 @@ def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     return weights
 
 
-@check_arguments
 def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
     """Draw weights without order in time, shape (frames, 52), in [0, 1]: two to five random shapes at once, one-sided.
 
@@ -247,7 +243,6 @@ def contradict(a: str, b: str) -> bool:
     )
 
 
-@check_arguments
 def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Make up weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -266,7 +261,6 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     return face.weights()
 
 
-@check_arguments
 def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
     """Make up a conversation as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
     weights = conversation(rng, frames, rate=rate)
@@ -450,7 +444,6 @@ def _sway(rng: np.random.Generator, frames: int, constant: float) -> Floats:
     return lfilter([1.0], poles, noise, axis=0)[ahead:] / np.linalg.norm(answer)
 
 
-@check_arguments
 def speech(text: str, *, pace: float = PACE) -> Take:
     """Make up a take of someone saying an English text, at 60 Hz, by openfacefx (MIT).
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.checks import check_arguments, rotations_from_quaternions
+from ..base.checks import rotations_from_quaternions
 from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as load_json
 from ..base.files.text import parse_number, read_bytes
@@ -31,7 +31,6 @@ Row = tuple[int, list[str]]
 BY_LOWER = {name.lower(): name for name in ARKIT}
 
 
-@check_arguments
 def read_take(path: str | os.PathLike[str]) -> Take:
     """Read a take from a CSV of LiveLink Face, a CSV with a row per quantity, MediaPipe's results, or BEAT's JSON.
 

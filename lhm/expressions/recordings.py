@@ -17,7 +17,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import RECORDED_FILES, RECORDINGS
 from ..base.mesh import Ints
@@ -55,7 +54,6 @@ class Recording:
         return take
 
 
-@check_arguments
 def recordings(
     folder: str | os.PathLike[str] | None = None,
     *,

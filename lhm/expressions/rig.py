@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.checks import array_of_kind, check_arguments
+from ..base.checks import array_of_kind
 from ..base.errors import InputError, MeshError
 from ..base.mesh import Floats
 from ..identities.arkit import ARKIT, check_weights
@@ -45,7 +45,6 @@ class Rig:
         return np.tensordot(values[used], self.deltas[used].astype(np.float64), axes=1)
 
 
-@check_arguments
 def blend(space: LinearSpace, code, weights) -> Floats:
     """Blend skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
 

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
@@ -54,7 +53,6 @@ class PersonalRig:
     history: Floats
 
 
-@check_arguments
 def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = POLICY.rounds) -> PersonalRig:
     """Fit the shapes to scanned expressions of one person.
 

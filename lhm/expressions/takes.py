@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import TAKE_FRAMES
 from ..base.mesh import Floats
@@ -23,7 +22,6 @@ FASTEST = 10_000.0
 """Frames per second [Hz]."""
 
 
-@check_arguments
 @dataclass(frozen=True, eq=False)
 class Take:
     """Weights in ARKit's order, shape (frames, 52), in [0, 1], at `times` [s], shape (frames,), rising.
@@ -157,7 +155,6 @@ def take_from_columns(
     )
 
 
-@check_arguments
 def resample(take: Take, rate: float) -> Take:
     """Give the take at evenly spaced times from its first to its last, `rate` [Hz].
 

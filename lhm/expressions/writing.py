@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.files.atomic import write_whole
 from ..base.mesh import Floats
@@ -18,7 +17,6 @@ from .readers import HEAD, TIME
 from .takes import Take, rotations
 
 
-@check_arguments
 def write_take(path: str | os.PathLike[str], take: Take, more: Mapping[str, Floats] | None = None) -> None:
     """Write a take to a .csv file, whole or not at all, less the expressions that it lacks.
 

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..base import checks
-from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError, escape, one_line, quote
 from ..base.files.atomic import replaced
 from ..base.files.npz import read_arrays, write_arrays
@@ -51,7 +50,6 @@ ROW_TOLERANCE = 1e-5
 """Of weights, which are 0 to 1, and of their sums, which are one."""
 
 
-@check_arguments
 def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     """Write a head to a .npz file, whole or not at all; InputError for one that `load_head` would refuse."""
     arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
@@ -172,7 +170,6 @@ def read_ties(arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface) ->
     return ties
 
 
-@check_arguments
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a layered head"):

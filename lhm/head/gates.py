@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..base.checks import check_arguments
 from ..base.errors import MeshError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
@@ -185,7 +184,6 @@ _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
 
-@check_arguments
 def check_head(head: LayeredHead) -> HeadReport:
     """Measure all gates of a head (a quarter of a second)."""
     rigged = None if head.rig is None else (head.rig, head.skin_from_wrap)

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.mesh import Floats, Ints, Surface, TetMesh
 from ..expressions.rig import Rig
@@ -19,7 +18,6 @@ from .layers import sub_layers
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
 
 
-@check_arguments
 @dataclass(frozen=True, eq=False)
 class LayeredHead:
     """One person's neutral head.
@@ -90,7 +88,6 @@ class LayeredHead:
             raise MeshError(f"volume: its first {len(stack)} vertices, shared by both meshes, must be the wraps'")
         return soft, muscle
 
-    @check_arguments
     def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
         """Split the prisms of soft tissue and muscle into so many layers, over shared vertices; see `layers`."""
         wraps = (self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices)
@@ -123,13 +120,11 @@ class LayeredHead:
             raise InputError("head: it has no expressions of its own; fit it anew, or name an identity space that has")
         return self.skin.vertices + self.rig.moved(weights)
 
-    @check_arguments
     def wrap_targets(self, expression: Floats) -> Floats:
         """Carry the skin wrap's vertices [mm], shape (n, 3), with a skin expression [mm], shape (skin vertices, 3)."""
         displacement = _check_shape("expression", expression, self.skin.vertices) - self.skin.vertices
         return self.skin_wrap.vertices + self.wrap_from_skin @ displacement
 
-    @check_arguments
     def skin_after(self, expression: Floats, wrap: Floats) -> Floats:
         """The skin [mm] that an expression becomes when the skin wrap ends at `wrap`, shape (n, 3).
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from .anny import ANNY, ANNY_WITHIN, Anny, TransferredSpace
 from .space import IdentitySpace, LinearSpace
@@ -23,7 +22,6 @@ __all__ = [
 ]
 
 
-@check_arguments
 def ICTFaceKit(path: str | os.PathLike[str]) -> LinearSpace:
     """Load ICT-FaceKit's space from its .npz [cm in the file]; see `ict`. InputError names a bad file."""
     from .ict import load
@@ -31,7 +29,6 @@ def ICTFaceKit(path: str | os.PathLike[str]) -> LinearSpace:
     return load(path)
 
 
-@check_arguments
 def FLAME(path: str | os.PathLike[str]) -> LinearSpace:
     """Load FLAME's space from a licensed .pkl or .npz [m in the file]; see `flame`. InputError names a bad file."""
     from .flame import load
@@ -39,7 +36,6 @@ def FLAME(path: str | os.PathLike[str]) -> LinearSpace:
     return load(path)
 
 
-@check_arguments
 def MeshFolder(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     """Load the space of a folder of meshes that share a topology; see `folder`. InputError names a bad file."""
     from .folder import load
@@ -47,7 +43,6 @@ def MeshFolder(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace
     return load(path, unit=unit)
 
 
-@check_arguments
 def from_text(text: str) -> LinearSpace:
     """Load the space that a command line names: "anny", "ict:FILE", "flame:FILE" or "folder:DIR".
 

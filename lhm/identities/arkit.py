@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..base.checks import array_of_kind, check_arguments
+from ..base.checks import array_of_kind
 from ..base.errors import InputError, quote
 from ..base.mesh import Floats
 
@@ -78,7 +78,6 @@ def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
     return named
 
 
-@check_arguments
 def index(name: str) -> int:
     """Find the place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..base.checks import array_of_kind, check_arguments
+from ..base.checks import array_of_kind
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
 from .transfer import transfer_expressions
@@ -95,7 +95,6 @@ class LinearSpace:
         """Make the neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
         return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._check_code(code), self.identity, axes=1))
 
-    @check_arguments
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
         """Draw a random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
         code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.checks import check_arguments
 from ..base.errors import MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.geometry.topology import connected_parts
@@ -84,7 +83,6 @@ class ExpressionTransfer:
         return _size(target) / _size(self.neutral)
 
 
-@check_arguments
 def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface) -> Floats:
     """Transfer a source's expressions once; see `ExpressionTransfer` for arguments, limits and errors."""
     check_same_triangles("target", target, source_neutral)

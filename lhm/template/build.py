@@ -8,7 +8,6 @@ from typing import TypedDict
 
 import numpy as np
 
-from ..base.checks import check_arguments
 from ..base.errors import FitError, InputError
 from ..base.files.cache import load_or_make
 from ..base.geometry.bvh import TriangleTree
@@ -78,7 +77,6 @@ def space_options(space: LinearSpace) -> SpaceOptions:
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
 
-@check_arguments
 def load_template(
     space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
 ) -> Template:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..base import checks
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays, write_arrays
 from ..base.mesh import Surface
@@ -97,7 +96,6 @@ def save_template(path: str | os.PathLike[str], template: Template) -> None:
     write_arrays(path, arrays | {"format": np.array(FORMAT)})
 
 
-@check_arguments
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
     with naming_damage(path, "a template"):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.files.surface_file import Scan
 from ..base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
@@ -83,7 +82,6 @@ class _Prepared:
 _prepared: weakref.WeakKeyDictionary[Template, dict[FitPolicy, _Prepared]] = weakref.WeakKeyDictionary()
 
 
-@check_arguments
 def fit_head(
     template: Template,
     skin: Surface,

@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from ...lhm.base.checks import array_of_kind, check_arguments
+from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.likeness import check_moved
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
@@ -53,7 +53,6 @@ WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
 
-@check_arguments
 def facial_scene(
     head: LayeredHead,
     parameters: Parameters,
@@ -305,7 +304,6 @@ def _check_choices(bones: str, cells: str, without: Collection[str], attached: S
         raise SceneError("soft bones are the skull wrap itself: attach eyes to it, but no bone")
 
 
-@check_arguments
 def apply_law(scene: Scene, law: FaceLaw) -> Scene:
     """Replace each layer's Strain and Volume by a law of the same moduli at rest; PD_ENERGY leaves the scene as it is.
 

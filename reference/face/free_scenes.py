@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ...lhm.head.columns import fill_harmonically
@@ -32,7 +31,6 @@ HARDEST, BROADEST = 100.0, 200.0
 """[kPa] with which a cheek may be pushed, and [mm] of the patch' radius."""
 
 
-@check_arguments
 def open_jaw_scene(
     head: LayeredHead, parameters: Parameters, *, angle: float = 12.0, hinge: Floats | None = None
 ) -> Scene:
@@ -56,7 +54,6 @@ def open_jaw_scene(
     return _scene_of_bones(head, parameters, skull)
 
 
-@check_arguments
 def push_cheek_scene(
     head: LayeredHead,
     parameters: Parameters,

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head.head import LayeredHead
@@ -72,7 +71,6 @@ def find_smallest(
     return Smallest(tuple(gone), total, changes, smallest)
 
 
-@check_arguments
 def smallest_scene(
     scene: Scene, *, within: float = WITHIN, solver: str = "projective", tolerance: float = TOLERANCE
 ) -> Smallest:

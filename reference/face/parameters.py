@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import array_of_kind, check_arguments, finite
+from ...lhm.base.checks import array_of_kind, finite
 from ...lhm.base.errors import InputError, SceneError, escape, quote
 from ...lhm.base.files.text import find_beside, read_toml
 from ...lhm.base.mesh import Floats, Surface
@@ -281,7 +281,6 @@ def spread_to_vertices(name: str, value: float | Floats, wrap: Surface) -> float
     return np.bincount(corners, weight * values, n) / np.maximum(np.bincount(corners, weight, n), 1e-300)
 
 
-@check_arguments
 def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     """Read the parameters in a TOML file; what it does not name keeps its default.
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.head import LayeredHead
@@ -79,7 +78,6 @@ class Sequence:
     time step at which the frequency cannot be followed.
     """
 
-    @check_arguments
     def __init__(
         self,
         face: Face,
@@ -105,7 +103,6 @@ class Sequence:
         self._last_frame: _LastFrame | None = None
         self._tangent: Tangent | None = None
 
-    @check_arguments
     def begin(self, targets: Floats, *, velocity: Floats | None = None, base: Floats | None = None) -> Solution:
         """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
 
@@ -123,7 +120,6 @@ class Sequence:
         self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
         return solution
 
-    @check_arguments
     def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
         """Simulate the next frame, towards an expression [mm], shape (skin vertices, 3).
 
@@ -189,7 +185,6 @@ class Sequence:
             raise SceneError("the sequence has no frame yet")
         return self._last_frame
 
-    @check_arguments
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
         return self.face.expression_skin(targets, solution.positions)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ...lhm.head.columns import fill_harmonically
@@ -77,7 +76,6 @@ class SettledFace:
         return expression + self.displacement
 
 
-@check_arguments
 def settle(
     head: LayeredHead,
     parameters: Parameters,

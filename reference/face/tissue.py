@@ -24,7 +24,6 @@ import trimesh
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.tets import untangle
 from ...lhm.base.geometry.topology import split_triangles
@@ -270,7 +269,6 @@ def eyeballs(head: LayeredHead, *, radius: float = EYE_RADIUS) -> tuple[Attachme
     return tuple(Attachment(sphere + centre) for centre in centres)
 
 
-@check_arguments
 def nested_start(
     scene: Scene,
     head: LayeredHead,

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from .. import materials
@@ -49,7 +48,6 @@ FORCE_DEGREE = 6
 CHORD = "chord"
 
 
-@check_arguments
 def prepare(
     scene: Scene, *, element: str = "P1", linear_solver: str = "cg", policy: FenicsxPolicy = POLICY
 ) -> PreparedFenicsx:
@@ -129,7 +127,6 @@ class PreparedFenicsx:
         self._end: Attempt | None = None
         self._spent = clock.read()
 
-    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,

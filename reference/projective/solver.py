@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError, quote
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats, Ints
@@ -91,7 +90,6 @@ class ProjectivePrepared:
     spent: Seconds
     policy: ProjectivePolicy = POLICY
 
-    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,

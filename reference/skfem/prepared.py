@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ..clock import Clock, Seconds
@@ -34,7 +33,6 @@ class Prepared:
     spent: Seconds
     policy: SkfemPolicy = POLICY
 
-    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,
@@ -92,7 +90,6 @@ class Prepared:
         )
 
 
-@check_arguments
 def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 

@@ -10,7 +10,7 @@ from os import PathLike
 import numpy as np
 from scipy.linalg.blas import ssyrk
 
-from ...lhm.base.checks import check_arguments, real
+from ...lhm.base.checks import real
 from ...lhm.base.errors import InputError
 from ...lhm.base.files.glb import write_glb
 from ...lhm.base.files.morphs import Morphs, morph_take
@@ -114,7 +114,6 @@ class BakedRig:
         add_combination(amplitudes @ self.mixing, self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface
 
-    @check_arguments
     def write_gltf(self, path: str | PathLike[str], take: Take) -> None:
         """Write the rig as glTF: its neutral skin, its targets, and their weights over a take.
 

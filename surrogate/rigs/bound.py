@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...lhm.base.checks import check_arguments
 from ...lhm.base.mesh import Floats32, Surface
 from .baked import BakedRig, bake
 from .inertia import DynamicRig, Swings, dynamic_rig
@@ -81,7 +80,6 @@ class BoundSurrogate:
         """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
         return bake(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
-    @check_arguments
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; InputError where that is too long for p's frequency."""
         return dynamic_rig(self, self.swing, time_step)

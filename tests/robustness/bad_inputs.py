@@ -51,6 +51,8 @@ class Case:
     call: Callable[[], object]
     why: str = ""
     named: tuple[str, ...] = ()
+    plain: bool = False
+    """Whether numpy and Python may refuse it."""
 
 
 # What every argument is given in place of its good value.
@@ -100,7 +102,11 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "None is the default"
     if what == "an empty array" and argument in EMPTY_OF:
         return "nothing of a kind; values for each tet are counted where a Scene is made"
-    if what == "1e300" and function.startswith(("terms.", *LAWS)) or (function, argument) == ("march", "density"):
+    if (
+        what == "1e300"
+        and function.startswith(("terms.", *LAWS))
+        or (function, argument) in (("march", "density"), ("march", "damping"))
+    ):
         return "finite and positive, of any size: a solution says by its reason what becomes of it"
     if what == "-1" and (argument.startswith("gravity_") or argument == "value"):
         return "a direction, or suction in place of pressure"
@@ -108,8 +114,12 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "the one that is shipped"
     if (function, argument, what) == ("settle", "solver", "None"):
         return "the law's own"
-    if (argument, what) == ("seconds", "1e300"):
+    if argument in ("dynamic", "exact"):
+        return "true or false, as Python takes it"
+    if (argument, what) in (("seconds", "1e300"), ("max_iterations", "1e300")):
         return "no limit, in effect"
+    if (argument, what) in (("contact", "None"), ("shapes", "an empty array")):
+        return "none"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
     return ""
@@ -316,14 +326,14 @@ def calls() -> Iterator[Case]:
                 arguments = function.good | {argument: value}
                 name = f"{function.name}({argument} = {what})"
                 named = (argument, *CALLED.get(argument, ()), *([value] if what == "a text" else []))
-                yield Case(name, lambda f=function, a=arguments: f.call(**a), why, named)
+                yield Case(name, lambda f=function, a=arguments: f.call(**a), why, named, plain=True)
 
 
 def outcome(case: Case) -> tuple[str, str]:
     """How a case ended, and what was said, with neither stdout nor warnings."""
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return watch(case.call, seconds=SECONDS, patience=PATIENCE)
+        return watch(case.call, seconds=SECONDS, patience=PATIENCE, plain=case.plain)
 
 
 NO_PLACES = ("/dev/null/x", "/dev/null/x.npz", "/dev/null/x.png", "é" * 300, "é" * 300 + ".npz")

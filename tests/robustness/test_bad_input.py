@@ -84,7 +84,7 @@ def test_bad_data_of_the_ict_space_are_named(command, tmp_path, content):
 def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     file = tmp_path / "head.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("skin_vertices.npy", bytes(10_000_000))
+        archive.writestr("skin.vertices.npy", bytes(10_000_000))
         archive.filelist[0].file_size = 2_010_000_000
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused(r"head\.npz: .*2,010,000,000 bytes unpacked; expected at most 2,000,000,000", load_head, file)

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from softdeca.lhm import SoftdecaError
 
+PLAIN = (TypeError, ValueError, AttributeError)
+"""How numpy and Python refuse an argument of another kind."""
+
 
 class TooLong(BaseException):
     """A call had its time; not an Exception, so that nothing on its way catches it."""
@@ -22,10 +25,11 @@ def bound_memory(more: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + more, used + more))
 
 
-def watch(call: Callable[[], object], *, seconds: float, patience: float) -> tuple[str, str]:
+def watch(call: Callable[[], object], *, seconds: float, patience: float, plain: bool = False) -> tuple[str, str]:
     """Call it, for so many seconds of work and of time at most, since a busy machine takes many for one of work.
 
-    Returns "accepted", "refused" (by a SoftdecaError of one line) or what else it ended with, and the words it said.
+    Returns "accepted", "refused" (by a SoftdecaError of one line) or what else it ended with, and the words it said;
+    "refused plainly" where numpy or Python refused an argument, if `plain` lets them.
     """
     signal.signal(signal.SIGALRM, _end)
     signal.signal(signal.SIGPROF, _end)
@@ -38,15 +42,21 @@ def watch(call: Callable[[], object], *, seconds: float, patience: float) -> tup
     except SoftdecaError as error:
         said = str(error)
         return ("refused" if said and "\n" not in said else "refused in other than one line"), said
+    except PLAIN as error:
+        return "refused plainly" if plain else "traceback", _told(error)
     except TooLong:
         return "hang", f"no end after {seconds} s of work or {patience} s"
     except BaseException as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return "traceback", f"{type(error).__name__}: {str(error)[:200]!r} at {where.filename}:{where.lineno}"
+        return "traceback", _told(error)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
         faulthandler.cancel_dump_traceback_later()
+
+
+def _told(error: BaseException) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {str(error)[:200]!r} at {where.filename}:{where.lineno}"
 
 
 def _end(*_: object) -> None:

@@ -1,97 +1,19 @@
-"""Checks of arguments and of values from outside: good values pass unchanged, the others are named."""
+"""Checks of values from outside: good values pass unchanged, the others are named."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, MeshError
+from softdeca.lhm import MeshError
 from softdeca.lhm.base import checks, limits
 from softdeca.lhm.base.errors import escape, quote
 from softdeca.lhm.base.files import text
 from softdeca.lhm.base.limits import JSON_DEPTH, Bound
-from softdeca.lhm.base.mesh import Floats
 
 from ..refusals import refused
-
-
-@checks.check_arguments
-def called(
-    number: float = 0.0,
-    count: int = 1,
-    flag: bool = False,
-    array: Floats | None = None,
-    path: str | os.PathLike[str] = "",
-    names: Sequence[str] = (),
-    pair: tuple[int, int] = (1, 1),
-    named: Mapping[str, float] | None = None,
-    call: Callable[[], None] = print,
-    **others,
-) -> str:
-    return "done"
-
-
-@checks.check_arguments
-@dataclass(frozen=True)
-class Made:
-    size: float
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("number", 3),
-        ("number", np.array(2.0)),
-        ("number", float("nan")),
-        ("count", np.int64(4)),
-        ("flag", np.True_),
-        ("array", [[0, 1], [2, 3]]),
-        ("array", None),
-        ("path", Path("a")),
-        ("names", ["a"]),
-        ("names", np.array(["a", "b"])),
-        ("pair", [2, 2]),
-        ("named", {"a": 1.0}),
-        ("anything", object()),
-    ],
-)
-def test_arguments_of_the_right_kind_pass(name, value):
-    assert called(**{name: value}) == "done"
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("number", "3", "a number, got '3'"),
-        ("number", True, "a number, got True"),
-        ("count", 1.0, "an integer, got 1.0"),
-        ("flag", 1, "True or False, got 1"),
-        ("array", [[1, 2], [3]], "an array of numbers or None, got a list"),
-        ("array", np.ma.masked_array([1.0, 2.0], [True, False]), "got a MaskedArray"),
-        ("path", 5, "a text or a path, got 5"),
-        ("names", "abc", "a list, each a text, got 'abc'"),
-        ("pair", (1.0, 2.0), "a list, each an integer"),
-        ("named", [1], "a dict or None"),
-        ("call", 1, "a function"),
-    ],
-)
-def test_arguments_of_the_wrong_kind_are_named(name, value, words):
-    with pytest.raises(InputError) as refused:
-        called(**{name: value})
-    said = str(refused.value)
-    assert said.startswith(f"called: {name}: expected ") and words in said and "\n" not in said
-
-
-def test_a_class_is_checked_when_one_is_made():
-    assert Made(1.0).size == 1.0
-    refused("Made: size: expected a number, got a list", Made, [1.0])
-    with pytest.raises(TypeError, match=r"missing 1 required positional argument: 'size'"):
-        Made()  # in Python's own words
 
 
 def limited(values):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_arguments, finite, one_of
+from ..checks import finite, one_of
 from ..errors import InputError, MeshError, quote
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
@@ -60,7 +60,6 @@ class Scan:
         return Surface(self.vertices, self.triangles)
 
 
-@check_arguments
 def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
     """Read a triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
 
