@@ -14,7 +14,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.base.errors import FitError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.progress import OnProgress
-from ..lhm.head.file import load_head, naming_damage, save_head
+from ..lhm.head.file import load_head, save_head
 from ..lhm.head.gates import Figure
 from ..lhm.identities.arkit import ARKIT
 from ..lhm.template.depths.depths import DepthRegressor
@@ -192,9 +192,8 @@ class Check:
 
     def run(self) -> int:
         """Read and report."""
-        with naming_damage(self.file, "a layered head"):
-            given = load_head(self.file)
-            report, posed = check_head(given), check_posed(given)
+        given = load_head(self.file)
+        report, posed = check_head(given), check_posed(given)
         report_gates(report, self.json, notes=given.notes, posed=posed)
         return 0
 

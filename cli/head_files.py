@@ -13,7 +13,7 @@ import numpy as np
 from ..lhm.base.errors import InputError, quote
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
-from ..lhm.head.file import export_vtk, load_head
+from ..lhm.head.file import load_head
 from .head import head
 from .options import FILE, argument, as_command, option, refuse_given
 from .take_options import DETAIL
@@ -35,7 +35,6 @@ class Show:
         None, "identity space of the expressions (anny or ict:FILE); default: the head's own", type=str
     )
     detail: bool = option(False, DETAIL)
-    vtk: Path | None = option(None, "also write .vtu files into this folder", type=FOLDER)
 
     def run(self) -> int:
         """Draw and write."""
@@ -55,8 +54,6 @@ class Show:
                 write_whole(self.out / f"{name}.png", png)
                 click.echo(self.out / f"{name}.png")
             progress("pictures", 1.0)
-        for path in export_vtk(self.vtk, shown) if self.vtk is not None else ():
-            click.echo(path)
         return 0
 
 

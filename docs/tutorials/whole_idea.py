@@ -20,10 +20,9 @@ def read_head(path):
     """Read a head's arrays; shapes (52, n, 3) [mm] are what each weight adds to the skin."""
     head = dict(np.load(path))
     for name in ("wrap_from_skin", "skin_from_wrap"):
-        parts = (head[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+        parts = (head[f"{name}.{part}"] for part in ("data", "indices", "indptr"))
         head[name] = sparse.csr_matrix(tuple(parts))
-    head["shapes"] = np.zeros((52, *head["skin_vertices"].shape))
-    head["shapes"][:, head["rig_moved"]] = head["rig_deltas"]
+    head["shapes"] = head["rig.deltas"].astype(float)
     return head
 
 
@@ -215,13 +214,13 @@ PARAMETERS = {
 
 def blend(head, weights):
     """S_t of weights (52,): the neutral skin and what each weight adds (Eq. 6 and 7)."""
-    return head["skin_vertices"] + np.tensordot(weights, head["shapes"], axes=1)
+    return head["skin.vertices"] + np.tensordot(weights, head["shapes"], axes=1)
 
 
 def facial_problem(head, p, expression):
     """The energy (Eq. 15) of an expression S (skin vertices, 3) [mm] under p."""
-    wraps = [head[f"{name}_wrap"] for name in ("skin", "muscle", "skull")]
-    rest, n, triangles = np.vstack(wraps), len(wraps[0]), head["triangles"]
+    wraps = [head[f"{name}_wrap.vertices"] for name in ("skin", "muscle", "skull")]
+    rest, n, triangles = np.vstack(wraps), len(wraps[0]), head["skin_wrap.triangles"]
     tets = [split_prisms(triangles, k * n, (k + 1) * n, rest) for k in (0, 1)]
     tissue, skin = Elements(rest, np.vstack(tets)), Elements(rest, triangles)
     layer = np.repeat([0, 1], len(tets[0]))  # soft tissue, then muscle
@@ -242,7 +241,7 @@ def facial_problem(head, p, expression):
     skin.law, skin.stiffness = (lambda s: skin_strain(s, membrane)), membrane
     area = np.bincount(triangles.ravel(), np.repeat(skin.size / 3, 3), 3 * n)
     springs, goals = p["target_stiffness"] * area, rest.copy()
-    goals[:n] += head["wrap_from_skin"] @ (expression - head["skin_vertices"])
+    goals[:n] += head["wrap_from_skin"] @ (expression - head["skin.vertices"])
     bone = np.concatenate([np.zeros(2 * n), head["bone"]])
     held, jaw = bone == 1, np.flatnonzero(bone == 2)  # cranium, mandible
     return Problem(rest, [tissue, skin], springs, goals, np.zeros_like(rest), held, jaw)
@@ -261,7 +260,7 @@ def in_motion(problem, last, earlier, frequency=4.0, damping=0.3, seconds=1 / 60
 
 def skin_of(head, problem, expression, x):
     """T: the expression, moved by what its wrap is off its goals."""
-    off = (x - problem.goals)[: len(head["skin_wrap"])]
+    off = (x - problem.goals)[: len(head["skin_wrap.vertices"])]
     return expression + head["skin_from_wrap"] @ off
 
 
@@ -369,7 +368,7 @@ if __name__ == "__main__":
         true = np.linalg.norm(skin_of(head, problem, S, x) - T, axis=1).mean()
         print(f"{name:<20} told error {told:.1e} mm, true error {true:.1e} mm")
 
-    closing = facial_problem(head, PARAMETERS, head["skin_vertices"])
+    closing = facial_problem(head, PARAMETERS, head["skin.vertices"])
     earlier = last = answer
     for frame in range(3):
         moving = in_motion(closing, last, earlier)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.errors import FitError, InputError
 from ..base.files.cache import load_or_make
+from ..base.files.pack import pack, unpack
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
 from ..base.geometry.mirror import find_twins, symmetrise, symmetrise_weights
@@ -24,7 +25,6 @@ from ..identities import Anny
 from ..identities.arkit import ARKIT
 from ..identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .depths.prior import default_regressor
-from .file import template_from_arrays, template_to_arrays
 from .template import DEFAULT_LEVEL, LEVELS, Template
 from .wraps import depth, inner
 from .wraps.landmarks import (
@@ -90,12 +90,11 @@ def load_template(
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
-        return template_to_arrays(
-            build_template(people.mean, **space_options(people), level=level, name=people.name, progress=progress)
-        )
+        options = space_options(people)
+        return dict(pack(build_template(people.mean, **options, level=level, name=people.name, progress=progress)))
 
     name = f"template-{people.name}-{people.fingerprint()}-{level}-{FORMAT}"
-    template = load_or_make(name, make, template_from_arrays)
+    template = load_or_make(name, make, lambda arrays: unpack(Template, arrays))
     return replace(template, regressor=default_regressor(template, people), space=people)
 
 

@@ -1,4 +1,4 @@
-"""`softdeca head show`: pictures and VTK files of a head, at rest and in an expression."""
+"""`softdeca head show`: pictures of a head, at rest and in an expression."""
 
 import io
 
@@ -24,13 +24,11 @@ def pixels(content):
     return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
 
 
-def test_pictures_and_vtk_files_are_written_and_named(file, tmp_path, command):
-    ended = command("head", "show", file, "--out", tmp_path / "rest", "--vtk", tmp_path / "vtk")
+def test_pictures_are_written_and_named(file, tmp_path, command):
+    ended = command("head", "show", file, "--out", tmp_path / "rest")
     assert ended.status == 0 and ended.errors == []
     assert sorted(path.name for path in (tmp_path / "rest").iterdir()) == PICTURES
-    assert {"skin.vtu", "tissue.vtu"} <= {path.name for path in (tmp_path / "vtk").iterdir()}
-    written = {str(path) for name in ("rest", "vtk") for path in (tmp_path / name).iterdir()}
-    assert set(ended.out.splitlines()) == written
+    assert set(ended.out.splitlines()) == {str(path) for path in (tmp_path / "rest").iterdir()}
     for name in PICTURES:
         image = pixels((tmp_path / "rest" / name).read_bytes())
         assert image.shape[1] > 1000 and 0.05 < (image != 255).any(axis=2).mean() < 0.9

@@ -27,7 +27,7 @@ RUN = {
     "softdeca head fit --seed 3 --out head.npz": "--level 1",
     "softdeca head check head.npz": "",
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
-    "softdeca head show head.npz --expression jawOpen*0.5 --vtk layers": "",
+    "softdeca head show head.npz --expression jawOpen*0.5": "",
     "softdeca view head.npz --parameters p.toml --out out/view.html": "",
     "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format glb --preview mp4": (
         "--frames 0:2 --out out/take"

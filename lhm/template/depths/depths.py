@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...base.checks import finite, in_range, integers, text
 from ...base.errors import InputError, quote
-from ...base.files.npz import read_arrays, write_arrays
+from ...base.files.pack import load_packed, save_packed
 from ...base.geometry.warp import rigid_motion
-from ...base.limits import PAIRS
 from ...base.mesh import Floats, Surface
 from ...base.progress import OnProgress, silent
 
@@ -21,7 +19,7 @@ SKULL_PLACES = (
     ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
 )
 """Model, mean error [mm] of the fitted skull wrap's places over the whole head, data (SoftDECA, section 4.1)."""
-FORMAT = "softdeca depth regressor 1"
+FORMAT = "softdeca depth regressor 2"
 MODES = 15
 """Principal components of skin wraps and of depths, at most: with 43 pairs more cannot be told from chance."""
 
@@ -30,8 +28,6 @@ RIDGES = np.logspace(-4, 4, 33)
 
 FARTHEST = 3.0
 """Standard deviations of the pairs' scores beyond which a skin counts as that far: logs turn a line into e^x."""
-LARGEST, LEAST_DEVIATION = 1e6, 1e-9
-"""[mm] of a regressor's numbers: far beyond a head's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,51 +149,18 @@ class DepthRegressor:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to a .npz file, whole or not at all."""
-        write_arrays(path, self.arrays())
+        save_packed(path, FORMAT, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], template_wrap: Surface) -> DepthRegressor:
         """Read what `save` wrote; InputError names a file that is damaged, something else or of another template."""
-        arrays = read_arrays(path, *_ARRAYS, kind="a depth regressor")
-        if arrays["format"].tolist() != FORMAT:
-            raise InputError(f"{path}: not a depth regressor of this version (expected {FORMAT!r})")
+        again = "train it again by `softdeca train regressor`"
+        regressor = load_packed(path, FORMAT, cls, what="a depth regressor", else_do=again)
         try:
-            regressor = cls.from_arrays(arrays)
             regressor.check(template_wrap)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         return regressor
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Name all fields, for a file."""
-        return {"format": np.array(FORMAT)} | {name: np.array(value) for name, value in vars(self).items()}
-
-    @classmethod
-    def from_arrays(cls, arrays) -> DepthRegressor:
-        """Make the regressor of `arrays`; InputError where shapes do not fit together or values are not finite."""
-        reference = finite("reference", arrays["reference"], (None, 3), most=LARGEST)
-        deviations = in_range("deviations", arrays["deviations"], LEAST_DEVIATION, LARGEST, (None,))
-        n, k = len(reference), len(deviations)
-        axes = finite("axes", arrays["axes"], (k, 3 * n), most=1.0 + 1e-6)
-        coefficients = finite("coefficients", arrays["coefficients"], (k, n), most=LARGEST)
-        mean_log = finite("mean_log", arrays["mean_log"], (n,), most=LARGEST)
-        farthest = np.abs(mean_log) + FARTHEST * np.abs(coefficients).sum(axis=0)
-        if n and farthest.max() > np.log(LARGEST):
-            raise InputError(f"coefficients: at vertex {farthest.argmax()} they give depths beyond {LARGEST:g} mm")
-        return cls(
-            text("label", arrays["label"]),
-            text("wrap", arrays["wrap"]),
-            int(integers("pairs", arrays["pairs"], 0, PAIRS.most, ())),
-            float(in_range("ridge", arrays["ridge"], 0.0, np.inf, ())),
-            reference,
-            axes,
-            deviations,
-            coefficients,
-            mean_log,
-        )
-
-
-_ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
 
 
 def wrap_digest(template_wrap: Surface) -> str:

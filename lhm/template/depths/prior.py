@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from ...base.files.cache import load_or_make
+from ...base.files.pack import pack, unpack
 from ...base.geometry.warp import farthest_points
 from ...base.mesh import Floats
 from ...identities.space import LinearSpace
@@ -62,9 +63,9 @@ def default_regressor(template: Template, space: LinearSpace) -> DepthRegressor:
 
     def make() -> dict[str, np.ndarray]:
         pairs = prior_pairs(template, space, np.random.default_rng(SEED), PAIRS)
-        return DepthRegressor.fit(pairs, template.skin_wrap).arrays()
+        return dict(pack(DepthRegressor.fit(pairs, template.skin_wrap)))
 
-    return load_or_make(name, make, DepthRegressor.from_arrays)
+    return load_or_make(name, make, lambda arrays: unpack(DepthRegressor, arrays))
 
 
 def _smooth_field(points: Floats) -> Floats:
