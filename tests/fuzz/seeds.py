@@ -42,7 +42,7 @@ from softdeca.surrogate.networks.modal import ModalConfig, modal_shapes
 from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
 
 from ..robustness import whole_files
-from ..robustness.whole_files import big_endian_ply, binary_strips_ply, exported, glb_words, obj, stl, strips_ply
+from ..robustness.whole_files import big_endian_ply, exported, glb_words, obj, stl
 from .__main__ import BESIDE, KEPT, as_folder, read_kept
 from .formats import SPACE
 
@@ -178,9 +178,8 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     made |= {("scan.npz", "whole"): skin, ("scan.obj", "whole"): obj(*ball).encode()}
     grouped = whole_files.grouped_obj(*ball, groups=2, comment="a head")
     made |= {("scan.obj", "grouped"): grouped.encode(), ("bodyparts/FMA52748.obj", "whole"): obj(*ball).encode()}
-    made |= {("scan.ply", "big-endian"): big_endian_ply(*ball), ("scan.ply", "strips"): strips_ply(*ball)}
+    made |= {("scan.ply", "big-endian"): big_endian_ply(*ball)}
     made |= {("scan.ply", "text"): exported("ply", *ball, encoding="ascii")}
-    made |= {("scan.ply", "binary strips"): binary_strips_ply(*ball)}
     made |= {("scan.stl", "binary"): stl(*ball), ("scan.stl", "text"): exported("stl_ascii", *ball)}
     rigged, draco = whole_files.rigged_glb(), whole_files.draco_glb()
     take = (folder / "take.glb").read_bytes()

@@ -15,7 +15,7 @@ from softdeca.lhm.head.file import load_head
 from softdeca.lhm.identities.arkit import ARKIT
 from softdeca.lhm.scans.repair import repair_scan
 
-from .whole_files import big_endian_ply, binary_strips_ply, exported, obj, stl, strips_ply
+from .whole_files import big_endian_ply, exported, obj, stl
 
 RNG = np.random.default_rng(0)
 
@@ -59,9 +59,6 @@ MENDED = {
     "materials.obj": (lambda x, t: obj(x, t[:900]) + "usemtl back\n" + obj(x[:0], t[900:]), ""),
     "lines.obj": (lambda x, t: with_lines(obj(x, t), "l 1 2", "p 3", "curv 0 1 1 2", "\x0c"), ""),
     "big-endian.ply": (big_endian_ply, ""),
-    "strips.ply": (strips_ply, ""),
-    "strips-binary.ply": (binary_strips_ply, ""),
-    "strips-beside.ply": (lambda x, t: strips_ply(x, t).replace(b"element tri", b"element other 0\nelement tri"), ""),
     "ascii.ply": (lambda x, t: exported("ply", x, t, encoding="ascii"), ""),
     "binary.stl": (lambda x, t: stl(x, t, b"a head"), ""),
     "solid.stl": (lambda x, t: stl(x, t, b"solid head"), ""),

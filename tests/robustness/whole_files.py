@@ -56,32 +56,6 @@ def big_endian_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
     return header + x.astype(">f4").tobytes() + rows.tobytes()
 
 
-def strips_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
-    """Text with one strip for each triangle."""
-    body = "\n".join(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in x)
-    strips = " ".join(f"{a} {b} {c} -1" for a, b, c in triangles)
-    header = ply_header("ascii", len(x), "tristrips 1\nproperty list int int")
-    return header + f"{body}\n{4 * len(triangles)} {strips}\n".encode()
-
-
-def binary_strips_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
-    """Two triangles a strip, where they follow one another as a strip's do, and vertices with a colour."""
-    rows = np.zeros(len(x), dtype=[("x", "<f4", 3), ("red", "u1")])
-    rows["x"] = x
-    left = {tuple(t) for t in triangles.tolist()}
-    runs = []
-    for a, b, c in triangles.tolist():
-        if (a, b, c) not in left:
-            continue
-        left.remove((a, b, c))
-        after = next((t for t in left if t[0] == c and t[1] == b), None)
-        runs += [a, b, c, *([after[2]] if after else []), -1]
-        left.discard(after)
-    elements = "tristrips 1\nproperty list int int"
-    header = ply_header("binary_little_endian", len(x), elements, "property uchar red\n")
-    return header + rows.tobytes() + np.array([len(runs), *runs], dtype="<i4").tobytes()
-
-
 def glb(words: dict, chunk: bytes) -> bytes:
     text = json.dumps(words).encode()
     text, chunk = text + b" " * (-len(text) % 4), chunk + bytes(-len(chunk) % 4)
