@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import warnings
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import finite, one_of
-from ..errors import InputError, MeshError, quote
+from ..errors import InputError, MeshError, one_line, quote
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf import read_gltf
@@ -25,8 +27,6 @@ FARTHEST = 1e12
 """In the file's own unit: a head in picometres."""
 MOST_MOVED = 10.0
 """Of the mesh's size: how far a morph target may move a vertex."""
-STL_HEADER, STL_ROW = 84, 50
-"""Bytes of a binary STL file's header, whose last four are the count of triangles, and of each triangle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,8 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
                 for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
                     corners.extend((polygon[0], b, c))
         except (ValueError, OverflowError):
-            raise _none_of("an OBJ", number, line) from None
+            said = quote(line.strip().decode("utf-8", "replace"), 60)
+            raise InputError(f"line {number} is none of an OBJ file: {said!r}") from None
     vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
     VERTICES.check("it has", len(vertices))
@@ -151,68 +152,19 @@ def read_stl(path: Path) -> tuple[Floats, Ints]:
 
     Corners at the same place are one vertex. InputError where the file is cut off or no STL.
     """
-    content = read_bytes(path)
-    count = int.from_bytes(content[80:84], "little")
-    # Binary files may begin with "solid" too, so that their size tells them.
-    if len(content) == STL_HEADER + STL_ROW * count:
-        TRIANGLES.check("it has", count)
-        rows = np.frombuffer(content, np.uint8, offset=STL_HEADER).reshape(count, STL_ROW)[:, 12:48]
-        corners = np.ascontiguousarray(rows).view("<f4").reshape(-1, 3)
-    elif content.lstrip()[:5].lower() == b"solid":
-        corners = _corners_of_text(content)
-    else:
-        raise InputError(f"not an STL file, or cut off: its size is not that of the {count:,} triangles it promises")
-    with np.errstate(all="ignore"):  # NaN and infinity are refused as such
-        return _merge_corners(corners)
+    from trimesh import load_mesh
 
-
-def _corners_of_text(content: bytes) -> np.ndarray:
-    """Return the corners (3 m, 3) of a text STL, float32."""
-    corners, facet, ended = array("d"), 0, False
-    for number, line in enumerate(content.lower().splitlines(), start=1):
-        kind, *fields = line.split() or [b""]
-        try:
-            if kind == b"vertex":
-                if b"_" in line:  # 1_0 is a number to Python alone
-                    raise ValueError
-                x, y, z = fields
-                corners.extend((float(x), float(y), float(z)))
-                facet += 1
-            elif kind == b"endfacet":
-                if facet != 3:
-                    raise ValueError
-                facet = 0
-            elif kind in (b"solid", b"endsolid"):
-                ended = kind == b"endsolid"
-            elif kind not in (b"facet", b"outer", b"endloop", b""):
-                raise ValueError
-        except ValueError:
-            raise _none_of("an STL", number, line) from None
-    if facet:
-        raise InputError("the file is cut off within a triangle")
-    if not ended:
-        raise InputError("the file is cut off: it does not end in 'endsolid'")
-    TRIANGLES.check("it has", len(corners) // 9)
-    with np.errstate(over="ignore"):
-        return np.frombuffer(corners, np.float64).reshape(-1, 3).astype(np.float32)
-
-
-def _merge_corners(corners: np.ndarray) -> tuple[Floats, Ints]:
-    """Return vertices and triangles of corners (3 m, 3), float32; those of the same three numbers become one."""
-    bits = (np.ascontiguousarray(corners, dtype="<f4") + np.float32(0)).view("<u4").astype(np.uint64)  # -0 becomes 0
-    _, plane = np.unique(bits[:, 0] << np.uint64(32) | bits[:, 1], return_inverse=True)
-    _, first, number = np.unique(
-        plane.ravel().astype(np.uint64) << np.uint64(32) | bits[:, 2], return_index=True, return_inverse=True
-    )
-    # In the file's order.
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[order] = np.arange(len(first))
-    return corners[first[order]].astype(np.float64), rank[number.ravel()].reshape(-1, 3)
-
-
-def _none_of(kind: str, number: int, line: bytes) -> InputError:
-    return InputError(f"line {number} is none of {kind} file: {quote(line.strip().decode('utf-8', 'replace'), 60)!r}")
+    content = io.BytesIO(read_bytes(path))
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):  # NaN is refused where the mesh is made
+            warnings.filterwarnings("error", "string or file could not be read")  # numpy's, of a word that is no number
+            mesh = load_mesh(content, file_type="stl", process=False)
+            mesh.merge_vertices()  # corners at the same place
+    except Exception as error:  # trimesh raises whatever the damage makes it raise
+        raise InputError(f"not an STL file, or cut off ({one_line(str(error))[:80]})") from None
+    if not len(mesh.faces):
+        raise InputError("not an STL file, or cut off: no triangle is whole")
+    return np.array(mesh.vertices), np.array(mesh.faces)
 
 
 READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
