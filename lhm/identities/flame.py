@@ -21,8 +21,8 @@ from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
 from .arkit import ARKIT
 from .cut import close_loop, even_loop, keep_lips_together, largest_piece
-from .safe_pickle import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
+from .unpickle import read_pickled
 
 MM = 1000.0
 LARGEST = 1e4

@@ -15,7 +15,7 @@ import numpy as np
 from safetensors.numpy import load, save
 
 from softdeca.benchmarks.face.score import CHECKSUMS
-from softdeca.lhm.identities import safe_pickle
+from softdeca.lhm.identities import unpickle
 from softdeca.surrogate.corpus.shard import TABLES, Label, Shard
 from softdeca.surrogate.networks.weights import UNSEALED, seal
 
@@ -254,8 +254,8 @@ def of_npz(content: bytes, rng: np.random.Generator) -> bytes:
 
 def of_pickle(content: bytes, rng: np.random.Generator) -> bytes:
     # Not by pickle.loads: of a damaged file it may call anything, or end the process.
-    read = safe_pickle._Reader(io.BytesIO(content), encoding="latin1").load()
-    state = one_array_changed({name: safe_pickle._array(value) for name, value in read.items()}, rng)
+    read = unpickle._Reader(io.BytesIO(content), encoding="latin1").load()
+    state = one_array_changed({name: unpickle._array(value) for name, value in read.items()}, rng)
     return pickle.dumps(state, protocol=int(rng.choice([0, 2, 4])))
 
 
