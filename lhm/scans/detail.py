@@ -21,14 +21,6 @@ from ..template.template import Template
 from ..template.wraps.landmarks import Mask, distance_to
 
 
-@dataclass(frozen=True, eq=False)
-class Painted:
-    """A scan [mm] with its texture, as its file has both: before repair, whose triangles the texture does not know."""
-
-    surface: Surface
-    texture: Texture
-
-
 @dataclass(frozen=True)
 class DetailPolicy:
     """Constants of the detail that is taken from a scan."""
@@ -80,16 +72,14 @@ def _unfold(smooth: Surface, heights: Floats, edges: csr_matrix, policy: DetailP
     return heights
 
 
-def find_colours(skin: Surface, detail: Detail, painted: Painted) -> NDArray[np.uint8] | None:
-    """Find the colours (k, 3) of a skin's fine vertices in a scan's texture, by the closest point of the scan.
+def find_colours(skin: Surface, detail: Detail, texture: Texture) -> NDArray[np.uint8] | None:
+    """Find the colours (k, 3) of a skin's fine vertices in a scan's texture [mm], by the closest point of the scan.
 
     What lies beyond the scan, or where it has no texture, takes the face's median. None where nothing has a colour.
     """
     drawn = FineSkin.from_skin(skin, detail).refine(skin.vertices)
-    scan = painted.surface
-    triangle, weights, distance = TriangleTree(scan.vertices, scan.triangles).closest(drawn.vertices)
-    colours = painted.texture.find_colours(triangle, weights)
-    return fill_colours(colours, np.isfinite(colours).all(axis=1) & (distance < POLICY.reach))
+    colours, distance = texture.find_colours(drawn.vertices)
+    return fill_colours(colours, distance < POLICY.reach)
 
 
 def fill_colours(colours: Floats, known: NDArray[np.bool_]) -> NDArray[np.uint8] | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.errors import InputError, MeshError, SoftdecaError, one_line
 from ..base.files.surface_file import Scan, read_scan
-from ..base.files.texture import read_texture
+from ..base.files.texture import Texture, read_texture
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.warp import Similarity
 from ..base.mesh import Floats, Surface
@@ -27,7 +27,7 @@ from ..template.fit import fit_head, has_triangles_of, is_upright
 from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..template.registration.registration import find_face, register
 from ..template.template import Template
-from .detail import Painted, find_colours, lay_detail
+from .detail import find_colours, lay_detail
 from .placing import Placement, find_placement, millimetres
 from .repair import repair_scan
 
@@ -55,7 +55,7 @@ class PlacedScan:
     """A scan ready to be fitted: `skin` [mm], upright, +z the front; what was done on the way stands in `notes`.
 
     `own`: displacements [mm], shape (n, 3), of the morph targets that have ARKit names; `landmarks`: pairs of template
-    vertices and points on the skin [mm], or None; `painted`: the scan with its texture, where its file has one.
+    vertices and points on the skin [mm], or None; `texture`: its file's, in the head's place [mm], where there is one.
     """
 
     skin: Surface
@@ -63,7 +63,7 @@ class PlacedScan:
     landmarks: Pairs | None = field(repr=False)
     placement: Placement = field(repr=False)
     notes: tuple[str, ...]
-    painted: Painted | None = field(default=None, repr=False)
+    texture: Texture | None = field(default=None, repr=False)
 
 
 def fit_scan(
@@ -93,9 +93,9 @@ def fit_scan(
     detail = None
     if not has_triangles_of(template, placed.skin):
         detail = lay_detail(template, head.skin, placed.skin)
-    if placed.painted is not None:
+    if placed.texture is not None:
         detail = detail or Detail(np.zeros(count_fine_vertices(head.skin), np.float32))
-        detail = replace(detail, colours=find_colours(head.skin, detail, placed.painted))
+        detail = replace(detail, colours=find_colours(head.skin, detail, placed.texture))
     if detail is not None:
         motion = placed.placement.motion
         detail = replace(detail, place=np.column_stack([motion.scale * motion.rotation, motion.shift]))
@@ -121,10 +121,10 @@ def place_scan(
     read = read_scan(scan)
     with _name_scan(scan):
         placed = _place(template, read, hints, repair, progress)
-    return _paint(placed, read, scan)
+    return _paint(placed, scan)
 
 
-def _paint(placed: PlacedScan, read: Scan, path: str | os.PathLike[str]) -> PlacedScan:
+def _paint(placed: PlacedScan, path: str | os.PathLike[str]) -> PlacedScan:
     """Add a scan's texture; one that cannot be read is no reason to refuse a scan, and is told in the notes."""
     try:
         texture = read_texture(path)
@@ -132,11 +132,9 @@ def _paint(placed: PlacedScan, read: Scan, path: str | os.PathLike[str]) -> Plac
         return replace(placed, notes=(*placed.notes, f"texture: left out; {error}"))
     if texture is None:
         return placed
-    sound = read.sound
-    surface = Surface(placed.placement.motion(read.vertices), read.triangles[sound])
-    height, width = texture.picture.shape[:2]
-    painted = Painted(surface, replace(texture, corners=texture.corners[sound]))
-    return replace(placed, painted=painted, notes=(*placed.notes, f"texture: a picture of {width} x {height}"))
+    width, height = texture.picture.size
+    moved = texture.with_vertices(placed.placement.motion(texture.vertices))
+    return replace(placed, texture=moved, notes=(*placed.notes, f"texture: a picture of {width} x {height}"))
 
 
 def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgress = silent) -> dict[str, Floats]:

@@ -18,7 +18,7 @@ from ..base.geometry.topology import unique_edges
 from ..base.mesh import Floats, Surface
 from ..head.columns import unit
 from ..head.head import LayeredHead
-from .detail import fill_colours
+from .detail import POLICY, fill_colours
 
 TURNED = 10.0
 """[mm] that a unit of difference between normals counts beside a distance: an upper lip is not tied to the lower."""
@@ -61,7 +61,7 @@ class OwnMesh:
         off = float(np.median(tree.closest(fine.vertices[laid] if laid.any() else fine.vertices)[2]))
         if off > NEAR:
             raise InputError(f"{path}: it lies {off:.3g} mm off the head; is it the scan that the head was fitted to?")
-        return cls(surface, _tie(surface, fine), _find_colours(path, surface, sound))
+        return cls(surface, _tie(surface, fine), _find_colours(path, surface, detail.place))
 
     def has_shut_lids(self, blink: Floats) -> bool:
         """Tell whether a blink (n, 3) [mm] tears the mesh: the scan's lids are shut, or one surface with the eyes."""
@@ -86,19 +86,14 @@ def _tie(surface: Surface, fine: Surface) -> csr_matrix:
     return csr_matrix(entries, shape=(count, len(fine.vertices)))
 
 
-def _find_colours(path: str | os.PathLike[str], surface: Surface, sound: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
-    """Find each vertex' colour, in a triangle that has it; the median where none is known."""
+def _find_colours(path: str | os.PathLike[str], surface: Surface, place: Floats) -> NDArray[np.uint8] | None:
+    """Find each vertex' colour in the scan's texture; the median where it has none."""
     try:
         texture = read_texture(path)
     except (InputError, ValueError):  # the fit has told it
         return None
     if texture is None:
         return None
-    numbers = np.flatnonzero(sound)
-    found = np.full((len(surface.vertices), 3), np.nan)
-    for corner in range(3):
-        weights = np.tile(np.eye(3)[corner], (len(numbers), 1))
-        colours = texture.find_colours(numbers, weights)
-        known = np.isfinite(colours).all(axis=1)
-        found[surface.triangles[known, corner]] = colours[known]
-    return fill_colours(found, np.isfinite(found).all(axis=1))
+    texture = texture.with_vertices(texture.vertices @ place[:, :3].T + place[:, 3])
+    colours, distance = texture.find_colours(surface.vertices)
+    return fill_colours(colours, distance < POLICY.reach)

@@ -1,136 +1,117 @@
-"""The colours of a scan: a picture, and where in it the corners of the scan's triangles lie; OBJ and glTF."""
+"""The colours of a scan: a picture, and where in it the scan's vertices lie; OBJ and glTF, as trimesh reads them."""
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, one_line
+from ..geometry.bvh import TriangleTree
 from ..limits import PIXELS
 from ..mesh import Floats, Ints
-from .gltf import read_gltf_picture
 from .text import find_beside, naming_file, read_bytes
 
-FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "MPO")
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture (h, w, 3), 0 to 255, and places (m, 3, 2) in it of the corners of a scan's triangles.
+    """A picture, and the triangles (m, 3) that have it: vertices (n, 3) where they lie, places (n, 2) in the picture.
 
-    Places are right and down from the picture's upper left corner, in its width and height. They repeat beyond 1, and
-    are NaN where a triangle has none.
+    Places are right and up from the picture's lower left corner, in its width and height; they repeat beyond 1.
     """
 
-    picture: NDArray[np.uint8]
-    corners: Floats
+    picture: Image
+    vertices: Floats
+    triangles: Ints
+    places: Floats
 
-    def find_colours(self, triangles: Ints, weights: Floats) -> Floats:
-        """Find the colours (k, 3), 0 to 255, of points in triangles (k,), with barycentric weights (k, 3).
+    def with_vertices(self, vertices: Floats) -> Texture:
+        """Return the texture of the same triangles elsewhere."""
+        return replace(self, vertices=vertices)
 
-        Bilinear; NaN for a point in a triangle that has no place in the picture.
-        """
-        height, width = self.picture.shape[:2]
-        place = np.einsum("kc,kcd->kd", weights, self.corners[triangles])
-        known = np.isfinite(place).all(axis=1)
-        x, y = ((place[known] % 1.0) * (width, height) - 0.5).T
-        left, upper = np.floor(x).astype(int), np.floor(y).astype(int)
-        found = np.full((len(place), 3), np.nan)
-        found[known] = 0.0
-        for across, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            share = np.abs(1 - across - (x - left)) * np.abs(1 - down - (y - upper))
-            found[known] += share[:, None] * self.picture[(upper + down) % height, (left + across) % width]
-        return found
+    def find_colours(self, points: Floats) -> tuple[Floats, Floats]:
+        """Find the colours (k, 3), 0 to 255, of the closest points of the triangles, and their distances (k,)."""
+        from trimesh.visual.color import uv_to_interpolated_color
+
+        triangle, weights, distance = TriangleTree(self.vertices, self.triangles).closest(points)
+        places = np.einsum("kc,kcd->kd", weights, self.places[self.triangles[triangle]])
+        return uv_to_interpolated_color(places, self.picture)[:, :3].astype(np.float64), distance
 
 
 def read_texture(path: str | os.PathLike[str]) -> Texture | None:
-    """Read a scan's texture, for its triangles as `read_scan` has them; None without one, or in another kind of file.
+    """Read a scan's texture, where `read_scan` has its vertices; None without one, or in another kind of file.
 
-    Of several pictures the one counts that most triangles have. InputError, one line that names the file, for a picture
-    that is missing or damaged.
+    Of several parts with a picture the largest counts. InputError, one line that names the file, for a picture that is
+    missing, outside the file's folder, or damaged.
     """
     path = Path(path)
-    read = {".obj": _read_obj, ".glb": read_gltf_picture, ".gltf": read_gltf_picture}.get(path.suffix.lower())
+    if path.suffix.lower() not in (".obj", ".glb", ".gltf"):
+        return None
     with naming_file(path):
-        found = None if read is None else read(path)
-        return None if found is None else Texture(_decode(found[0]), found[1])
+        scene = _read_scene(path)
+        parts = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
+        parts = [(mesh, matrix) for mesh, matrix in parts if _picture_of(mesh) is not None]
+        if not parts:
+            return None
+        mesh, matrix = max(parts, key=lambda part: len(part[0].faces))
+        vertices = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        if not np.ptp(vertices, axis=0).any():  # trimesh has zeros in place of what Draco packed
+            raise InputError("its texture lies on a mesh packed by Draco, and is not read")
+        return Texture(_decode(_picture_of(mesh)), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
 
 
-def _decode(content: bytes) -> NDArray[np.uint8]:
-    from PIL import Image, UnidentifiedImageError
+class _Beside(dict):
+    """Reads what a file names from its folder, and keeps what is refused: trimesh goes on without."""
 
-    try:
-        with Image.open(io.BytesIO(content), formats=FORMATS) as image:
-            PIXELS.check("its picture", image.width * image.height)
-            return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        if isinstance(error, InputError):
+    def __init__(self, path: Path):
+        super().__init__()
+        self.path, self.refused = path, []
+
+    def get(self, name: str) -> bytes:  # type: ignore[override]
+        try:
+            return read_bytes(find_beside(self.path, unquote(name)))
+        except InputError as error:
+            self.refused.append(error)
             raise
+
+    __getitem__ = get
+
+
+def _read_scene(path: Path):
+    """Return trimesh's scene of a file."""
+    from trimesh import load_scene
+
+    beside, content = _Beside(path), io.BytesIO(read_bytes(path))
+    try:
+        scene = load_scene(content, file_type=path.suffix.lower()[1:], resolver=beside, process=False)
+    except Exception as error:  # trimesh raises whatever the damage makes it raise
+        raise InputError(f"its texture cannot be read ({one_line(str(error))[:80]})") from None
+    if beside.refused:
+        raise beside.refused[0]
+    return scene
+
+
+def _picture_of(mesh) -> Image | None:
+    """Return the picture of a part, if it has one from the file, and places in it."""
+    material = getattr(mesh.visual, "material", None)
+    picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    has_places = getattr(mesh.visual, "uv", None) is not None
+    return picture if has_places and getattr(picture, "format", None) in FORMATS else None
+
+
+def _decode(picture: Image) -> Image:
+    PIXELS.check("its picture", picture.width * picture.height)
+    try:
+        return picture.convert("RGB")
+    except (OSError, ValueError, SyntaxError):
         raise InputError(f"its picture is damaged, or none of {', '.join(FORMATS)}") from None
-
-
-def _read_obj(path: Path) -> tuple[bytes, Floats] | None:
-    """Read the picture's bytes and the corners' places (m, 3, 2) of an OBJ that `read_obj` has found sound."""
-    content = read_bytes(path)
-    if b"vt " not in content or b"mtllib" not in content:
-        return None
-    content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    places: list[tuple[float, float]] = []
-    corners: list[tuple[int, int, int]] = []
-    material, of_triangle, library = b"", [], ""
-    for line in content.splitlines():
-        kind, *words = line.partition(b"#")[0].split() or [b""]
-        if kind == b"vt":
-            u, v = (float(word) for word in words[:2])
-            places.append((u, 1.0 - v))
-        elif kind == b"f":
-            ids = [_place_of(word, len(places)) for word in words]
-            corners += [(ids[0], b, c) for b, c in zip(ids[1:-1], ids[2:], strict=True)]
-            of_triangle += [material] * (len(ids) - 2)
-        elif kind == b"usemtl":
-            material = b" ".join(words)
-        elif kind == b"mtllib":
-            library = b" ".join(words).decode("utf-8", "replace")
-    if not places or not library:
-        return None
-    pictures = _read_materials(find_beside(path, library))
-    names = [name for name in of_triangle if name in pictures]
-    if not names:
-        return None
-    chosen = pictures[max(dict.fromkeys(names), key=names.count)]
-    table = np.vstack([np.array(places), np.full((1, 2), np.nan)])  # the last, -1, is no place
-    is_drawn = np.array([pictures.get(name) == chosen for name in of_triangle])
-    found = np.where(is_drawn[:, None, None], table[np.array(corners)], np.nan)
-    return read_bytes(find_beside(path, chosen)), found
-
-
-def _place_of(word: bytes, count: int) -> int:
-    """Return the number of a corner's place, -1 where it has none."""
-    _, slash, rest = word.partition(b"/")
-    number = rest.partition(b"/")[0]
-    if not slash or not number:
-        return -1
-    k = int(number)
-    k = k - 1 if k > 0 else count + k
-    if not 0 <= k < count:
-        raise InputError(f"a corner has the texture coordinate {int(number)} of {count}")
-    return k
-
-
-def _read_materials(path: Path) -> Mapping[bytes, str]:
-    """Read the file names of materials' pictures."""
-    pictures: dict[bytes, str] = {}
-    material = b""
-    for line in read_bytes(path).splitlines():
-        kind, *words = line.split() or [b""]
-        if kind == b"newmtl":
-            material = b" ".join(words)
-        elif kind == b"map_Kd" and words:
-            pictures[material] = b" ".join(words).decode("utf-8", "replace")
-    return pictures
