@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..lhm.base.errors import is_interrupt
-from ..lhm.base.files.atomic import remove_unfinished
 from ..lhm.base.progress import OnProgress
 
 INTERRUPTED = 130
@@ -98,6 +97,5 @@ def end_at_ctrl_c() -> Iterator[None]:
 
 
 def _end_at_once(*_) -> None:
-    remove_unfinished()
     os.write(2, b"softdeca: interrupted; ended at once\n")
     os._exit(INTERRUPTED)

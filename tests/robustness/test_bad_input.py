@@ -5,16 +5,15 @@ import os
 import re
 import resource
 import shlex
-import socket
 import zipfile
 
 import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.lhm import InputError, SoftdecaError, expressions, fit_head, load_template
+from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
-from softdeca.lhm.base.files.resumable import RowStore, lock_folder
+from softdeca.lhm.base.files.resumable import RowStore
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.template.fit import is_upright
 
@@ -130,7 +129,7 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     "words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out"), ("bench", "export")]
 )
-@pytest.mark.parametrize("place", ["/dev/null/x.zip", "e" * 300 + ".zip", "/proc/x.zip"])
+@pytest.mark.parametrize("place", ["/dev/null/x.zip", "e" * 300 + ".zip", "/dev/full/x.zip"])
 def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, monkeypatch, words, place):
     for module in ("study", "study_command", "corpus", "bench"):
         monkeypatch.setattr(f"softdeca.cli.{module}.show_progress", None)  # the work would end in a TypeError
@@ -162,53 +161,28 @@ def test_a_file_stays_as_it_was_when_its_writer_fails(tmp_path):
     assert file.read_text() == "before" and list(tmp_path.iterdir()) == [file]
 
 
-def pipe(file, folder):
-    os.mkfifo(file)
-
-
-def socket_there(file, folder):
-    with socket.socket(socket.AF_UNIX) as there:
-        there.bind(str(file))
-
-
-def link(file, folder):
-    (folder / "precious").write_text("precious")
-    file.symlink_to(folder / "precious")
-
-
 NO_FILES = {
-    "it is a link to .*/precious; give that name": link,
-    "it is a link to .*/nowhere; give that name": lambda file, folder: file.symlink_to(folder / "nowhere"),
-    "it is a link to /dev/null": lambda file, folder: file.symlink_to("/dev/null"),
-    "it is a pipe": pipe,
-    "it is a socket": socket_there,
-    "Is a directory": lambda file, folder: file.mkdir(),
-    "it is read-only": lambda file, folder: file.touch(0o444),
+    "pipe": lambda file: os.mkfifo(file),
+    "link to a device": lambda file: file.symlink_to("/dev/null"),
+    "folder": lambda file: file.mkdir(),
 }
 
 
-@pytest.mark.parametrize("words", NO_FILES)
-def test_nothing_is_replaced_but_a_plain_file(tmp_path, command, words):
+@pytest.mark.parametrize("kind", NO_FILES)
+def test_nothing_is_replaced_but_a_plain_file(tmp_path, command, kind):
     file = tmp_path / "out.msh"
-    NO_FILES[words](file, tmp_path)
+    NO_FILES[kind](file)
     before = {path.name: path.lstat() for path in tmp_path.iterdir()}
-    message = rf"out\.msh: cannot be written \({words}"
+    message = r"out\.msh: cannot be written \(it is no plain file"
     refused(message, check_place, file, folder=False)
     refused(message, write_whole, file, b"new")
     refused(message, RowStore(tmp_path, file=file.name).add, {})
     assert re.search(message, command("head", "mesh", "head.npz", "--out", file).refusal())
     assert {path.name: path.lstat() for path in tmp_path.iterdir()} == before
-    assert "precious" not in before or (tmp_path / "precious").read_text() == "precious"
 
 
-def test_devices_are_not_replaced():
-    for device in ("/dev/null", "/dev/full"):
-        refused(f"{device}: cannot be written .it is a device", check_place, device, folder=False)
-    refused("/dev/stdout: cannot be written .it is a link to ", check_place, "/dev/stdout", folder=False)
-
-
-def test_a_lock_that_is_a_link_leaves_what_it_leads_to(tmp_path):
-    link(tmp_path / ".lock", tmp_path)
-    with pytest.raises(InputError, match="lock: cannot be written .it is a link"), lock_folder(tmp_path, "study"):
-        pass
-    assert (tmp_path / "precious").read_text() == "precious"
+def test_a_link_to_a_file_is_replaced_and_leaves_what_it_leads_to(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "out.msh").symlink_to(tmp_path / "precious")
+    write_whole(tmp_path / "out.msh", b"new")
+    assert (tmp_path / "precious").read_text() == "precious" and (tmp_path / "out.msh").read_bytes() == b"new"

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import secrets
-import stat
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import InputError, quote
-
-_unfinished: set[Path] = set()
+from ..errors import InputError
 
 
 @contextmanager
@@ -25,63 +20,31 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = Path(path)
     check_replaceable(path)
+    # Names end at 255 characters.
+    temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Named before it is made, so that an interruption at any place finds it here.
-        # Names end at 255 characters.
-        temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
-        _unfinished.add(temporary)
         try:
-            temporary.touch(0o600, exist_ok=False)
+            temporary.touch(exist_ok=False)
             yield temporary
-            temporary.chmod(0o666 & ~_umask())
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-            _unfinished.discard(temporary)
     except OSError as error:
         where = f": {error.filename}" if error.filename else ""
         raise InputError(f"{path}: cannot be written ({error.strerror or error}{where})") from None
 
 
-KINDS = {
-    stat.S_IFDIR: "Is a directory",
-    stat.S_IFIFO: "it is a pipe",
-    stat.S_IFSOCK: "it is a socket",
-    stat.S_IFCHR: "it is a device",
-    stat.S_IFBLK: "it is a device",
-}
-"""What is no plain file, by its format in `st_mode`."""
-
-
 def check_replaceable(path: str | os.PathLike[str]) -> None:
-    """Raise InputError for a path at which there is anything but a plain file that may be written, or nothing.
-
-    A link is refused with the name of where it leads: to replace it would leave that as it was. A file without any
-    permission to write is refused, also for root, who may write it all the same.
-    """
+    """Raise InputError for a path at which there is anything but a plain file that may be written, or nothing."""
+    path = Path(path)
     try:
-        mode = os.lstat(path).st_mode
-        if stat.S_ISLNK(mode):
-            reason = f"it is a link to {quote(os.readlink(path), 200)}; give that name"
-        elif not stat.S_ISREG(mode):
-            reason = KINDS.get(stat.S_IFMT(mode), "it is no plain file")
-        elif not mode & 0o222 or not os.access(path, os.W_OK):
-            reason = "it is read-only"
-        else:
+        if not path.exists() or (path.is_file() and os.access(path, os.W_OK)):
             return
-    except OSError as error:
-        if error.errno == errno.ENOENT:
-            return
+        reason = "it is read-only" if path.is_file() else "it is no plain file"
+    except OSError as error:  # a name that is too long
         reason = error.strerror or str(error)
     raise InputError(f"{path}: cannot be written ({reason})")
-
-
-def remove_unfinished() -> None:
-    """Remove the temporary files of this process: for an end at once, which no `finally` sees."""
-    for temporary in list(_unfinished):
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:
@@ -93,14 +56,14 @@ def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:
         check_replaceable(path)
     there = Path(path).absolute() if folder else Path(path).absolute().parent
     try:
-        while not (there.exists() or there.is_symlink()):  # an OSError for a name that is too long
+        while not there.exists():
             there = there.parent
-        if not there.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        with tempfile.TemporaryFile(dir=there):
-            pass  # folders such as /proc let root write by their mode, and hold no file of anybody's
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+            return
+        reason = f"{there} is read-only" if there.is_dir() else f"{there} is no folder"
+    except OSError as error:  # a name that is too long
+        reason = error.strerror or str(error)
+    raise InputError(f"{path}: cannot be written ({reason})")
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
@@ -110,9 +73,3 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """
     with replaced(path) as temporary:
         temporary.write_bytes(content)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
