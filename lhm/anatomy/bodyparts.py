@@ -20,7 +20,7 @@ from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
 from ..base.files.text import is_plain_file
-from ..base.limits import PARTS, VERTICES
+from ..base.limits import VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 
@@ -106,7 +106,6 @@ def _check(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
     faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
     names, groups = (array_of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
-    PARTS.check("it has", names.size)
     shape("part_name", names, (None,))
     shape("part_group", groups, (len(names),))
     part = indices_below("face_part", data["face_part"], len(names), (len(faces),))

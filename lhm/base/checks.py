@@ -16,7 +16,6 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from .errors import InputError, SoftdecaError, quote
 
@@ -142,13 +141,6 @@ def indices_below(
     return integers(name, values, 0, count - 1, expected, error=error)
 
 
-def mask(name: str, values: Any, expected: Shape) -> np.ndarray:
-    """Return an array of bool of a shape."""
-    array = array_of_kind(name, values, "b", "True and False")
-    shape(name, array, expected)
-    return array
-
-
 def text(name: str, value: Any) -> str:
     """Return a text, also one that is stored as an array of one."""
     array = np.asarray(value)
@@ -165,24 +157,6 @@ def texts(name: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(each, str) for each in value):
         raise InputError(f"{name}: expected a list of texts, got {quote(value)}")
     return tuple(value)
-
-
-def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, columns: int) -> csr_matrix:
-    """Return the sparse matrix (rows, columns) of such arrays, each index and pointer checked, none there twice.
-
-    scipy itself trusts them: one out of range ends the process at the first product.
-    """
-    values = finite(f"{name}_data", data, (None,))
-    columns_of = indices_below(f"{name}_indices", indices, columns, (len(values),))
-    ends = integers(f"{name}_indptr", indptr, 0, len(values), (rows + 1,))
-    if ends[0] != 0 or ends[-1] != len(values) or (np.diff(ends) < 0).any():
-        raise InputError(f"{name}_indptr: expected numbers that rise from 0 to {len(values)}")
-    row_of = np.repeat(np.arange(rows), np.diff(ends))
-    first = np.unique(row_of * columns + columns_of, return_index=True)[1]
-    if len(first) < len(values):
-        again = np.setdiff1d(np.arange(len(values)), first)[0]
-        raise InputError(f"{name}_indices: row {row_of[again]} names column {columns_of[again]} twice")
-    return csr_matrix((values, columns_of, ends), shape=(rows, columns))
 
 
 UNIT = 0.01

@@ -35,29 +35,12 @@ class Bound:
 # Files of every kind.
 FILE_BYTES = Bound("bytes", 1_000_000_000, "the largest scans have some 300 MB; reading needs up to ten times the size")
 UNPACKED_BYTES = Bound("bytes unpacked", 2_000_000_000, "a template of level 3 unpacks to 0.2 GB; more is a zip bomb")
-ARRAYS = Bound("arrays", 10_000, "a head has some 40; a checkpoint has two for each layer")
 JSON_BYTES = Bound("bytes of JSON", 200_000_000, "an hour's take at 60 Hz has 100 MB; Python needs ten times its size")
-JSON_DEPTH = Bound("levels of brackets", 64, "no format that is read nests more than ten levels")
-JSON_DIGITS = Bound("digits in an integer", 18, "18 digits fit 64 bits; no index, count or time needs more")
 
 # Meshes, heads and templates.
 VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million")
-TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
-CORNERS = Bound("corners of triangles", 120_000_000, "three for each triangle")
-TETS = Bound("tets", 20_000_000, "seventeen times the finest mesh that has been solved", least=1)
-MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
 MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
 PIXELS = Bound("pixels", 80_000_000, "the largest textures have 8,192 by 8,192; decoded they take 4 bytes each")
-GLTF_NODES = Bound("nodes", 10_000, "a scene with a rigged body has some hundred")
-GLTF_PRIMITIVES = Bound("instances of parts of meshes", 10_000, "a scene with a rigged body has some hundred")
-GLTF_DEPTH = Bound("levels of nodes", 100, "a skeleton's fingers are some twenty levels deep")
-REGIONS = Bound("regions", 1_000, "a head has eight")
-NOTES = Bound("notes", 1_000, "a fit writes some ten")
-NOTE_LETTERS = Bound("letters in a note", 2_000, "a note is a sentence or two")
-SHAPES = Bound("shapes", 10_000, "FLAME has 400")
-SPACE_VALUES = Bound("numbers in its shapes", 250_000_000, "2 GB: ICT-FaceKit has 20 million")
-PARTS = Bound("parts", 10_000, "BodyParts3D has 2,000 for the whole body")
-PAIRS = Bound("pairs of skin and skull", 10_000, "each takes half a minute")
 
 # Takes, corpora, weights, results of studies, and counts of commands.
 TOML_BYTES = Bound("bytes of TOML", 100_000, "a file of options has some hundred; arrays stand in files of their own")

@@ -276,7 +276,7 @@ def read_json_take(text: str) -> Take:
     Names are ARKit's, whatever their order and case; an unknown one is an error. Times [s] rise.
     """
     # Weights and times that are not finite are named with their frame.
-    content = load_json(text, allow_nan=True, entries=TAKE_FRAMES)
+    content = load_json(text, allow_nan=True)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError('not a take: expected an object with a list "frames" that is not empty')

@@ -13,7 +13,6 @@ from ..base.files.npz import read_npy
 from ..base.files.surface_file import SUFFIXES, read_surface
 from ..base.files.text import naming_file, read_json
 from ..base.geometry.warp import rigid_motion
-from ..base.limits import SHAPES, SPACE_VALUES
 from ..base.mesh import Floats, Ints, Surface
 from .arkit import ARKIT
 from .space import CAP, OUTSIDE, LinearSpace, check_extent
@@ -38,7 +37,6 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     if not files:
         raise InputError(f"{folder}: no mesh in it; expected {', '.join(SUFFIXES)}")
     first = read_surface(files[0], unit=unit)
-    SPACE_VALUES.check(str(folder), first.vertices.size * (len(files) + len(ARKIT)))
     skins = [first.vertices]
     for file in files[1:]:
         skin = _alike(file, first, files[0], unit).vertices
@@ -53,9 +51,7 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
-    SHAPES.check(str(folder), len(files))
-    return files
+    return sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
 
 
 def _alike(file: Path, first: Surface, first_file: Path, unit: str) -> Surface:

