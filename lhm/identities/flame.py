@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..base.checks import finite, indices_below, real
+from ..base.checks import indices_below
 from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
 from ..base.geometry.topology import find_openings
-from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
 from .arkit import ARKIT
 from .cut import close_loop, even_loop, keep_lips_together, largest_piece
@@ -25,10 +24,8 @@ from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 from .unpickle import read_pickled
 
 MM = 1000.0
-LARGEST = 1e4
-"""[m] of a coordinate."""
 CODE_SIZE = 100  # the shape coefficients that DECA estimates
-JOINTS, JAW = 5, 2
+JAW = 2
 JAW_OPEN = 0.35  # [rad] jawOpen's rotation about the jaw joint's x axis
 SIDE = 0.015  # [m] an opening whose centre is farther from mid-face is an eye's
 DEPTHS = {MOUTH: 25.0, EYES: 12.0, CAP: 0.0}  # [mm] of the pockets that close the openings
@@ -53,18 +50,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
 
 def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
-    template = finite("v_template", data["v_template"], (None, 3), most=LARGEST)
-    n = VERTICES.check("it has", len(template))
-    SPACE_VALUES.check("it has", data["shapedirs"].size + data["posedirs"].size)
-    most = float(np.ptp(template, axis=0).max(initial=0.0))  # a shape moves no vertex farther than the head is large
-    shapes = {
-        "shapedirs": ((n, 3, None), most),
-        "posedirs": ((n, 3, 9 * (JOINTS - 1)), most),
-        "weights": ((n, JOINTS), 2.0),
-        "J_regressor": ((JOINTS, n), 2.0),
-    }
-    for name, (expected, largest) in shapes.items():
-        real(name, data[name], expected, most=largest)
+    template, n = data["v_template"], len(data["v_template"])
     triangles = largest_piece(indices_below("f", data["f"], n, (None, 3)))
     used = np.unique(triangles)
     number = np.full(n, -1)

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.checks import array_of_kind, finite, indices_below, real, shape
-from ..base.errors import InputError, quote
+from ..base.checks import indices_below
+from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
-from ..base.limits import PARTS, SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from .arkit import ARKIT, arkit_name
@@ -25,8 +24,6 @@ from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 10.0
 CODE_SIZE = 50
-LARGEST = 1e6
-"""[cm] of a coordinate."""
 NECK_CUT = 280.0  # [mm] below the top: above the shoulders, as the default head
 _SKIN = {"face": OUTSIDE, "head_neck": OUTSIDE, "mouth_socket": MOUTH, "eye_socket_l": EYES, "eye_socket_r": EYES}
 _NEEDED = (
@@ -80,39 +77,12 @@ def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[st
         raise InputError(f"{path}: not ICT-FaceKit's data ({error})") from None
 
 
-def _check(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays, each of its shape and range; InputError names one that is not."""
-    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
-    n = VERTICES.check("it has", len(vertices))
-    names = array_of_kind("part_names", data["part_names"], "U", "texts").ravel()
-    PARTS.check("it has", len(names))
-    triangles = indices_below("triangles", data["triangles"], n, (None, 3))
-    SPACE_VALUES.check("it has", data["identity_deltas"].size + data["expression_deltas"].size)
-    most = float(np.ptp(vertices, axis=0).max(initial=0.0))  # a shape moves no vertex farther than the head is large
-    expressions = real("expression_deltas", data["expression_deltas"], (None, n, 3), most=most)
-    arkit = array_of_kind("expression_arkit", data["expression_arkit"], "U", "texts")
-    shape("expression_arkit", arkit, (len(expressions),))
-    for name in arkit.tolist():
-        if name not in ARKIT:
-            raise InputError(f"expression_arkit: {quote(name)!r} is none of ARKit's expressions")
-    return {
-        "vertices": vertices,
-        "triangles": triangles,
-        "triangle_part": indices_below("triangle_part", data["triangle_part"], len(names), (len(triangles),)),
-        "part_names": names,
-        "identity_deltas": real("identity_deltas", data["identity_deltas"], (None, n, 3), most=most),
-        "expression_deltas": expressions,
-        "expression_arkit": arkit,
-    }
-
-
-def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
-    data = _check(given)
+def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     names = data["part_names"].tolist()
     part_of = np.array([_SKIN.get(name, -1) for name in names])[data["triangle_part"]]
     if not (part_of >= 0).any():
         raise InputError(f"no triangle is of {', '.join(_SKIN)}")
-    triangles = data["triangles"]
+    triangles = indices_below("triangles", data["triangles"], len(data["vertices"]), (None, 3))
     height = data["vertices"][:, 1] * MM
     above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
     cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..base.checks import array_of_kind
+from ..base.checks import array_of_kind, real
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
 from .transfer import transfer_expressions
@@ -72,6 +72,8 @@ class LinearSpace:
 
     `mean` (n vertices) [mm]; `identity` (k, n, 3) [mm], scaled so that codes are standard normal; `expressions`
     (52, n, 3) [mm] in ARKit's order, zero for those in `missing`; `parts` (n,): OUTSIDE, MOUTH, EYES or CAP.
+    Raises InputError for other shapes, values that are not finite, and those that move a vertex farther than the head
+    is large.
     """
 
     name: str
@@ -80,6 +82,12 @@ class LinearSpace:
     expressions: Floats = field(repr=False)
     parts: Ints = field(repr=False)
     missing: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        n, size = len(self.mean.vertices), float(np.ptp(self.mean.vertices, axis=0).max(initial=0.0))
+        for name in ("identity", "expressions"):
+            # A shape moves no vertex farther than the head is large.
+            real(f"{name} of space {self.name!r}", getattr(self, name), (None, n, 3), most=size)
 
     @property
     def code_size(self) -> int:
