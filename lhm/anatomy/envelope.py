@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import csr_matrix, diags
 
 from ..base.errors import InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
-from ..base.geometry.surfaces import simplify, zero_surface
 from ..base.geometry.topology import join_surfaces
 from ..base.mesh import Floats, Ints, Surface
 from ..head.head import CRANIUM, FREE, MANDIBLE
@@ -115,7 +113,7 @@ def closed_envelope(
         field = np.minimum(field, grid.distance_from(grid.enclosed(coarse, cavity)) - out)
     shut_in = ndimage.binary_fill_holes(field < 0) & (field >= 0)
     field[shut_in] = -spacing
-    grown = zero_surface(field, grid.origin, spacing)
+    grown = closed_surface(field, grid.origin, spacing)
     # Back by `closing`: what is left is at least so far from the grown body's surface.
     outline = TriangleTree(grown.vertices, grown.triangles)
     depth = grid.distance_from(field >= 0)
@@ -125,7 +123,7 @@ def closed_envelope(
     field = _large(field, spacing, smallest)
     if not (field < 0).any():
         raise InputError(f"closed_envelope: nothing is left at a spacing of {spacing:g} mm")
-    surface = simplify(smooth(zero_surface(field, grid.origin, spacing)), POLICY.most_triangles)
+    surface = closed_surface(field, grid.origin, spacing, most=POLICY.most_triangles)
     return surface if within is None else _keep_inside(surface, within, clearance)
 
 
@@ -203,14 +201,21 @@ def _large(field: Floats, spacing: float, smallest: float | None) -> Floats:
     return np.where(np.append(True, kept)[pieces], field, spacing)
 
 
-def smooth(surface: Surface, rounds: int = 8) -> Surface:
-    """Smooth by Taubin's steps, without shrinkage: an umbrella step inward, a larger one back (SIGGRAPH 1995)."""
-    i, j = np.vstack([surface.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]).T
-    n = len(surface.vertices)
-    edges = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
-    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
-    x = surface.vertices
-    for _ in range(rounds):
-        for step in (0.5, -0.53):
-            x = x + step * (mean @ x - x)
-    return surface.with_vertices(x)
+def closed_surface(field: Floats, origin: Floats, spacing: float, *, most: int | None = None) -> Surface:
+    """Return the closed surface around where `field` (i, j, k) is negative, normals outward, by marching cubes.
+
+    Point (a, b, c) of the grid lies at origin + spacing (a, b, c) [mm]. With `most`, the surface is smoothed by Taubin
+    (SIGGRAPH 1995) and has at most so many triangles.
+    """
+    import pyvista
+
+    values = np.clip(np.pad(field, 1, constant_values=np.inf), -4 * spacing, 4 * spacing)
+    # No vertex of the surface lies on a point of the grid.
+    values = np.where(values < 0, np.minimum(values, -1e-3 * spacing), np.maximum(values, 1e-3 * spacing))
+    grid = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=origin - spacing)
+    mesh = grid.contour([0.0], scalars=values.ravel(order="F"), method="flying_edges")
+    if most is not None:
+        mesh = mesh.smooth_taubin(n_iter=16, pass_band=0.1)
+        if mesh.n_cells > most:
+            mesh = mesh.decimate_pro(1.0 - most / mesh.n_cells, preserve_topology=True)
+    return Surface(mesh.points, mesh.faces.reshape(-1, 4)[:, :0:-1])
