@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ...lhm.base.checks import number
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.text import parse_json
 from ...lhm.base.limits import CHANGE_BYTES
@@ -105,12 +106,10 @@ def _numbers(name: str, said: Any, known: Mapping[str, object]) -> dict[str, flo
     """Return an object of numbers by known names."""
     if not isinstance(said, dict):
         raise InputError(f"{name}: expected an object of numbers by name, got {quote(said)}")
-    for key, value in said.items():
+    for key in said:
         if key not in known:
             raise InputError(f"{name}: {quote(key)!r} has no slider")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{name}: {key} is no number: {quote(value)}")
-    return {key: float(value) for key, value in said.items()}
+    return {key: number(f"{name}: {key}", value) for key, value in said.items()}
 
 
 def pack_frame(frame: Frame, blended: Floats) -> bytes:

@@ -212,8 +212,9 @@ def closed_surface(field: Floats, origin: Floats, spacing: float, *, most: int |
     values = np.clip(np.pad(field, 1, constant_values=np.inf), -4 * spacing, 4 * spacing)
     # No vertex of the surface lies on a point of the grid.
     values = np.where(values < 0, np.minimum(values, -1e-3 * spacing), np.maximum(values, 1e-3 * spacing))
-    grid = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=origin - spacing)
-    mesh = grid.contour([0.0], scalars=values.ravel(order="F"), method="flying_edges")
+    grid = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=tuple(origin - spacing))
+    grid["field"] = values.ravel(order="F")
+    mesh = grid.contour([0.0], scalars="field", method="flying_edges")
     if most is not None:
         mesh = mesh.smooth_taubin(n_iter=16, pass_band=0.1)
         if mesh.n_cells > most:

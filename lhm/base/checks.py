@@ -10,8 +10,8 @@ All raise `error`, by default InputError, with one line. They return the value i
 
 from __future__ import annotations
 
-import math
 import numbers
+import sys
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ def number(
     error: Error = InputError,
 ) -> float:
     """Return one finite number as float that lies above `above`, or at or above `least`, and at or below `most`."""
-    good = _is_number(value) and math.isfinite(value)
+    good = _is_number(value) and abs(value) <= sys.float_info.max
     good = good and (above is None or value > above) and (least is None or value >= least)
     if not good or (most is not None and value > most):
         bounds = [f"{words} {bound:g}" for words, bound in (("above", above), ("at least", least)) if bound is not None]

@@ -299,7 +299,10 @@ BAD = (
     (CHANGE.replace('"weights": {}', '"weights": {"jawOpen": NaN}'), "NaN is no finite number"),
     (CHANGE.replace('"weights": {}', '"weights": {"jaw": 1}'), "weights: 'jaw' has no slider"),
     (CHANGE.replace('"parameters": {}', '"parameters": {"gravity": 9}'), "gravity = 9 is outside [0, 3] g"),
-    (CHANGE.replace('"parameters": {}', '"parameters": {"gravity": "9"}'), "parameters: gravity is no number: 9"),
+    (
+        CHANGE.replace('"parameters": {}', '"parameters": {"gravity": "9"}'),
+        "gravity: expected a number, got 9",
+    ),
     (CHANGE.replace('"parameters": {}', '"parameters": {"gravity_y": 0}'), "all zero; a direction is needed"),
 )
 

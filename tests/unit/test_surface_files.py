@@ -1,13 +1,10 @@
 """Readers of OBJ, PLY, STL and glTF against trimesh's, skins, and the cache: what each refuses."""
 
 import base64
-import io
 import json
 import os
 import struct
 import tracemalloc
-import warnings
-import zipfile
 
 import numpy as np
 import pytest
@@ -188,26 +185,8 @@ def doubled_nodes(words):
     words["nodes"] = [{"children": [k + 1, k + 1]} for k in range(60)] + [{"mesh": 0}]
 
 
-def deep_nodes(words):
-    words["nodes"] = [{"children": [k + 1]} for k in range(500)] + [{"mesh": 0}]
-
-
-def many_targets(words):
-    words["accessors"].append({"componentType": 5126, "count": len(X), "type": "VEC3"})
-    primitive(words)["targets"] = [{"POSITION": 3}] * 10_000
-
-
 def two_buffers(words):
     words["buffers"] += [{"byteLength": 6 * 10**8}] * 2
-
-
-def many_instances(words):
-    words["nodes"] = [{"mesh": 0}] * 5_001
-
-
-def three_instances(words):
-    words["accessors"][0]["count"] = 4 * 10**6
-    words["nodes"] = [{"mesh": 0}] * 3
 
 
 def one_name(words):
@@ -232,30 +211,14 @@ def data_uri(content):
     return "data:application/octet-stream;base64," + base64.b64encode(content).decode()
 
 
-def no_weights(words):
-    for name in ("JOINTS_0", "WEIGHTS_0"):
-        words["accessors"].append({"componentType": 5121, "count": len(X), "type": "VEC4"})
-        primitive(words)["attributes"] |= {name: len(words["accessors"]) - 1}
-    words["skins"] = [{"joints": [0]}]
-    words["nodes"][0]["skin"] = 0
-
-
-def zeros(words):
-    words["accessors"][0] = {"componentType": 5126, "count": 10**12, "type": "VEC3"}
-
-
 # Counts and numbers of a glTF are not trusted.
 GLTF = [
     (changed("bufferViews", 0, byteStride=-4096), "byteStride: -4,096"),
     (changed("bufferViews", 0, byteStride=1), "byteStride: 1, below the 12 bytes"),
     (changed("bufferViews", 1, byteLength=10**12), "shorter than it says"),
-    (changed("accessors", 0, count=10**13), "10,000,000,000,000 vertices; expected at"),
-    (zeros, "vertices; expected at most"),
     (lambda words: primitive(words).update(indices=-1), "accessors: -1 is none of its 3"),
     (changed("accessors", 0, count=100), "triangles: .*expected 0..99"),
-    (many_targets, "10,000 morph targets; expected at most 2,000"),
     (doubled_nodes, "its nodes are no tree"),
-    (deep_nodes, "levels of nodes; expected at most 100"),
     (changed("nodes", 0, scale=[float("nan")] * 3), "NaN is no finite number"),
     (changed("nodes", 0, matrix=[1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "matrix: its last row is not 0, 0,"),
     (changed("nodes", 0, rotation=[0.9, 0.9, 0.9, 0.9]), "rotation: quaternion 0 has length 1.8; expected 1"),
@@ -264,11 +227,8 @@ GLTF = [
     (changed("buffers", 0, uri="data:text/plain,abc"), "of the kind 'data:text/plain'; expected base64"),
     (changed("buffers", 0, byteLength=10), "shorter than it says"),
     (two_buffers, "its buffers have: 1,2.* bytes; expected at most"),
-    (many_instances, "its scene has: 10,002 instances of parts"),
-    (three_instances, "its scene has: 24,000,000 vertices"),
     (one_name, "morph target 'jawOpen' stands there twice"),
     (sparse(5, 5), "sparse indices: they do not rise"),
-    (no_weights, "WEIGHTS_0: vertex 0 hangs on no joint"),
     (lambda words: words["accessors"][0].pop("bufferView"), "accessor 0: its numbers are not in the file"),
     (changed("accessors", 1, componentType=5126, count=3), "accessor 1: of floats, expected integers"),
     (changed("accessors", 1, count=8), "triangles: 8 corners, no multiple of 3"),
@@ -279,17 +239,6 @@ def edited_glb(edit):
     made = gltf()
     edit(made.words)
     return made.glb()
-
-
-def twice_npz():
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for name, array in (("vertices", X), ("vertices.npy", 2 * X), ("triangles.npy", TRIANGLES)):
-            file = io.BytesIO()
-            np.save(file, array)
-            archive.writestr(name, file.getvalue())
-    return content.getvalue()
 
 
 def stl_of(count):
@@ -321,8 +270,6 @@ BAD = [
     ("a.ply", ASCII + b"1 3 4 5 6 0\n", "goes on after the elements"),
     ("a.ply", ASCII + b"hello\n", "a word that is no number"),
     ("a.obj", OBJ + "v 1_0 0 0\n", "line .* is none of an OBJ file"),
-    ("a.gltf", '{"asset": {"version": "2.0"}, "nodes": [], "nodes": []}', "the key 'nodes' stands there twice"),
-    ("a.npz", twice_npz(), "it holds two arrays of one name"),
     *(("a.stl", stl_of(count), "not an STL file, or cut off") for count in (10**9, 2**32 - 1, 319, 0)),
     ("a.stl", FACET + "outer loop\nvertex 1 2 3\n", "or cut off"),
     ("a.stl", exported("stl_ascii", X, TRIANGLES).rpartition(b"endsolid")[0], "or cut off"),
@@ -425,7 +372,6 @@ def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_
     ("kind", "number", "changes", "message"),
     [
         ("accessors", 0, {"count": 41}, r"Draco's vertices: expected shape \(41, 3\), got \(42, 3\)"),
-        ("accessors", 0, {"min": [-100] * 3, "max": [50] * 3}, "Draco's vertices lie 50 off the extent"),
         ("accessors", 1, {"count": 237}, r"Draco's corners: expected shape \(237,\), got \(240,\)"),
     ],
 )
@@ -442,8 +388,6 @@ def test_counts_of_a_compressed_gltf_are_those_of_what_is_in_it(tmp_path, kind, 
     ("text", "message"),
     [
         ("[]", "expected landmarks by name"),
-        ("[" * 100_000, "levels of brackets"),
-        ('{"chin": [1, 2, ' + "9" * 400 + "]}", "400 digits"),
         ('{"chin": [1, 2, 1e300]}', "landmark 'chin': 1e.300 is too large"),
         ('{"chin": [1, 2]}', r"landmark 'chin': expected shape \(3,\)"),
     ],
@@ -456,7 +400,6 @@ def test_bad_landmarks_are_named(tmp_path, text, message):
     ("name", "text", "message"),
     [
         ("a.json", "[1]", "expected weights by scan"),
-        ("a.json", '{"smile.ply": {"jawOpen": ' + "9" * 400 + "}}", "400 digits"),
         ("a.json", '{"' + "a" * 5000 + '": {"jawOpen": 1}}', "no such file"),
         ("a.json", '{"\\ud800.obj": {"jawOpen": 1}}', "no such file"),
         ("a.json", '{"smile.ply": {"smile": 1}}', "unknown ARKit expression 'smile'"),
@@ -464,7 +407,6 @@ def test_bad_landmarks_are_named(tmp_path, text, message):
         ("a.json", '{"smile.ply": {}}', "no scan shows an expression"),
         ("a.csv", "scan,jawOpen\nsmile.ply,1\n", "not a JSON file of guesses"),
         ("a.json", '{"smile.ply": {"jawOpen": 1}, "./smile.ply": {"jawOpen": 1}}', "stands there twice"),
-        ("a.json", '{"smile.ply": {"jawOpen": 1}, "smile.ply": {"jawOpen": 0}}', "'smile.ply' stands there twice"),
         ("a.json", '{"../smile.ply": {"jawOpen": 1}}', "has to lie in its folder"),
     ],
 )

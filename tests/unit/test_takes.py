@@ -282,7 +282,6 @@ def timed(*times):
     ("text", "message"),
     [
         ("{", "not JSON"),
-        ("[" * 100_000, "JSON: 100,000 levels of brackets; expected at most 64"),
         ("[1, 2]", "not a take"),
         ('{"names": ["jawOpen"], "frames": []}', "not a take"),
         ('{"rate": 30, "frames": [{"jawOpen": 0.5}]}', '"names": expected the list of the expressions'),
@@ -297,8 +296,6 @@ def timed(*times):
         (timed(0, 0.1).replace("[1]", '["x"]'), "frame 0, jawOpen: x is no finite"),
         (timed(0, 0.1).replace("[1]", "[NaN]"), "frame 0, jawOpen: nan is no finite"),
         (timed(0, 0.1).replace("[1]", "[true]"), "frame 0, jawOpen: True"),
-        (timed(0, 0.1).replace("[1]", f"[1{'0' * 400}]"), "JSON: 401 digits in an integer; expected at most 18"),
-        (timed(0, 0.1).replace('"time"', '"weights": [1], "time"'), "the key 'weights' stands there twice"),
         (timed(1, 1), "frame 1, time: expected two frames or more whose times rise"),
         (timed(1), "frame 0, time: expected two frames or more whose times rise"),
         (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),

@@ -128,8 +128,8 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
                 for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
                     corners.extend((polygon[0], b, c))
         except (ValueError, OverflowError):
-            said = quote(line.strip().decode("utf-8", "replace"), 60)
-            raise InputError(f"line {number} is none of an OBJ file: {said!r}") from None
+            shown = quote(line.strip().decode("utf-8", "replace"), 60)
+            raise InputError(f"line {number} is none of an OBJ file: {shown!r}") from None
     vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
     VERTICES.check("it has", len(vertices))

@@ -75,7 +75,8 @@ class _Beside(dict):
 
     def __init__(self, path: Path):
         super().__init__()
-        self.path, self.refused = path, []
+        self.path = path
+        self.refused: list[InputError] = []
 
     def get(self, name: str) -> bytes:  # type: ignore[override]
         try:
