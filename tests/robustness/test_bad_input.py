@@ -9,7 +9,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from scipy.sparse import identity
 
 from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import check_place, replaced, write_whole
@@ -102,9 +101,6 @@ def test_a_skin_of_another_size_direction_or_order_is_refused(turned, message):
     template = load_template(level=1)
     skin = template.skin.with_vertices(turned(template.skin.vertices))
     refused(f"^skin: {message}", fit_head, template, skin, error=SoftdecaError)
-    # The same where the skin is tied to the template by a mapping of its own.
-    own = identity(len(skin.vertices), format="csr")
-    refused(f"^skin: {message}", fit_head, template, skin, mapping=own, error=SoftdecaError)
 
 
 def test_a_skin_far_from_the_origin_is_fitted_as_at_the_origin():

@@ -214,7 +214,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
     def registered(template_skin, parts, given):
         np.testing.assert_array_equal(given.triangles, other.triangles)
         assert template_skin is space.mean and parts is space.parts
-        return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), csr_matrix((1, 1)), 0)
+        return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), 0)
 
     monkeypatch.setattr("softdeca.lhm.template.depths.pairs.register", registered)
     pairs, reports = read_pairs(folder, template, space)
