@@ -1,14 +1,12 @@
 """The study of depths: a skin and its skull in, a report out; skulls made so that the errors are known."""
 
 import json
-import re
 
 import numpy as np
 import pytest
 import trimesh
 
-from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.heads.depth import BETTER, PUBLISHED, Depth
+from softdeca.benchmarks.studies.heads.depth import BETTER
 from softdeca.lhm import Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.template.depths.depths import DepthRegressor
@@ -91,24 +89,6 @@ def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person
     assert pairs.label in ended.out
 
 
-def _skull(folder, name, change):
-    fitted = load_template().head.skull_wrap
-    return write(folder / name, change(fitted.vertices), fitted.triangles)
-
-
-def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command, skin, tmp_path):
-    skull = _skull(tmp_path, "skull.npz", lambda x: 1e-3 * x)
-    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
-    assert re.search("skull.npz: its extent is .* units off", ended.refusal()) and not (tmp_path / "out").exists()
-
-
-def test_a_skull_that_is_not_this_skins_is_a_failure_with_its_reason(command, skin, tmp_path):
-    skull = _skull(tmp_path, "skull.npz", lambda x: x + [0.0, 80.0, 0.0])
-    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
-    assert ended.status == 1 and re.search("FAILED skin.npz, default: skull: .* lie outside the skin", ended.out), ended
-    assert "Nothing could be measured." in ended.out
-
-
 def test_teeth_in_the_mouths_pocket_are_not_outside(space):
     template = load_template(space)
     wrap, skull = template.skin_wrap, template.head.skull_wrap
@@ -118,26 +98,3 @@ def test_teeth_in_the_mouths_pocket_are_not_outside(space):
     outside = SignedDistance(wrap)(both[0][1])[0]
     assert (outside > POLICY.outside).all() and len(outside) > 2 * len(skull.vertices)
     check_inside("skull", template, wrap, Surface(*map(np.vstack, both)))
-
-
-def test_one_depth_everywhere_fails_and_ours_passes_with_little_to_spare():
-    """Over the Visible Male's face the prediction is 7.91 mm off, one published depth 9.77."""
-
-    def passed(mean):
-        (gate,) = Depth().gates(
-            [Row("a", "b", "done", "", {"rows": [{"region": "face", "mean": mean} | rival]}, *rest)]
-        )
-        return gate["passed"]
-
-    rival, rest = {"one_depth": 9.773}, (1.0, None, 0.0, "")
-    assert passed(7.908) and not passed(9.773) and not passed(1.25 * 7.908)
-    assert PUBLISHED == pytest.approx(9.0667, abs=1e-4)
-
-
-def test_a_skin_without_a_face_is_a_failure_with_its_reason(command, tmp_path):
-    ball = trimesh.creation.icosphere(3, radius=100.0)
-    sphere = write(tmp_path / "sphere.npz", ball.vertices, ball.faces)
-    skull = _skull(tmp_path, "skull.npz", lambda x: x)
-    ended = command("bench", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
-    assert ended.status == 1 and "FAILED sphere.npz, default: " in ended.out
-    assert "sphere.npz: skin: no face found" in ended.out

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.harness.study import Row
 from softdeca.benchmarks.studies.arena import claims, contest, problems
 from softdeca.benchmarks.studies.arena.conformance import conform
@@ -15,9 +14,8 @@ from softdeca.benchmarks.studies.arena.laws import LAWS, PlainStable
 from softdeca.benchmarks.studies.arena.solvers import NAMES
 from softdeca.benchmarks.studies.arena.solvers.protocol import RefusalError
 from softdeca.benchmarks.studies.arena.study import Arena
-from softdeca.benchmarks.studies.arena.summaries import tabulate_series, tabulate_spread
 from softdeca.benchmarks.studies.person import person
-from softdeca.lhm.base.errors import InputError, MissingDependencyError
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Parameters, facial_scene, solve, terms
 from softdeca.reference.face.tissue import Guard
 from softdeca.reference.problems.meshes import block, vertices_at
@@ -159,42 +157,6 @@ def test_a_posed_face_is_the_face_of_the_simulator():
     assert arrays.one_material() == pytest.approx((2.5, 22.5))
 
 
-def test_random_heads_are_asked_for_and_leave_rows_as_they_are():
-    study = Arena(whole=True, seeds=2)
-    heads = {task.case for task in study.tasks() if "random heads" in task.case}
-    assert len(heads) == 6 and "random heads' jaws opened, 232 k tets, seed 1" in heads
-    solvers = {task.method.partition(";")[0] for task in study.tasks() if "random heads" in task.case}
-    assert solvers == {"FEniCSx", "scikit-fem", "PD", "PD, Anderson", "FElupe"}
-    assert repr(study) == repr(Arena(whole=True)) and not any("seed" in task.case for task in Arena(whole=True).tasks())
-    for wrong in (Arena(seeds=1), Arena(whole=True, seeds=-1), Arena(whole=True, seeds=6)):
-        with pytest.raises(InputError, match="seeds"):
-            wrong.tasks()
-
-
-def test_the_spread_is_over_heads_that_arrive():
-    mean = "random heads' jaws opened, 58 k tets"
-    times = ([0, 1.0, 2.0, None], [0, 3.0, None, None], [0, 8.0, 4.0, None])
-    rows = [
-        make_row(f"{mean}, seed {seed}", "a", "default", reached, max_mm=0.1 * (seed + 1))
-        for seed, reached in enumerate(times)
-    ]
-    (line,) = tabulate_spread([*rows, make_row("bar", "a", "default", [0, 1.0, 1.0, 1.0], max_mm=0.0)]).rows
-    assert line[:4] == (mean, "a", "default", 3)
-    assert line[4:8] == (3, 4.0, 2.0, 9.0) and line[8:12] == (2, 4.0, 3.0, 5.0)
-    assert line[12:] == pytest.approx((0.2, 0.1, 0.3))
-
-
-def test_series_have_the_best_setting():
-    rows = [
-        make_row("cube twisted, nu 0.4", "a", "slow", [0, 5.0, None, None]),
-        make_row("cube twisted, nu 0.4", "a", "quick", [0, 1.0, None, None]),
-        make_row("cube twisted, half 10 times as stiff", "a", "slow", [0, 2.0, 3.0, None]),
-    ]
-    tenth, hundredth = tabulate_series(rows).rows
-    assert tenth == ("a", 0.1, None, 2.0, None, None, None, 3.0, None)
-    assert hundredth == ("a", 0.01, None, None, None, None, None, 4.0, None)
-
-
 def test_laws_are_alike_at_rest():
     # A thousandth of the twist moves the cube by laws whose moduli are the same.
     cube = problems.cube(0.45)
@@ -214,31 +176,3 @@ def test_the_plain_stable_law_is_at_rest_at_rest():
     psi, gradient, _ = law.by_invariants(np.array([3.0]), np.array([3.0]), np.array([1.0]))
     # The stress at rest is 2 dpsi/dI1 + dpsi/dJ.
     assert psi == pytest.approx(0.0) and 2 * gradient[0, 0] + gradient[0, 2] == pytest.approx(0.0)
-
-
-def make_row(case, solver, setting, seconds_to, start="from rest", **more):
-    values = {"solver": solver, "setting": setting, "start": start, "set_up_s": 1.0, "seconds_to": seconds_to, **more}
-    return Row(case, f"{solver}; {setting}; {start}", "done", "", values, 0.0, None, 0.0, "")
-
-
-def test_claims_are_judged_by_their_figures():
-    claim = claims.Claim("a before b", "", claims.faster("a", "b", claims.TENTH), "ratio")
-    rows = [
-        make_row("easy", "a", "default", [0, 1.0, None, None]),
-        make_row("easy", "b", "default", [0, 3.0, None, None]),
-        make_row("hard", "a", "default", [0, None, None, None]),
-        make_row("hard", "b", "default", [0, 3.0, None, None]),
-        make_row("hard", "b", "other", [0, 2.0, None, None]),
-    ]
-    assert claim.judge(rows[:2]) == ("holds", "ratio: easy: 0.5")
-    assert claim.judge(rows) == ("holds where", "ratio: easy: 0.5; hard: not reached")
-    assert claim.judge(rows[2:]) == ("does not", "ratio: hard: not reached")
-    assert claim.judge([]) == ("not measured", "")
-    ends = claims.Claim("ends", "", claims.ends_within("a", 0.1, "max_mm", "from the answer"), "over")
-    assert ends.judge([make_row("x", "a", "s", [], "from the answer", max_mm=0.2)]) == ("does not", "over: x: 2")
-
-
-def test_a_solvers_name_reaches_its_page(small, solver, tmp_path):
-    path = solver("mine", "clock.see(problem.start, 1)")
-    results = run(Arena(files=(path,), budget=0.5), tmp_path / "out", match="mine; default; from rest", workers=1)
-    assert results.rows[0].case

@@ -1,24 +1,16 @@
 """The runner of studies: failures are rows, what is done is kept, and two results are compared beside their noise."""
 
-import ast
-import inspect
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields, is_dataclass
 
 import pytest
 
-from softdeca.benchmarks.harness import RunRequest, Task, compare_results, processes, run, run_together, runner
-from softdeca.benchmarks.harness.processes import Job
+from softdeca.benchmarks.harness import RunRequest, compare_results, processes, run, run_together, runner
 from softdeca.benchmarks.harness.results import read_results
-from softdeca.benchmarks.studies import STUDIES, load_study
-from softdeca.cli import animate, bench, corpus, head, head_files, study, train_regressor
-from softdeca.cli.study_command import RunOptions, command_of_study
 from softdeca.lhm import InputError
 
 from ..conftest import measure_here
@@ -213,26 +205,6 @@ def results_file(path, rows):
     return path
 
 
-def test_answers_are_compared_but_for_rounding(toys, tmp_path):
-    def written(name, values, reached):
-        rows = [
-            {"case": str(k), "method": "m", "status": "done", "values": {"twice": value, "times": [1.0]}}
-            for k, value in enumerate(values)
-        ]
-        gates = [{"what": "small", "passed": reached}, {"what": "quick", "passed": not reached}]
-        (tmp_path / name).write_text(json.dumps({"study": "toy", "rows": rows, "gates": gates}))
-        return tmp_path / name
-
-    before = written("a.json", [100.0, 1e-9, 50.0, "right", None, True], True)
-    after = written("b.json", [101.0, 2e-2, 55.0, "wrong", 1.0, False], False)
-    found = compare_results(before, after, toys.Toy)
-    told = {change.task: change.share for change in found.changes if change.is_beyond_noise}
-    assert set(told) == {"2, m"} and told["2, m"] == pytest.approx(0.1)
-    assert found.broken == ["small: reached before, not after"]
-    assert found.other == ["quick: not reached before, but after", "3, m, twice: right before, wrong after"]
-    assert not any(change.is_beyond_noise for change in compare_results(before, before, toys.Toy).changes)
-
-
 DAMAGED = {
     "[]": "an object with the name of its study",
     '{"study": "toy"}': "rows: expected a list, got None",
@@ -272,77 +244,6 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
     assert same.status == 0
     assert same.out == "16 of 16 answers are the same within noise\n4 of 4 costs are the same within noise\n"
     assert "verification" in command("bench", "list").out
-
-
-GIVEN = {
-    "bench agreement --level 1 --seed 0 --case zombie": {"level": 1, "seed": 0, "cases": ("zombie",)},
-    "bench heads --gallery 0 --count 1000 --seed 0": {"gallery": 0, "count": 1000, "seed": 0},
-    "bench dial --faces 6": {"seed": 7000, "faces": 6},
-    "bench table-1 --external ''": {"external": "", "hours": 1.0},
-    "bench work-precision --slow": {"slow": True, "repeats": 5, "seed": 0},
-    "bench dial --faces 20 --faces 30": {"faces": 30},
-    "evaluate corpus --external ''": {"corpus": "corpus", "external": ""},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("words", GIVEN)
-def test_an_option_that_is_given_counts_whatever_its_value(command, monkeypatch, tmp_path, words):
-    asked = []
-    monkeypatch.setattr(RunOptions, "run_study", lambda self, study, folder, **_: asked.append(study) or 0)
-    monkeypatch.chdir(tmp_path)
-    assert command(*shlex.split(words)).status == 0
-    (study,) = asked
-    assert {name: getattr(study, name) for name in GIVEN[words]} == GIVEN[words]
-
-
-def list_kinds():
-    """All commands of dataclasses and all studies, by name."""
-    found = {f"bench {name}": load_study(name) for name in STUDIES}
-    for module in (animate, bench, corpus, head, head_files, study, train_regressor):
-        own = (each for each in vars(module).values() if isinstance(each, type) and is_dataclass(each))
-        found |= {f"{module.__name__} {each.__name__}": each for each in own if each.__module__ == module.__name__}
-    return found | {"every study": RunOptions}
-
-
-@pytest.mark.parametrize(("name", "kind"), list_kinds().items())
-def test_every_option_is_read(name, kind):
-    """A field that no code of its class or module takes up would be an option that does nothing."""
-    modules = {sys.modules[each.__module__] for each in kind.__mro__ if each.__module__.startswith("softdeca")}
-    nodes = [node for module in modules for node in ast.walk(ast.parse(inspect.getsource(module)))]
-    read = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
-    read |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    assert not {field.name for field in fields(kind)} - read
-
-
-def test_a_study_has_no_level_where_each_mesh_has_its_own():
-    assert "level" not in {field.name for field in fields(load_study("unknowns"))}
-
-
-def test_bounds_are_those_of_the_study_not_of_a_name(toys):
-    named = {p.name: p.type for p in command_of_study(toys.Levelled).params}
-    assert named["level"].convert(70, None, None) == 70 and named["people"].convert(0, None, None) == 0
-    assert (named["count"].min, named["count"].max) == (2, 9)
-    whose = {p.name: p.type for p in command_of_study(load_study("dial")).params}
-    assert whose["faces"].max == 1000 and "level" not in whose
-
-
-def test_no_study_has_an_option_twice():
-    for name in STUDIES:
-        options = [option for parameter in command_of_study(load_study(name)).params for option in parameter.opts]
-        assert len(options) == len(set(options)), name
-    assert "--processes" in [
-        option for parameter in command_of_study(load_study("ranks")).params for option in parameter.opts
-    ]
-
-
-def test_a_process_goes_on_with_its_case(toys, tmp_path):
-    """What it has kept of a case serves the rest of it; another begins with a case of its own."""
-    lane = processes._Lane()
-    jobs = [Job(toys.Toy(), Task(case, method)) for case in "123" for method in "ab"]
-    ones, twos = ("toy", "1"), ("toy", "2")
-    assert lane.choose(jobs, {ones}) == jobs[2]
-    lane.job = jobs[4]
-    assert lane.choose(jobs, {ones, twos}) == jobs[4] and lane.choose(jobs[:4], {ones, twos}) == jobs[0]
 
 
 def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_cannot_be_run_is_told(

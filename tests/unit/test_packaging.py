@@ -11,8 +11,6 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from softdeca.lhm.base.files.text import read_toml
-
 ROOT = Path(__file__).resolve().parents[2]
 PORTIONS = ("lhm", "reference", "surrogate", "animation", "benchmarks", "cli")
 
@@ -36,31 +34,9 @@ def imported(*folders):
                 yield path, node.module.split(".")[0]
 
 
-def test_each_package_imported_is_a_dependency():
-    """What another package happens to bring along may go with its next release."""
-    listed = (ROOT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
-    listed = {line.strip(' ",').split(">=")[0].replace("-", "_") for line in listed.splitlines() if ">=" in line}
-    other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
-    names = {name for _, name in imported(*PORTIONS)} - set(sys.stdlib_module_names)
-    # FEniCSx comes from Debian or conda; extras: what trains, MP4, libigl, FElupe, gmsh, speech, Draco, CHOLMOD, USD.
-    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"}
-    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse", "pxr"}
-    # The live page; contact's check; the arena's solvers, some in environments of their own, with what they share.
-    elsewhere |= {"websockets", "ipctk", "pyamg", "newton", "warp", "mujoco", "torchfem", "sfepy", "jax", "jax_fem"}
-    assert {other_names.get(name, name) for name in names} - elsewhere == listed
-
-
 def test_no_module_is_imported_by_its_folder():
     """`import reference` from the root would make a second copy of each module."""
     assert [path for path, name in imported(*PORTIONS, "tests") if name in PORTIONS] == []
-
-
-def test_the_default_head_and_all_listed_data_are_part_of_the_package():
-    data = read_toml(ROOT / "pyproject.toml")["tool"]["setuptools"]["package-data"]
-    assert {"anny.npz", "anny_within.npz"} <= set(data["softdeca.lhm.identities"])
-    for package, names in data.items():
-        folder = ROOT / package.removeprefix("softdeca.").replace(".", "/")
-        assert all(list(folder.glob(name)) for name in names), package
 
 
 @pytest.mark.parametrize("module", ["softdeca.cli", "softdeca.surrogate"])
