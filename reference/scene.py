@@ -12,7 +12,7 @@ from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Cells, Fixed, Inertia, OnTets, OnTriangles, RigidBody, Solid, Target, Term
+from .terms import Cells, Fixed, OnTets, OnTriangles, RigidBody, Solid, Target, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,19 +148,6 @@ class Scene:
         for term in self.terms:
             term.add_load(self, forces)
         return forces
-
-    def inertia(self) -> tuple[Floats, Floats]:
-        """Springs of all Inertia terms: stiffness m/h² [mN/mm], shape (n,), and where they pull to [mm], shape (n, 3).
-
-        The energy is Σ stiffness/2 |x - place|², up to a constant where several terms act on a vertex.
-        """
-        stiffness, pulled = np.zeros(len(self.vertices)), np.zeros(self.vertices.shape)
-        for term in self.of(Inertia):
-            spring, place = term.springs(self)
-            stiffness += spring
-            pulled += spring[:, None] * place
-        some = stiffness > 0
-        return stiffness, np.where(some[:, None], pulled / np.where(some, stiffness, 1.0)[:, None], self.vertices)
 
     def force_scale(self) -> float:
         """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""

@@ -100,7 +100,7 @@ class Recurrence:
     def from_implicit_euler(cls, frequency: float | Floats, time_step: float) -> Recurrence:
         """Make what implicit Euler makes of an undamped mass on a spring of this frequency [Hz].
 
-        The reference time stepper: γ = (ωh)²/(1 + (ωh)²) and α = β = 1 - γ, the recurrence of an `Inertia` term over
+        The reference time stepper: γ = (ωh)²/(1 + (ωh)²) and α = β = 1 - γ, the recurrence that `march` has over
         `Target` springs k = m ω². Its damping is numerical, about ωh/2. InputError as for `from_oscillator`.
         """
         time_step = _check_step(time_step)

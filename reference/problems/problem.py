@@ -94,10 +94,14 @@ class Attempt:
     iterations: int = field(default=0, init=False)
     stopped: Reason | None = field(default=None, init=False)
 
+    @property
+    def options(self) -> dict[str, str]:
+        """The solver's options."""
+        return {"element": self.element} if self.solver == "fenicsx" else {}
+
     def prepare(self, scene: Scene) -> Prepared:
         """Prepare a scene."""
-        options = {"element": self.element} if self.solver == "fenicsx" else {}
-        return prepare(scene, solver=self.solver, **options)
+        return prepare(scene, solver=self.solver, **self.options)
 
     def solve(
         self,
@@ -108,7 +112,10 @@ class Attempt:
         tolerance: float = HARD_TOLERANCE,
     ) -> Solution:
         """Solve a prepared scene, or one that differs from it as `Prepared.solve` allows."""
-        solution = prepared.solve(scene, start=start, tolerance=tolerance)
+        return self.count(prepared.solve(scene, start=start, tolerance=tolerance))
+
+    def count(self, solution: Solution) -> Solution:
+        """Add a solution's iterations, and keep why it stopped if it is the first that did not converge."""
         self.iterations += solution.iterations
         if not solution.converged and self.stopped is None:
             self.stopped = solution.reason

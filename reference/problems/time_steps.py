@@ -5,15 +5,15 @@ A block of tissue falls and swings as a whole, so that its elastic energies must
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ...lhm.base.mesh import Floats
+from ..march import march
 from ..scene import Scene
 from ..solution import Solution
-from ..terms import Fixed, Gravity, Inertia, Strain, Target, Term, Volume
+from ..terms import Fixed, Gravity, Strain, Target, Term, Volume
 from .meshes import box, vertices_at
 from .problem import EVERY_SOLVER, Attempt, HardCase
 
@@ -26,27 +26,23 @@ FREQUENCY = 4.0
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-def _march(scene: Scene, attempt: Attempt, first: Floats, steps: int, tolerance: float = 1e-10) -> list[Solution]:
-    """Solve steps of the scene's Inertia term one after another, from the velocities `first` [mm/s], shape (n, 3)."""
-    prepared = attempt.prepare(scene)
-    (inertia,) = scene.of(Inertia)
-    x, v = scene.vertices, first
-    solutions = []
-    for _ in range(steps):
-        moved = replace(inertia, positions=x, velocities=v)
-        terms = tuple(moved if term is inertia else term for term in scene.terms)
-        solutions.append(attempt.solve(prepared, replace(scene, terms=terms), start=x, tolerance=tolerance))
-        v = (solutions[-1].positions - x) / inertia.time_step
-        x = solutions[-1].positions
-    return solutions
+def _march(
+    scene: Scene, attempt: Attempt, time_step: float, steps: int, first: Floats | None = None, tolerance: float = 1e-10
+) -> list[Solution]:
+    """March from rest, with velocities `first` [mm/s], shape (n, 3); return the steps' solutions."""
+    options = {"time_step": time_step, "steps": steps, "velocities": first, "tolerance": tolerance} | attempt.options
+    start, *moments = march(scene, solver=attempt.solver, density=DENSITY, **options)
+    for moment in moments:
+        attempt.count(moment.solution)
+    return [moment.solution for moment in moments]
 
 
 def free_fall_error(attempt: Attempt) -> float:
     """The largest distance from z_n = -g h² n (n + 1)/2, relative to the depth fallen."""
     h = 1.0 / 60.0
     X, tets = box(CELLS, SIZE)
-    scene = Scene(X, tets, (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY), Inertia(DENSITY, h)))
-    fallen = np.stack([s.positions for s in _march(scene, attempt, np.zeros_like(X), STEPS)]) - X
+    scene = Scene(X, tets, (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY)))
+    fallen = np.stack([s.positions for s in _march(scene, attempt, h, STEPS)]) - X
     n = np.arange(1, STEPS + 1)
     depth = GRAVITY * h**2 * n * (n + 1) / 2
     return float(np.abs(fallen - depth[:, None, None] * DOWN).max() / depth[-1])
@@ -59,11 +55,10 @@ def oscillator_error(part: str, attempt: Attempt) -> float:
     """
     h, omega = 1.0 / 60.0, 2.0 * np.pi * FREQUENCY
     X, tets = box(CELLS, SIZE)
-    inertia = Inertia(DENSITY, h)
-    masses = Scene(X, tets, (inertia,)).inertia()[0] * h**2
-    scene = Scene(X, tets, (*TISSUE, inertia, Target(np.arange(len(X)), X, omega**2 * masses)))
+    masses = Gravity(DOWN, DENSITY).lump(Scene(X, tets, TISSUE), DENSITY)
+    scene = Scene(X, tets, (*TISSUE, Target(np.arange(len(X)), X, omega**2 * masses)))
     first = np.tile([100.0, 0.0, 0.0], (len(X), 1))
-    x = np.array([np.mean(s.positions - X, axis=0)[0] for s in _march(scene, attempt, first, STEPS, 1e-12)])
+    x = np.array([np.mean(s.positions - X, axis=0)[0] for s in _march(scene, attempt, h, STEPS, first, 1e-12)])
     (last, before), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
     ratio = np.sqrt(-before)
     value, expected = {
@@ -73,27 +68,25 @@ def oscillator_error(part: str, attempt: Attempt) -> float:
     return abs(value / expected - 1.0)
 
 
-def hanging(time_step: float) -> tuple[Scene, Scene]:
-    """A column that stands on its base and is let go under its own weight: with Inertia, and without."""
+def hanging() -> Scene:
+    """A column that stands on its base and is let go under its own weight."""
     X, tets = box(CELLS, SIZE)
-    static: tuple[Term, ...] = (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY), Fixed(vertices_at(X, 2, 0.0)))
-    return Scene(X, tets, (*static, Inertia(DENSITY, time_step))), Scene(X, tets, static)
+    return Scene(X, tets, (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY), Fixed(vertices_at(X, 2, 0.0))))
 
 
 def largest_rise(time_step: float, attempt: Attempt) -> float:
     """The largest rise of the energy from one iteration to the next, relative to the most that a step lowers it by."""
-    scene, _ = hanging(time_step)
-    histories = [s.history.energy for s in _march(scene, attempt, np.zeros_like(scene.vertices), 3)]
+    histories = [s.history.energy for s in _march(hanging(), attempt, time_step, 3)]
     rise = max(np.diff(energy).max(initial=0.0) for energy in histories)
     return float(rise / max(energy[0] - energy[-1] for energy in histories))
 
 
 def distance_to_static(time_step: float, attempt: Attempt) -> float:
     """The largest distance of one step's end from the static answer, relative to the largest displacement."""
-    scene, static = hanging(time_step)
-    rest = attempt.solve(attempt.prepare(static), tolerance=1e-12).positions
-    (step,) = _march(scene, attempt, np.zeros_like(rest), 1, 1e-12)
-    return float(np.abs(step.positions - rest).max() / np.abs(rest - static.vertices).max())
+    scene = hanging()
+    static = attempt.solve(attempt.prepare(scene), tolerance=1e-12).positions
+    (step,) = _march(scene, attempt, time_step, 1, tolerance=1e-12)
+    return float(np.abs(step.positions - static).max() / np.abs(static - scene.vertices).max())
 
 
 CASES = (

@@ -52,12 +52,8 @@ class Springs:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Springs]:
-        """Make those of each Target, and of all inertia together."""
-        springs = [cls.of_target(term, scene, discretisation) for term in scene.of(terms.Target)]
-        if scene.of(terms.Inertia):
-            stiffness, places = scene.inertia()
-            springs.append(cls.at_vertices(np.arange(len(places)), places, stiffness, discretisation))
-        return springs
+        """Make those of each Target."""
+        return [cls.of_target(term, scene, discretisation) for term in scene.of(terms.Target)]
 
     @classmethod
     def at_vertices(cls, vertices: Ints, positions: Floats, stiffness, discretisation: Discretisation) -> Springs:
@@ -136,7 +132,6 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.SurfaceStrain: Membranes,
     terms.Bending: Bends,
     terms.Target: Springs,
-    terms.Inertia: Springs,
     terms.Contact: Barrier,
     terms.Gaps: Gaps,
 }

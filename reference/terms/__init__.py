@@ -11,7 +11,7 @@ from .loads import Gravity, Pressure, Traction
 from .solids import Hourglass, Hyperelastic, Solid, Strain, Volume
 from .surfaces import Bending, SurfaceStrain
 from .term import Amount, Mesh, OnTets, OnTriangles, Term
-from .vertices import Fixed, Inertia, RigidBody, Target
+from .vertices import Fixed, RigidBody, Target
 
 __all__ = [
     "Amount",
@@ -23,7 +23,6 @@ __all__ = [
     "Gravity",
     "Hourglass",
     "Hyperelastic",
-    "Inertia",
     "Mesh",
     "Obstacle",
     "OnTets",

@@ -63,7 +63,7 @@ class Term:
             if ids.min() < 0 or ids.max() >= count:
                 bad = ids.max() if ids.max() >= count else ids.min()
                 raise SceneError(f"{kind} {bad} is outside 0..{count - 1}")
-        for key in ("rest", "positions", "velocities"):
+        for key in ("rest",):
             points = getattr(self, key, None)
             if points is not None and not hasattr(self, "vertices") and len(points) != n:
                 raise SceneError(f"{key} has {len(points)} rows for {n} vertices")

@@ -1,4 +1,4 @@
-"""Springs, constraints and inertia of vertices."""
+"""Springs and constraints of vertices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from .term import Amount, Mesh, OnTets, Term, as_numbers, as_places, as_triangles, check_areas, triangle_areas
+from .term import Amount, Mesh, Term, as_places, as_triangles, check_areas, triangle_areas
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,47 +120,3 @@ class RigidBody(Term):
     def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         return self.vertices[None]
-
-
-@dataclass(frozen=True, eq=False)
-class Inertia(OnTets):
-    """One step of implicit Euler: density/2 |x - X₁ - h v₁|² / h² per rest volume (method of Bouaziz et al. 2014).
-
-    density [kg/mm³] of the tets, lumped at vertices; time_step h [s]; positions X₁ [mm] and velocities v₁ [mm/s] before
-    the step, shape (scene's vertices, 3), default at rest. After the step v = (x - X₁) / h.
-    """
-
-    varying: ClassVar[tuple[str, ...]] = ("positions", "velocities")
-    amounts: ClassVar[dict[str, Amount]] = {"density": Amount(0.0)}
-
-    density: float | np.ndarray
-    time_step: float
-    positions: np.ndarray | None = field(default=None, repr=False)
-    velocities: np.ndarray | None = field(default=None, repr=False)
-    tets: np.ndarray | None = field(default=None, repr=False)
-
-    def __post_init__(self):
-        super().__post_init__()
-        step = as_numbers("Inertia.time_step", self.time_step)
-        if step.shape != () or not (np.isfinite(step) and step > 0):
-            raise SceneError(f"Inertia.time_step: must be finite and above 0 s, got {self.time_step!r}")
-        self._set(
-            time_step=float(step),
-            positions=as_places("Inertia.positions", self.positions, None),
-            velocities=as_places("Inertia.velocities", self.velocities, None),
-        )
-
-    def springs(self, mesh: Mesh) -> tuple[Floats, Floats]:
-        """Return stiffness m/h² [mN/mm], shape (n,), and where each vertex would go by itself [mm], shape (n, 3)."""
-        place = mesh.vertices if self.positions is None else self.positions
-        if self.velocities is not None:
-            place = place + self.time_step * self.velocities
-        return self.lump(mesh, self.density) / self.time_step**2, place
-
-    def hold(self, mesh: Mesh, held: np.ndarray):
-        """See Term."""
-        held[self.springs(mesh)[0] > 0] = True
-
-    def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
-        return float(self.springs(mesh)[0].sum())

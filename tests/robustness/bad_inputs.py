@@ -232,8 +232,6 @@ def functions() -> Iterator[Function]:
     yield Function("terms.Gravity", terms.Gravity, {"acceleration": (0, 0, -9810.0), "density": 1e-6})
     yield Function("terms.Traction", terms.Traction, {"triangles": TRIANGLES, "vector": (0, 0, 1.0)})
     yield Function("terms.Pressure", terms.Pressure, {"triangles": TRIANGLES, "value": 1.0})
-    moving = {"density": 1e-6, "time_step": 0.01, "positions": X, "velocities": X}
-    yield Function("terms.Inertia", terms.Inertia, moving)
     yield Function("terms.Contact", terms.Contact, {"triangles": TRIANGLES, "stiffness": 1.0, "thickness": 0.1})
     yield Function("NeoHookean", materials.NeoHookean, {"mu": 1.0, "lmbda": 1.0})
     yield Function("NeoHookean.from_young", materials.NeoHookean.from_young, {"young": 15.0, "poisson": 0.4})

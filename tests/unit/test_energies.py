@@ -37,7 +37,6 @@ BENDING = terms.Bending(SKIN, RNG.uniform(1.0, 2.0, len(SKIN)))
 PD = [terms.Strain(np.linspace(1.0, 3.0, len(TETS)), limit=1.05), terms.Volume(5.0, np.linspace(0.9, 1.2, len(TETS)))]
 OVERLAPPING = [terms.Strain(0.5, tets=[0, 1, 2]), terms.Volume(0.2, tets=[2, 3]), terms.Strain(GRADED)]
 BODIES = [terms.RigidBody(np.arange(40, 52)), terms.RigidBody(np.arange(56, 64), 1.1 * X[56:64])]
-INERTIA = terms.Inertia(1e-4, 0.01, X + RNG.normal(size=X.shape), RNG.normal(size=X.shape))
 PRISMS = np.arange(len(TETS)).reshape(-1, 6)[:, [0, 1, 4, 2, 3, 5]].reshape(-1, 3)  # halves of the mesh's cells
 EACH = np.linspace(1.0, 2.0, len(PRISMS))
 ON_PRISMS = [
@@ -53,6 +52,7 @@ PRISMS_AND_TETS = [
     terms.Hourglass(1.0, PRISMS[4:7]),
     terms.Strain(GRADED, limit=1.1),
 ]
+EVERYWHERE = terms.Target(np.arange(len(X)), X + RNG.normal(size=X.shape), RNG.uniform(1.0, 3.0, len(X)))
 ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "Strain": ([terms.Strain(RNG.uniform(1.0, 3.0, len(TETS)))], 0.3, SOLVERS),
     "Volume": ([terms.Volume(3.0, RNG.uniform(0.7, 1.4, len(TETS)))], 0.1, SOLVERS),
@@ -67,10 +67,10 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "SurfaceStrain of another rest": ([MEMBRANE], 0.3, SOLVERS),
     "Bending": ([BENDING], 0.3, SOLVERS),
     "Bending of another rest": ([terms.Bending(SKIN, 1.0, rest=OTHER_SHAPE)], 0.3, SOLVERS),
-    "Target, Inertia and loads": ([PULL, INERTIA, *LOADS], 1.0, SOLVERS),
+    "Target and loads": ([PULL, EVERYWHERE, *LOADS], 1.0, SOLVERS),
     "bodies": ([*PD[1:], *OVERLAPPING, MEMBRANE, PULL, *BODIES], 0.2, SOLVERS),
     "held": ([terms.Strain(5.0), PULL, terms.Fixed([3, 4], components=1), terms.Fixed([7, 8])], 0.3, ("projective",)),
-    "all": ([*PD, SOFT, MEMBRANE, terms.Bending(TOP, 0.3), PULL, SPREAD, INERTIA, *LOADS], 0.02, SOLVERS[1:]),
+    "all": ([*PD, SOFT, MEMBRANE, terms.Bending(TOP, 0.3), PULL, SPREAD, EVERYWHERE, *LOADS], 0.02, SOLVERS[1:]),
 }
 QUADRATIC = ("all of projective dynamics, overlapping", "laws on the same tets", "bodies", "all")
 CASES = [
@@ -227,11 +227,6 @@ CLOSED_FORMS = {  # terms, motion, energy
         AREA * 3.0 * (1 / 1.2 - np.sqrt(1.1)) ** 2,
     ),
     "Bending": ([terms.Bending(SKIN, 3.0)], lambda x: TURN.apply(x) + 4.0, 0.0),
-    "Inertia": (  # a spring to where free motion leads
-        [terms.Inertia(0.5, 0.1, velocities=np.tile([2.0, 0.0, 0.0], (len(X), 1)))],
-        lambda x: x + [1.0, 0.0, 3.0],
-        BULK * 0.5 * 100.0 / 2 * (0.8**2 + 9.0),
-    ),
 }
 
 

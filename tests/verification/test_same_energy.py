@@ -37,16 +37,14 @@ def turning_cranium(head):
 
 
 def moving_jaw(head):
-    """A free mandible, bent surfaces and inertia in one scene."""
+    """A free mandible and bent surfaces in one scene."""
     scene = facial(15.0, gravity=2.0)(head)
     n, rest = len(head.bone), np.array(scene.vertices)
     rest[:n] *= 1.03
-    velocities = np.tile([100.0, 0.0, 30.0], (len(rest), 1))
     more = [
         terms.SurfaceStrain(n + head.skin_wrap.triangles, 20.0, rest=1.02 * rest),
         terms.Bending(head.skin_wrap.triangles, 3e3, rest=rest),
         terms.Bending(2 * n + head.skin_wrap.triangles, np.linspace(1e3, 1e4, len(head.skin_wrap.triangles))),
-        terms.Inertia(1e-6, 1 / 60, positions=rest, velocities=velocities),
     ]
     return Scene(scene.vertices, scene.tets, [*scene.terms, *more])
 

@@ -1,4 +1,4 @@
-"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, Target and Inertia.
+"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, and Target.
 
 Follower pressure on linear or quadratic triangles: with x(ξ, η) on a triangle the outer normal times area is
 x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to the gradient. Its derivative is symmetric where the border
@@ -101,7 +101,7 @@ class FollowerPressure(NodalEnergy):
 
 @dataclass(frozen=True, eq=False)
 class Springs(NodalEnergy):
-    """Springs of a Target, or of inertia: at nodes (m, 1) that this process owns, or spread over its triangles (m, 6).
+    """Springs of a Target: at nodes (m, 1) that this process owns, or spread over its triangles (m, 6).
 
     places [mm] (m, k, 3); stiffness [mN/mm] (m, k, k) joins the nodes of an element.
     """
@@ -112,7 +112,7 @@ class Springs(NodalEnergy):
 
     @classmethod
     def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Springs]:
-        """Make the springs of each target, and of all inertia together."""
+        """Make the springs of each target."""
         springs = []
         for term in scene.of(Target):
             at_vertices = np.ones(len(term.vertices), dtype=bool)
@@ -122,9 +122,7 @@ class Springs(NodalEnergy):
             stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[at_vertices]
             ids, places = term.vertices[at_vertices], term.positions[at_vertices]
             springs.append(cls.at_vertices(term.name, ids, places, stiffness, numbering))
-        stiffness, places = scene.inertia()
-        moving = np.flatnonzero(stiffness)
-        return [*springs, cls.at_vertices("Inertia", moving, places[moving], stiffness[moving], numbering)]
+        return springs
 
     @classmethod
     def at_vertices(cls, name: str, vertices: Ints, places: Floats, stiffness: Floats, numbering: Numbering) -> Springs:

@@ -15,7 +15,6 @@ from ...terms import (
     Bending,
     Gaps,
     Hyperelastic,
-    Inertia,
     Pressure,
     RigidBody,
     Strain,
@@ -48,7 +47,6 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
     Gaps: Distances,
     Pressure: FollowerPressure,
     Target: Springs,
-    Inertia: Springs,
 }
 """The class that models each term that has an energy, or a force that follows."""
 

@@ -20,7 +20,6 @@ from ...terms import (
     Gaps,
     Gravity,
     Hourglass,
-    Inertia,
     Strain,
     SurfaceStrain,
     Target,
@@ -42,7 +41,7 @@ PARTS: dict[type[Part], tuple[type[Term], ...]] = {
     Hourglasses: (Hourglass,),
     Triangles: (SurfaceStrain,),
     Rings: (Bending,),
-    Springs: (Target, Inertia),
+    Springs: (Target,),
     Pairs: (Gaps,),
 }
 """The terms that each part models, in the order in which energies are added up."""

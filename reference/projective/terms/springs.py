@@ -1,4 +1,4 @@
-"""Springs that pull vertices to places, of targets and of inertia, and dead loads."""
+"""Springs that pull vertices to places, and dead loads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numba import njit
 
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
-from ...terms import Inertia, Target
+from ...terms import Target
 from .local_step import COMPILED
 from .part import Part
 
@@ -31,10 +31,6 @@ class Springs(Part):
             (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
             for term in scene.of(Target)
         )
-        if scene.of(Inertia):
-            stiffness, places = scene.inertia()
-            heavy = np.flatnonzero(stiffness)
-            drawn += ((heavy, (places - scene.vertices)[heavy], stiffness[heavy, None]),)
         return cls(drawn)
 
     def for_scene(self, scene: Scene) -> Springs:
