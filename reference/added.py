@@ -131,7 +131,7 @@ def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems:
 
     Verification has its `problems` beside those that every law has, hard cases start it on linear and quadratic tets,
     and work-precision has a face of it. Raises InputError for a name that is taken, for what is no EnergyLaw of these
-    moduli at rest, and for one whose energy, derivatives and densities do not agree (`materials.consistency`).
+    moduli at rest, and for one whose formula is no energy of them (`materials.consistency`).
     """
     if name in _laws:
         raise InputError(f"law {name!r} was added already")

@@ -36,32 +36,11 @@ class Gent(EnergyLaw):
         """See Isotropic."""
         return self.mu, self.beta + 2 * self.mu / self.Jm
 
-    @staticmethod
-    def density(F, p):
+    def density(self, I1, I2, J, p, m):
         """See EnergyLaw."""
-        import ufl
-
-        log_J = ufl.ln(ufl.det(F))
-        stretched = -p.mu * p.Jm / 2 * ufl.ln(1 - (ufl.inner(F, F) - 3) / p.Jm)
+        log_J = m.log(J)
+        stretched = -p.mu * p.Jm / 2 * m.log(1 - (I1 - 3) / p.Jm)
         return stretched - p.mu * log_J + p.beta / 2 * log_J**2
-
-    def by_invariants(self, I1, I2, J):
-        """See EnergyLaw."""
-        left = self.Jm - I1 + 3
-        holds = (J > 0) & (left > 0)
-        left, J = np.where(holds, left, 1.0), np.where(holds, J, 1.0)
-        log_J = np.log(J)
-        psi = (
-            -self.mu * self.Jm / 2 * np.log(left / self.Jm)
-            - self.mu * log_J
-            + self.beta / 2 * log_J**2
-        )
-        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
-        gradient[:, 0] = self.mu * self.Jm / (2 * left)
-        gradient[:, 2] = (self.beta * log_J - self.mu) / J
-        hessian[:, 0, 0] = self.mu * self.Jm / (2 * left**2)
-        hessian[:, 2, 2] = (self.beta * (1 - log_J) + self.mu) / J**2
-        return np.where(holds, psi, np.inf), gradient, hessian
 
 
 def nominal_stress(law, stretches, axis):

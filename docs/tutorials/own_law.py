@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Bring your own law
 #
-# A law of hyperelasticity is one file. It holds the parameters and the energy, written twice, so that one form checks
-# the other. FEniCSx derives stress and tangent from the density in UFL. scikit-fem takes derivatives by the invariants,
-# made by hand. A third form, in stretches, gives the values that verification asks for.
+# A law of hyperelasticity is one file. It holds the parameters, and the energy as a formula of the three invariants.
+# FEniCSx makes compiled code of the formula and its derivatives. scikit-fem evaluates it at complex numbers. A second
+# form, in stretches, gives the values that verification asks for.
 #
 # ```{literalinclude} gent.py
 # :language: python
@@ -11,9 +11,9 @@
 #
 # ## Verification
 #
-# `add_file` runs the file (in a shell: `softdeca bench --add gent.py NAME`). `add_law` first holds the forms against one
-# another: derivatives by hand against differences of the energy, the density in UFL against the energy, the moduli at
-# rest against `lame`. It refuses a law whose forms disagree, and names the derivative, F, and both values.
+# `add_file` runs the file (in a shell: `softdeca bench --add gent.py NAME`). `add_law` first holds the formula against
+# what it must give: no energy and no stress at rest, the moduli of `lame` there, infinity or no number where the law
+# does not hold. It refuses a law that fails, and names F and both values.
 #
 # Verification poses the file's problems with the others, and some that every law gets: the patch test, rotations,
 # stretches along one axis and two, shear. Their values follow from the energy alone.
@@ -49,7 +49,7 @@ for problem in problems.added_problems():
 #
 # Collapsed, inverted and crushed blocks, on linear and quadratic tets. The energy is infinite for an inverted tet, so the
 # right outcome there is to refuse the start, and a law that did not would be told. One block bends by its weight: there
-# scikit-fem, with the derivatives by hand, must end where FEniCSx does.
+# scikit-fem must end where FEniCSx does.
 
 # %%
 for case in problems.added_hard_cases():
@@ -102,8 +102,8 @@ for command, study in (
 # %% [markdown]
 # A law of the package itself is such a file in `reference/materials/`, named in the `__init__.py` there. It has no
 # `add_law`, so its problems stand in `reference/problems/`: see [](../architecture.md).
-# `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it. A law
-# of one's own may have them too.
+# `neo_hookean.py` has a second form of its energy, `mixed_density`, by which mixed elements take it. A law of one's own may
+# have one too, by the base `MixedLaw`.
 #
-# FEniCSx turns `density` into compiled code, derivatives included. A density with a function that this code does not know,
-# such as `ufl.erf`, is refused by that name; `FUNCTIONS` of `reference/fenicsx/energy/law_code.py` takes one more in a line.
+# A formula may call the functions of `m` alone: log, exp, sqrt, sin, cos, tanh, arctan, where. `FUNCTIONS` of
+# `reference/fenicsx/energy/law_code.py` takes one more in a line.

@@ -182,13 +182,6 @@ def pressure_space(domain):
     return _space(domain, "Lagrange", 1, vectors=False)
 
 
-def cell_vectors(domain, cells: Ints, vectors: Floats):
-    """A function that is one vector per cell: vectors (3,) or (k, 3) on cells (k,), zero elsewhere."""
-    result = function(_space(domain, "DG", 0, vectors=True))
-    result.x.array.reshape(-1, 3)[cell_dofs(result.function_space, 1)[cells, 0]] = vectors
-    return result
-
-
 def cell_numbers(domain, cells: Ints, values: Floats | float):
     """A function that is one number per cell: one or (k,) values on cells (k,), zero elsewhere."""
     result = function(_space(domain, "DG", 0, vectors=False))

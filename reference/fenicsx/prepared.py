@@ -16,8 +16,7 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from .. import materials
 from ..clock import Clock
-from ..materials import Incompressible, NeoHookean
-from ..materials.material import HasDensity, HasStretches
+from ..materials import NeoHookean
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Solution, first_positions
@@ -41,7 +40,6 @@ from .strategies.multipliers import Condensed, MultiplierDescent
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
 """Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""
-LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasStretches)))
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 """Reasons after which another strategy is tried."""
 FORCE_DEGREE = 6
@@ -78,7 +76,7 @@ def prepare(
 def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
-    refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
+    refuse_unknown(scene, "fenicsx", TERMS, materials.LAWS)
     check_solids(scene, element)
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")

@@ -1,11 +1,9 @@
-"""Hyperelastic laws [kPa], a file each: parameters, energy density for FEniCSx, derivatives by hand for scikit-fem."""
+"""Hyperelastic laws [kPa], a file each: parameters, and the energy density by invariants."""
 
-from . import tissues
 from .corotated import Corotated
-from .guccione import Guccione
 from .incompressible import Incompressible
 from .isochoric_neo_hookean import IsochoricNeoHookean
-from .material import EnergyLaw, Isotropic, Material, lame
+from .material import EnergyLaw, Isotropic, Material, MixedLaw, lame
 from .mooney_rivlin import MooneyRivlin
 from .neo_hookean import NeoHookean
 from .st_venant_kirchhoff import StVenantKirchhoff
@@ -19,7 +17,6 @@ LAWS: tuple[type[Material], ...] = (
     StVenantKirchhoff,
     IsochoricNeoHookean,
     MooneyRivlin,
-    Guccione,
     EnergyLaw,
     Incompressible,
 )
@@ -29,16 +26,15 @@ __all__ = [
     "LAWS",
     "Corotated",
     "EnergyLaw",
-    "Guccione",
     "Incompressible",
     "IsochoricNeoHookean",
     "Isotropic",
     "Material",
+    "MixedLaw",
     "MooneyRivlin",
     "NeoHookean",
     "StVenantKirchhoff",
     "StableNeoHookean",
     "Volumetric",
     "lame",
-    "tissues",
 ]

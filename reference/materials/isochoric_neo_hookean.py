@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Any
 
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats
 from .material import check_positive, lame
-from .volumetric import SplitInvariantLaw, Volumetric
+from .volumetric import SplitLaw, Volumetric
 
 
 @dataclass(frozen=True)
-class IsochoricNeoHookean(SplitInvariantLaw):
+class IsochoricNeoHookean(SplitLaw):
     """psi = mu/2 (J^(-2/3) I1 - 3) plus the volumetric part; mu and bulk modulus kappa [kPa].
 
     `volumetric` is a Volumetric or its formula: "kappa/2 (J-1)^2", or "kappa/4 (J^2-1-2 ln J)" (Miehe 1994, "Aspects
@@ -48,14 +46,6 @@ class IsochoricNeoHookean(SplitInvariantLaw):
         """See Isotropic; without kappa, of the isochoric part."""
         return self.mu, (self.kappa or 0.0) - 2 / 3 * self.mu
 
-    @staticmethod
-    def isochoric(F, p):
-        """See HasMixedDensity; not a number where J <= 0."""
-        import ufl
-
-        return p.mu / 2 * (ufl.det(F) ** (-2 / 3) * ufl.inner(F, F) - 3)
-
-    def by_isochoric(self, i1: Floats, i2: Floats) -> tuple[Floats, Floats, Floats]:
-        """See SplitInvariantLaw."""
-        gradient = np.tile([self.mu / 2, 0.0], (len(i1), 1))
-        return self.mu / 2 * (i1 - 3), gradient, np.zeros((len(i1), 2, 2))
+    def isochoric(self, i1: Any, i2: Any, p: Any) -> Any:
+        """See SplitLaw."""
+        return p.mu / 2 * (i1 - 3)

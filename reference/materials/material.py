@@ -1,19 +1,19 @@
-"""The base of all hyperelastic laws, and the forms in which a law gives its energy to solvers.
+"""The bases of hyperelastic laws.
 
 A law is one file of this folder: a frozen dataclass of its parameters [kPa], checked when made, with its energy density
-written twice or more. FEniCSx derives stress and tangent from the density in UFL; scikit-fem takes derivatives by hand.
-Neither form is computed from another, so that one solver checks the other. A solver refuses by name a law that lacks
-the form it needs.
+by the three invariants. FEniCSx derives compiled code from the formula, scikit-fem takes its derivatives by complex
+steps, so that one solver checks the other; closed forms and values of other codes check the formula.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
@@ -46,68 +46,6 @@ class Material(ABC):
         return True
 
 
-@runtime_checkable
-class HasDensity(Protocol):
-    """A law that FEniCSx models on displacement elements."""
-
-    def density(self, F: Any, p: Any) -> Any:
-        """Psi [kPa] in UFL, of the deformation gradient and the law's fields as symbols, p.mu and so on."""
-        ...
-
-
-@runtime_checkable
-class HasMixedDensity(Protocol):
-    """A law that FEniCSx models on mixed elements, whose pressure [kPa] is independent.
-
-    A volumetric part U(J) is replaced by pressure (J - 1) - U*(pressure) with U* its Legendre transform, or kappa/2 g²
-    by pressure g - pressure²/(2 kappa). Stationary in the pressure, they give the law back. Both stay finite as the
-    bulk modulus grows (Sussman and Bathe 1987, "A finite element formulation for nonlinear incompressible elastic and
-    inelastic analysis").
-    """
-
-    def mixed_density(self, F: Any, pressure: Any, p: Any) -> Any:
-        """Psi [kPa] in UFL, of F, the pressure and the law's fields."""
-        ...
-
-    def isochoric(self, F: Any, p: Any) -> Any:
-        """The part [kPa] in UFL that Incompressible keeps: psi where J = 1, as a function of J^(-1/3) F."""
-        ...
-
-    def check_mixed(self) -> None:
-        """Raise SceneError for parameters that the mixed density does not hold for."""
-        ...
-
-
-@runtime_checkable
-class HasStretches(Protocol):
-    """A law that FEniCSx models on displacement elements though UFL cannot write it as a function of F."""
-
-    def by_stretches(self, s: Sequence[Any], p: Any) -> Any:
-        """Psi [kPa] in UFL, of three signed singular values of F and the law's fields as symbols."""
-        ...
-
-
-@runtime_checkable
-class HasInvariants(Protocol):
-    """A law that scikit-fem models, by hand."""
-
-    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
-        """Psi (m,), its gradient (m, 3) and Hessian (m, 3, 3) [kPa] by I1 = tr C, I2 = (tr²C - tr C²)/2, J = det F.
-
-        C is FᵀF. psi is infinite where the law does not hold; the derivatives there are not used.
-        """
-        ...
-
-
-@runtime_checkable
-class HasRotation(Protocol):
-    """A law that scikit-fem models, by hand, by the rotation R nearest to F."""
-
-    def by_rotation(self, d: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Psi (m,), its gradient (m, 2) and Hessian (m, 2, 2) [kPa] by d = ‖F - R‖² and t = tr S - 3, F = R S."""
-        ...
-
-
 @dataclass(frozen=True)
 class Isotropic(Material):
     """A law whose tangent at rest is that of isotropic elasticity."""
@@ -131,22 +69,50 @@ class Isotropic(Material):
 
 @dataclass(frozen=True)
 class EnergyLaw(Isotropic):
-    """An isotropic law with the two forms that FEniCSx and scikit-fem need; what a file of one's own adds.
+    """An isotropic law by one formula, from which each solver takes its derivatives; what a file of one's own adds.
 
-    With a mixed density too, mixed elements model it. Projective dynamics has no use for laws.
+    FEniCSx and scikit-fem model it. Projective dynamics has no use for laws.
     """
 
     finite_inverted: ClassVar[bool] = False
     """Whether the energy is finite for J <= 0. Where it is not, solvers must refuse to start from inverted tets."""
 
-    @staticmethod
     @abstractmethod
-    def density(F: Any, p: Any) -> Any:
-        """See HasDensity."""
+    def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
+        """Psi [kPa] of I1 = tr C, I2 = (tr²C - tr C²)/2 and J = det F, C being FᵀF; no number where it does not hold.
+
+        The invariants and the law's fields, p.mu and so on, may be numbers, arrays, also complex ones, and symbols of
+        UFL or of compiled code. m has their functions by numpy's names: log, exp, sqrt, sin, cos, tanh, arctan, where.
+        """
+
+    def energy(self, invariants: Floats) -> Floats:
+        """Return psi [kPa], shape (m,), of invariants (3, m); infinite where the law does not hold."""
+        with np.errstate(all="ignore"):
+            psi = self.density(*invariants, self, np)
+        return np.where(np.isfinite(psi), psi, np.inf)
+
+    def slopes(self, invariants: Floats) -> Floats:
+        """Return psi's derivatives by invariants [kPa], both (3, m), by complex steps, which are exact to rounding."""
+        steps = 1e-30j * np.eye(3)[:, :, None]
+        return np.stack([self.density(*(invariants + step), self, np).imag / 1e-30 for step in steps])
+
+
+@dataclass(frozen=True)
+class MixedLaw(EnergyLaw):
+    """A law that FEniCSx models on mixed elements, too, whose pressure [kPa] is independent.
+
+    A volumetric part U(J) is replaced by pressure (J - 1) - U*(pressure) with U* its Legendre transform, or kappa/2 g²
+    by pressure g - pressure²/(2 kappa). Stationary in the pressure, they give the law back. Both stay finite as the
+    bulk modulus grows (Sussman and Bathe 1987, "A finite element formulation for nonlinear incompressible elastic and
+    inelastic analysis").
+    """
 
     @abstractmethod
-    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasInvariants."""
+    def mixed_density(self, I1: Any, I2: Any, J: Any, pressure: Any, p: Any, m: Any) -> Any:
+        """Psi [kPa] of the invariants and the pressure."""
+
+    def check_mixed(self):
+        """Raise SceneError for parameters that the mixed density does not hold for."""
 
 
 @dataclass(frozen=True)

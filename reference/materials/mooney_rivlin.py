@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Any
 
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats
 from .material import check_not_negative
-from .volumetric import SplitInvariantLaw
+from .volumetric import SplitLaw
 
 
 @dataclass(frozen=True)
-class MooneyRivlin(SplitInvariantLaw):
+class MooneyRivlin(SplitLaw):
     """psi = C10 (i1 - 3) + C01 (i2 - 3) + C20 (i1 - 3)² + kappa/2 (J - 1)², i1 = J^(-2/3) I1, i2 = J^(-4/3) I2.
 
     C10, C01, C20 and the bulk modulus kappa [kPa]; the shear modulus at rest is 2 (C10 + C01). Infinite for J <= 0.
@@ -38,19 +36,6 @@ class MooneyRivlin(SplitInvariantLaw):
         mu = 2 * (self.C10 + self.C01)
         return mu, (self.kappa or 0.0) - 2 / 3 * mu
 
-    @staticmethod
-    def isochoric(F, p):
-        """See HasMixedDensity; not a number where J <= 0."""
-        import ufl
-
-        J, C = ufl.det(F), F.T * F
-        i1 = J ** (-2 / 3) * ufl.tr(C)
-        i2 = J ** (-4 / 3) * (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2
+    def isochoric(self, i1: Any, i2: Any, p: Any) -> Any:
+        """See SplitLaw."""
         return p.C10 * (i1 - 3) + p.C01 * (i2 - 3) + p.C20 * (i1 - 3) ** 2
-
-    def by_isochoric(self, i1: Floats, i2: Floats) -> tuple[Floats, Floats, Floats]:
-        """See SplitInvariantLaw."""
-        away = i1 - 3
-        psi = self.C10 * away + self.C01 * (i2 - 3) + self.C20 * away**2
-        gradient = np.column_stack([self.C10 + 2 * self.C20 * away, np.full(len(i1), self.C01)])
-        return psi, gradient, np.tile(np.diag([2 * self.C20, 0.0]), (len(i1), 1, 1))

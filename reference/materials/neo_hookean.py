@@ -3,56 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from ...lhm.base.mesh import Floats
-from .isochoric_neo_hookean import IsochoricNeoHookean
-from .material import EnergyLaw, LameLaw, check_positive
-from .volumetric import by_pressure, quadratic
+from .material import LameLaw, MixedLaw, check_positive
+from .volumetric import Bulk, by_pressure, quadratic
 
 
 @dataclass(frozen=True)
-class NeoHookean(LameLaw, EnergyLaw):
+class NeoHookean(LameLaw, MixedLaw):
     """psi = mu/2 (I1 - 3) - mu ln J + lmbda/2 ln²J (Bonet and Wood 2008, Eq. 6.27); mu and lmbda [kPa].
 
     Infinite for J <= 0. Raises SceneError unless mu > 0 and lmbda > -2/3 mu; mixed elements need lmbda > 0.
     """
 
-    @staticmethod
-    def density(F, p, bulk=quadratic):
-        """See HasDensity; not a number where J <= 0."""
-        import ufl
+    def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any, bulk: Bulk = quadratic) -> Any:
+        """See EnergyLaw."""
+        log_J = m.log(J)
+        return p.mu / 2 * (I1 - 3) - p.mu * log_J + bulk(p.lmbda, log_J)
 
-        log_J = ufl.ln(ufl.det(F))
-        return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * log_J + bulk(p.lmbda, log_J)
-
-    @classmethod
-    def mixed_density(cls, F, pressure, p):
-        """See HasMixedDensity: lmbda/2 ln²J by the pressure lmbda ln J, but for a share of it.
+    def mixed_density(self, I1: Any, I2: Any, J: Any, pressure: Any, p: Any, m: Any) -> Any:
+        """See MixedLaw: lmbda/2 ln²J by the pressure lmbda ln J, but for a share of it.
 
         That share, mu/lmbda or a half, stays at the points: alone a tension above mu would beat -mu ln J as J falls to
         0, and crush single points.
         """
-        import ufl
-
-        share = ufl.conditional(ufl.lt(2 * p.mu, p.lmbda), p.mu / p.lmbda, 0.5)
+        share = m.where(2 * p.mu < p.lmbda, p.mu / p.lmbda, 0.5)
         mixed = by_pressure(pressure)
-        return cls.density(F, p, lambda modulus, g: share * quadratic(modulus, g) + (1 - share) * mixed(modulus, g))
-
-    isochoric = staticmethod(IsochoricNeoHookean.isochoric)
+        return self.density(
+            I1, I2, J, p, m, lambda modulus, g: share * quadratic(modulus, g) + (1 - share) * mixed(modulus, g)
+        )
 
     def check_mixed(self):
-        """See HasMixedDensity."""
+        """See MixedLaw."""
         check_positive(self, "lmbda")
-
-    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasInvariants."""
-        holds, J = J > 0, np.where(J > 0, J, 1.0)
-        log_J = np.log(J)
-        psi = self.mu / 2 * (I1 - 3) - self.mu * log_J + self.lmbda / 2 * log_J**2
-        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
-        gradient[:, 0] = self.mu / 2
-        gradient[:, 2] = (self.lmbda * log_J - self.mu) / J
-        hessian[:, 2, 2] = (self.lmbda * (1 - log_J) + self.mu) / J**2
-        return np.where(holds, psi, np.inf), gradient, hessian

@@ -1,8 +1,7 @@
-"""Problems of literature without a closed form: a block under partial pressure, and a beam; values on refined meshes.
+"""A problem of literature without a closed form: a block under partial pressure; values on refined meshes.
 
 The nearly incompressible block of Reese, Wriggers and Reddy 2000, a quarter of it by symmetry, is set up as in
 deal.II's step-44: a unit cube, its top held in its plane and loaded on a quarter. Stresses in MPa.
-The beam is problem 1 of Land et al. 2015, "Verification of cardiac mechanics software".
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ from functools import partial
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
-from ..materials import Guccione, Incompressible, Volumetric
+from ..materials import Volumetric
 from ..scene import Scene
 from ..solution import Solution
-from ..terms import Fixed, Hyperelastic, Pressure, Traction
+from ..terms import Fixed, Hyperelastic, Traction
 from .cook import law
 from .homogeneous import rollers
-from .meshes import block, box, positive, triangles_at, vertices_at
+from .meshes import block, positive, triangles_at, vertices_at
 from .problem import Problem, mixed_problem
 
 BLOCK_SOURCE = "set-up: deal.II step-44 after Reese, Wriggers and Reddy 2000; value computed on refined meshes"
@@ -75,54 +74,5 @@ def _blocks(sizes: tuple[int, ...]) -> tuple[Problem, ...]:
 BLOCKS = _blocks((4, 6))
 FINE_BLOCKS = _blocks((8,))
 
-
-BEAM_SOURCE = "set-up: Land et al. 2015, problem 1 (published codes 4.0-4.2 mm); value computed on refined meshes"
-
-
-def graded_bar(cells: tuple[int, int, int]) -> tuple[Floats, Ints]:
-    """The bar with shorter cells towards its clamp, whose edges are singular, and thinner ones towards its sides."""
-    X, tets = box(cells)
-    across = (1.0 - np.cos(np.pi * X[:, 1:])) / 2.0
-    return np.column_stack([10.0 * X[:, 0] ** 1.8, across]), tets
-
-
-def clamped_beam(cells: tuple[int, int, int]) -> Scene:
-    """A bar of 10 x 1 x 1 mm, its fibres along it, clamped at x = 0, follower pressure .004 kPa under it."""
-    X, tets = graded_bar(cells)
-    fibres = np.array([1.0, 0.0, 0.0])
-    return Scene(
-        X,
-        tets,
-        (
-            Hyperelastic(Incompressible(Guccione(2.0, 8.0, 2.0, 4.0, fibres))),
-            Fixed(vertices_at(X, 0, 0.0)),
-            Pressure(triangles_at(X, tets, 2, 0.0), 0.004),
-        ),
-    )
-
-
-def tip_height(scene: Scene, solution: Solution) -> float:
-    """The deformed height [mm] of the point (10, .5, 1)."""
-    end = np.argmin(np.linalg.norm(scene.vertices - [10.0, 0.5, 1.0], axis=1))
-    return float(solution.positions[end, 2])
-
-
-def _beams(sizes: tuple[tuple[int, int, int], ...]) -> tuple[Problem, ...]:
-    return tuple(
-        mixed_problem(
-            f"beam of Land et al., P2P1, {'x'.join(map(str, cells))} cells: height of the tip",
-            BEAM_SOURCE,
-            partial(clamped_beam, cells),
-            tip_height,
-            4.169,
-            {"fenicsx": 5e-3},
-        )
-        for cells in sizes
-    )
-
-
-BEAMS = _beams(((10, 2, 2), (10, 2, 4)))
-FINE_BEAMS = _beams(((16, 4, 4),))
-
-PROBLEMS = (*BLOCKS, *BEAMS)
-FINE = (*FINE_BLOCKS, *FINE_BEAMS)
+PROBLEMS = BLOCKS
+FINE = FINE_BLOCKS

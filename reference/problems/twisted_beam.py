@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -38,23 +39,9 @@ ROUNDING = 5e-5
 class SquaredVolume(LameLaw, EnergyLaw):
     """psi = mu/2 (I1 - 3) - mu ln J + lmbda/2 (J - 1)²; mu and lmbda [kPa]. Infinite for J <= 0."""
 
-    @staticmethod
-    def density(F, p):
-        """See HasDensity; not a number where J <= 0."""
-        import ufl
-
-        J = ufl.det(F)
-        return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * ufl.ln(J) + p.lmbda / 2 * (J - 1) ** 2
-
-    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasInvariants."""
-        holds, J = J > 0, np.where(J > 0, J, 1.0)
-        psi = self.mu / 2 * (I1 - 3) - self.mu * np.log(J) + self.lmbda / 2 * (J - 1) ** 2
-        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
-        gradient[:, 0] = self.mu / 2
-        gradient[:, 2] = self.lmbda * (J - 1) - self.mu / J
-        hessian[:, 2, 2] = self.lmbda + self.mu / J**2
-        return np.where(holds, psi, np.inf), gradient, hessian
+    def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
+        """See EnergyLaw."""
+        return p.mu / 2 * (I1 - 3) - p.mu * m.log(J) + p.lmbda / 2 * (J - 1) ** 2
 
 
 def turned_beam(turns: float, cells: int) -> Scene:

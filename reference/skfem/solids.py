@@ -20,11 +20,11 @@ from scipy.sparse import csr_matrix
 
 from ...lhm.base.mesh import Floats, Ints
 from .. import materials, terms
-from ..materials.material import HasInvariants, HasRotation
+from ..materials import Corotated, EnergyLaw
 from ..scene import Scene
 from .discretisation import Discretisation, Elements
 
-LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasInvariants, HasRotation)))
+LAWS = tuple(law for law in materials.LAWS if issubclass(law, (EnergyLaw, Corotated)))
 """The laws of Hyperelastic that this solver models."""
 IDENTITY = np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3))
 LEVI_CIVITA = np.zeros((3, 3, 3))
@@ -102,7 +102,7 @@ def _law(term, tets: int, points: int) -> Law:
     if isinstance(term, terms.Strain):
         return Strain(at_points(term.stiffness), at_points(term.limit))
     growth = at_points(term.growth)
-    law: Law = ByRotation(term.material) if isinstance(term.material, HasRotation) else ByInvariants(term.material)
+    law: Law = ByRotation(term.material) if isinstance(term.material, Corotated) else ByInvariants(term.material)
     return law if np.all(growth == 1.0) else Grown(law, growth)
 
 
@@ -122,37 +122,51 @@ class Law(Protocol):
         ...
 
 
+DIFFERENCE = 1e-5
+"""Step in an invariant, relative in J where psi holds for J > 0 alone; the Hessian by it is good to 1e-9."""
+
+
 @dataclass(frozen=True)
 class ByInvariants:
     """A law of I1, I2 and J, by the chain rule; these are polynomials of F, with derivatives everywhere."""
 
-    law: HasInvariants
+    law: EnergyLaw
 
     def psi(self, F: Floats) -> Floats:
         """See Law."""
-        return self.law.by_invariants(*_invariants(F))[0]
+        return self.law.energy(_invariants(F))
 
     def stress(self, F: Floats) -> Floats:
         """See Law; F must have finite energy."""
-        return np.einsum("ma,maij->mij", self.law.by_invariants(*_invariants(F))[1], _gradients(F))
+        return np.einsum("am,maij->mij", self.law.slopes(_invariants(F)), _gradients(F))
 
     def tangent(self, F: Floats) -> Floats:
         """See Law; F must have finite energy."""
-        I1, I2, J = _invariants(F)
-        _, gradient, hessian = self.law.by_invariants(I1, I2, J)
-        by_F = _gradients(F)
-        tangent = _chain(by_F, hessian)
-        tangent += (2 * gradient[:, 0])[:, None, None, None, None] * IDENTITY
-        tangent += np.einsum(
-            "ika,jlb,mab->mijkl", LEVI_CIVITA, LEVI_CIVITA, gradient[:, 2, None, None] * F, optimize=True
-        )
-        if gradient[:, 1].any():
+        invariants = _invariants(F)
+        gradient = self.law.slopes(invariants)[:, :, None, None, None, None]
+        tangent = _chain(_gradients(F), self._hessian(invariants))
+        tangent += 2 * gradient[0] * IDENTITY
+        tangent += np.einsum("ika,jlb,mab->mijkl", LEVI_CIVITA, LEVI_CIVITA, gradient[2, :, 0, 0] * F, optimize=True)
+        if gradient[1].any():
             eye, FT = np.eye(3), F.transpose(0, 2, 1)
-            of_I2 = 4 * np.einsum("mij,mkl->mijkl", F, F) + 2 * I1[:, None, None, None, None] * IDENTITY
+            of_I2 = 4 * np.einsum("mij,mkl->mijkl", F, F) + 2 * invariants[0, :, None, None, None, None] * IDENTITY
             of_I2 -= 2 * np.einsum("ik,mjl->mijkl", eye, FT @ F) + 2 * np.einsum("mil,mkj->mijkl", F, F)
             of_I2 -= 2 * np.einsum("mik,jl->mijkl", F @ FT, eye)
-            tangent += gradient[:, 1, None, None, None, None] * of_I2
+            tangent += gradient[1] * of_I2
         return tangent
+
+    def _hessian(self, invariants: Floats) -> Floats:
+        """Psi's second derivatives by invariants (3, m), shape (m, 3, 3), by differences of the first."""
+        sizes = np.full_like(invariants, DIFFERENCE)
+        if not self.law.finite_inverted:
+            sizes[2] *= invariants[2]
+        columns = []
+        for size, axis in zip(sizes, np.eye(3), strict=True):
+            step = axis[:, None] * size
+            change = self.law.slopes(invariants + step) - self.law.slopes(invariants - step)
+            columns.append(change / (2 * size))
+        hessian = np.stack(columns, axis=-1).transpose(1, 0, 2)
+        return (hessian + hessian.transpose(0, 2, 1)) / 2
 
 
 def _chain(by_F: Floats, hessian: Floats) -> Floats:
@@ -161,10 +175,11 @@ def _chain(by_F: Floats, hessian: Floats) -> Floats:
     return (flat.transpose(0, 2, 1) @ (hessian @ flat)).reshape(-1, 3, 3, 3, 3)
 
 
-def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
+def _invariants(F: Floats) -> Floats:
+    """Give I1, I2 and J, shape (3, m)."""
     C = F.transpose(0, 2, 1) @ F
     I1 = np.trace(C, axis1=1, axis2=2)
-    return I1, (I1**2 - np.einsum("mij,mij->m", C, C)) / 2, np.linalg.det(F)
+    return np.stack([I1, (I1**2 - np.einsum("mij,mij->m", C, C)) / 2, np.linalg.det(F)])
 
 
 def _gradients(F: Floats) -> Floats:
@@ -178,7 +193,7 @@ def _gradients(F: Floats) -> Floats:
 class ByRotation:
     """A law as a function of d = ‖F - R‖² and t = R : F - 3, R the rotation nearest to F, by the chain rule."""
 
-    law: HasRotation
+    law: Corotated
 
     def _differentiate_by_rotation(self, F: Floats, R: Floats) -> tuple[Floats, Floats, Floats]:
         return self.law.by_rotation(np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3)

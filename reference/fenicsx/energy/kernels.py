@@ -35,12 +35,7 @@ SOURCE = Path(__file__).with_name("kernels.c")
 # Without -ffast-math: an energy that is not a number must stay one.
 FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 NATIVE = "-march=native"  # which not every compiler knows on every processor
-SIGNATURES = {
-    "law_stress": ("vec", "const vec *F, const vec *parameters, vec *P"),
-    "law_tangent": ("void", "const vec *F, const vec *parameters, vec A[9][9]"),
-    "law_stretches": ("vec", "const vec *s, const vec *parameters, vec *p, vec *h"),
-}
-"""Results and arguments of the functions that a law may have."""
+ARGUMENTS = "const vec *s, const vec *parameters, vec *p, vec *h"
 SUMS = {f"by[{i}]": f"p[{i}]" for i in range(3)} | {f"twice[{i}]": f"h[{i}]" for i in range(9)}
 
 
@@ -59,9 +54,9 @@ class Tets(ctypes.Structure):
 class Kernel:
     """The integral over some tets (k,) of the sum of laws, with energy [µJ], gradient [mN] and Hessian [mN/mm].
 
-    The rule of a degree has q points on each tet. Several laws on the same tets are laws by stretches. `cells` are the
-    tets, as the numbering counts them. A law that has a pressure takes it from linear elements, whose nodes at the
-    corners of all tets are `pressure_dofs` (tets, 4).
+    The rule of a degree has q points on each tet. `cells` are the tets, as the numbering counts them. A law that has a
+    pressure is alone. It takes the pressure from linear elements, whose nodes at the corners of all tets are
+    `pressure_dofs` (tets, 4).
     """
 
     def __init__(
@@ -151,29 +146,20 @@ def _header(shapes: Floats, weights: Floats, corner_shapes: Floats, laws: Sequen
         f"static const double SHAPES[POINTS][NODES][3] = {braces(shapes)};",
         f"static const double WEIGHTS[POINTS] = {braces(weights)};",
     ]
-    functions = laws[0].functions
     if laws[0].has_pressure:
         lines += ["#define HAS_PRESSURE", f"static const double CORNERS[POINTS][4] = {braces(corner_shapes)};"]
-    if len(laws) > 1:
-        lines += [_function(f"part{n}", **law.functions) for n, law in enumerate(laws)]
-        functions = {"law_stretches": _sum_parts(laws)}
-    lines += [_function(name, **{name: body}) for name, body in functions.items()]
-    lines += [f"#define HAS_{name.removeprefix('law_').upper()}" for name in functions]
-    return "\n".join(lines) + "\n"
+    lines += [_function(f"part{n}", law.code) for n, law in enumerate(laws)]
+    return "\n".join([*lines, _function("law_stretches", _sum_parts(laws))]) + "\n"
 
 
-def _function(name: str, **body: str) -> str:
-    """Write a function, given its body by the kind of function that it is."""
-    ((kind, text),) = body.items()
-    result, arguments = SIGNATURES[kind]
-    begin, end = ("  vec psi;\n", "\n  return psi;") if result == "vec" else ("", "")
-    return f"static inline {result} {name}({arguments}) {{\n{begin}{text}{end}\n}}"
+def _function(name: str, body: str) -> str:
+    return f"static inline vec {name}({ARGUMENTS}) {{\n  vec psi;\n{body}\n  return psi;\n}}"
 
 
 def _sum_parts(laws: Sequence[Law]) -> str:
-    """Write the sum of part0, part1 and so on, laws by stretches whose parameters follow one another."""
-    lines, begin = ["  vec by[3], twice[9];", *(f"  {text} = filled(0.0);" for text in ("psi", *SUMS.values()))], 0
-    for n, law in enumerate(laws):
+    """Write the sum of part0, part1 and so on, whose parameters follow one another."""
+    lines, begin = ["  vec by[3], twice[9];", "  psi = part0(s, parameters, p, h);"], laws[0].parameters.shape[1]
+    for n, law in enumerate(laws[1:], 1):
         lines.append(f"  psi += part{n}(s, parameters + {begin}, by, twice);")
         lines += [f"  {total} += {text};" for text, total in SUMS.items()]
         begin += law.parameters.shape[1]

@@ -1,4 +1,4 @@
-"""A law's energy density as code in C: UFL gives the density, reverse-mode differentiation its derivatives.
+"""A law's energy density as code in C: its formula gives a graph, reverse-mode differentiation the derivatives.
 
 The density becomes a graph of scalars in which equal expressions are one node, so the code computes each of them once.
 The same graph holds the density's derivatives. `vec` in the code is a vector of numbers, one per point: see
@@ -7,31 +7,19 @@ The same graph holds the density's derivatives. `vec` in the code is a vector of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from functools import cached_property
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import ufl
-from ufl.algorithms import expand_derivatives, expand_indices
-from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
-from ufl.corealg.map_dag import map_expr_dag
-from ufl.corealg.multifunction import MultiFunction
 
 from ....lhm.base.mesh import Floats
 
 Node = tuple[Any, ...]
 """An operation and the numbers of its operands, or ("number", value), or ("input", its text in C)."""
-
-
-class UnknownOperationError(Exception):
-    """An operation of UFL that this module does not translate."""
-
-
-def input_symbol() -> Any:
-    """Return a scalar of UFL that stands for an input of the code; no two are the same."""
-    return ufl.variable(ufl.as_ufl(0.5))
 
 
 class Graph:
@@ -152,19 +140,17 @@ class Graph:
         for a in sorted(self._find_needed(list(results.values()))):
             operation, *operands = self._nodes[a]
             if operation not in ("number", "input"):
-                kind = "mask" if operation in MASKS else "vec"
+                kind = "mask" if operation == "<" else "vec"
                 lines.append(f"const {kind} t{a} = {self._formula(operation, operands)};")
         lines += [f"{text} = {self._vector(a)};" for text, a in results.items()]
         return "\n".join("  " + line for line in lines)
 
     def _formula(self, operation: str, operands: list[int]) -> str:
         texts = [self._text(operand) for operand in operands]
-        if operation in ("+", "*", "<", "<=", "==", "&", "|"):
+        if operation in ("+", "*", "<"):
             return f"{texts[0]} {operation} {texts[1]}"
         if operation == "inverse":
             return f"1.0 / {texts[0]}"
-        if operation == "not":
-            return f"~{texts[0]}"
         if operation == "select":
             return f"select({texts[0]}, {self._vector(operands[1])}, {self._vector(operands[2])})"
         return f"v{operation}({', '.join(texts)})"
@@ -176,9 +162,6 @@ class Graph:
         operation, *operands = self._nodes[a]
         return str(operands[0]) if operation == "input" else repr(operands[0]) if operation == "number" else f"t{a}"
 
-
-MASKS = ("<", "<=", "==", "&", "|", "not")
-"""Operations whose result is true or false at each point."""
 
 SLOPES: dict[str, Callable[..., int]] = {
     "inverse": lambda g, a, x: g.multiply(g.number(-1.0), g.multiply(a, a)),
@@ -202,98 +185,81 @@ def _slope_of_power(graph: Graph, a: int, x: int, c: int) -> int:
     return graph.multiply(c, graph.power(x, graph.number(exponent - 1.0)))
 
 
-FUNCTIONS = {"Ln": "log", "Exp": "exp", "Sqrt": "sqrt", "Sin": "sin", "Cos": "cos", "Tanh": "tanh", "Atan": "atan"}
-COMPARISONS = {"LT": "<", "LE": "<=", "GT": "<", "GE": "<=", "EQ": "==", "NE": "=="}
+@dataclass(frozen=True, eq=False)
+class Value:
+    """A node of a graph with the arithmetic that formulas need; `<` and `>` give masks, for `FUNCTIONS.where`."""
+
+    graph: Graph
+    node: int
+
+    def _find(self, other: Value | float) -> int:
+        """Find the node of another value, or of a number."""
+        return other.node if isinstance(other, Value) else self.graph.number(other)
+
+    def __add__(self, other: Value | float) -> Value:
+        return Value(self.graph, self.graph.add(self.node, self._find(other)))
+
+    def __mul__(self, other: Value | float) -> Value:
+        return Value(self.graph, self.graph.multiply(self.node, self._find(other)))
+
+    def __neg__(self) -> Value:
+        return -1.0 * self
+
+    def __sub__(self, other: Value | float) -> Value:
+        return self + -1.0 * other
+
+    def __rsub__(self, other: Value | float) -> Value:
+        return other + -self
+
+    def __truediv__(self, other: Value | float) -> Value:
+        return Value(self.graph, self.graph.multiply(self.node, self.graph.inverse(self._find(other))))
+
+    def __rtruediv__(self, other: Value | float) -> Value:
+        return other * Value(self.graph, self.graph.inverse(self.node))
+
+    def __pow__(self, exponent: Value | float) -> Value:
+        return Value(self.graph, self.graph.power(self.node, self._find(exponent)))
+
+    def __lt__(self, other: Value | float) -> Value:
+        return Value(self.graph, self.graph.node("<", self.node, self._find(other)))
+
+    def __gt__(self, other: Value | float) -> Value:
+        return Value(self.graph, self.graph.node("<", self._find(other), self.node))
+
+    __radd__, __rmul__ = __add__, __mul__
 
 
-class WithoutVariables(MultiFunction):
-    """Replaces each variable but some by its expression: UFL's `expand_indices` takes one entry of it for all."""
-
-    def __init__(self, kept: Container[Any]):
-        super().__init__()
-        self._kept = kept
-
-    expr = MultiFunction.reuse_if_untouched
-
-    def variable(self, variable: Any) -> Any:
-        """Keep a variable, or go on in its expression."""
-        return variable if variable in self._kept else map_expr_dag(self, variable.ufl_operands[0])
+def _call(name: str, x: Value | float) -> Value | float:
+    """Call a function of one number by its name in C."""
+    return Value(x.graph, x.graph.call(name, x.node)) if isinstance(x, Value) else getattr(math, name)(x)
 
 
-class Translation:
-    """Expressions of UFL as nodes of a graph, in which inputs stand for some of UFL's symbols."""
+def _where(mask: Value, a: Value | float, b: Value | float) -> Value:
+    """Choose a where the mask holds, else b."""
+    return Value(mask.graph, mask.graph.select(mask.node, mask._find(a), mask._find(b)))
 
-    def __init__(self, symbols: Mapping[Any, str]):
-        self.graph = Graph()
-        self._known = {symbol: self.graph.node("input", text) for symbol, text in symbols.items()}
 
-    def derivatives(self, expression: Any, by: Sequence[Any]) -> tuple[int, list[int], list[list[int]]]:
-        """Return the nodes of a scalar expression, of its gradient and of its Hessian by symbols."""
-        psi, inputs = self.translate(expression), [self._known[symbol] for symbol in by]
-        gradient = self.graph.gradient(psi, inputs)
-        return psi, gradient, [self.graph.gradient(entry, inputs) for entry in gradient]
-
-    def translate(self, expression: Any) -> int:
-        """Return the node of a scalar expression; UnknownOperationError for what UFL's cannot be translated."""
-        derived = expand_derivatives(apply_algebra_lowering(ufl.as_ufl(expression)))
-        return self._scalar(expand_indices(map_expr_dag(WithoutVariables(self._known), derived)))
-
-    def _scalar(self, e: Any) -> int:
-        if e not in self._known:
-            self._known[e] = self._translate(e)
-        return self._known[e]
-
-    def _translate(self, e: Any) -> int:
-        graph, kind = self.graph, type(e).__name__
-        if kind in ("Zero", "IntValue", "FloatValue", "RealValue", "ScalarValue"):
-            return graph.number(float(e))
-        operands = [self._scalar(operand) for operand in e.ufl_operands if type(operand).__name__ != "Label"]
-        if kind in FUNCTIONS:
-            return graph.call(FUNCTIONS[kind], operands[0])
-        if kind in COMPARISONS:
-            mask = graph.node(COMPARISONS[kind], *(operands[::-1] if kind in ("GT", "GE") else operands))
-            return graph.node("not", mask) if kind == "NE" else mask
-        operations: dict[str, Callable[..., int]] = {
-            "Variable": lambda a: a,
-            "Conj": lambda a: a,
-            "Real": lambda a: a,
-            "Sum": graph.add,
-            "Product": graph.multiply,
-            "Division": lambda a, b: graph.multiply(a, graph.inverse(b)),
-            "Power": graph.power,
-            "Conditional": graph.select,
-            "AndCondition": lambda a, b: graph.node("&", a, b),
-            "OrCondition": lambda a, b: graph.node("|", a, b),
-            "NotCondition": lambda a: graph.node("not", a),
-            "MaxValue": lambda a, b: graph.select(graph.node("<", a, b), b, a),
-            "MinValue": lambda a, b: graph.select(graph.node("<", a, b), a, b),
-            "Abs": lambda a: graph.select(
-                graph.node("<", a, graph.number(0.0)), graph.multiply(graph.number(-1.0), a), a
-            ),
-        }
-        if kind not in operations or e.ufl_shape != ():
-            raise UnknownOperationError(kind)
-        return operations[kind](*operands)
+IN_C = {"arctan": "atan"} | {name: name for name in ("log", "exp", "sqrt", "sin", "cos", "tanh")}
+FUNCTIONS = SimpleNamespace(where=_where, **{name: partial(_call, in_c) for name, in_c in IN_C.items()})
+"""The functions that a law's formula may call, by numpy's names."""
 
 
 class Law:
-    """A law in UFL [kPa]: psi(F, p), or psi(s, p) of F's signed singular values, or both of an isotropic one.
+    """A law psi(s, p) [kPa] of F's signed singular values, its formula in values of a graph.
 
-    `values` are the fields of p: arrays (k,) and (k, 3) of a number and a vector per tet become UFL's scalars and
-    vectors, what is no array stays itself. A law that `has_pressure` finds a point's pressure [kPa] as p._pressure.
+    `values` are the fields of p: an array (k,) of a number per tet becomes a value, another stays itself. A law that
+    `has_pressure` finds a point's pressure [kPa] as p._pressure.
     """
 
     def __init__(
         self,
         values: Mapping[str, Any],
+        density: Callable[[list[Value], Any], Value] | None = None,
         *,
-        density: Callable[[Any, Any], Any] | None = None,
-        by_stretches: Callable[[Any, Any], Any] | None = None,
         has_pressure: bool = False,
     ):
         self.has_pressure = has_pressure
-        self._values, self._density, self._by_stretches = values, density, by_stretches
-        self.is_by_stretches = density is None
+        self._values, self._density = values, density
 
     @property
     def parameters(self) -> Floats:
@@ -301,40 +267,21 @@ class Law:
         return np.column_stack([value for value in self._values.values() if isinstance(value, np.ndarray)])
 
     @cached_property
-    def functions(self) -> dict[str, str]:
-        """The bodies of `law_stress`, `law_tangent` and `law_stretches` of `kernels.c`, those that there can be.
-
-        Raises UnknownOperationError for a density that cannot be written.
-        """
-        names, p = self._symbols()
-        functions = {}
-        if self._density is not None:
-            F = [input_symbol() for _ in range(9)]
-            code = Translation({symbol: f"F[{i}]" for i, symbol in enumerate(F)} | names)
-            psi, P, tangent = code.derivatives(self._density(ufl.as_matrix([F[:3], F[3:6], F[6:]]), p), F)
-            functions["law_stress"] = code.graph.write({"psi": psi} | {f"P[{i}]": node for i, node in enumerate(P)})
-            functions["law_tangent"] = code.graph.write(
-                {f"A[{i}][{j}] = A[{j}][{i}]": tangent[i][j] for i in range(9) for j in range(i, 9)}
-            )
-        if self._by_stretches is not None:
-            s = [input_symbol() for _ in range(3)]
-            code = Translation({symbol: f"s[{i}]" for i, symbol in enumerate(s)} | names)
-            psi, gradient, hessian = code.derivatives(self._by_stretches(s, p), s)
-            results = {"psi": psi} | {f"p[{i}]": node for i, node in enumerate(gradient)}
-            results |= {f"h[{3 * i + j}] = h[{3 * j + i}]": hessian[i][j] for i in range(3) for j in range(i, 3)}
-            functions["law_stretches"] = code.graph.write(results)
-        return functions
-
-    def _symbols(self) -> tuple[dict[Any, str], SimpleNamespace]:
-        """The fields of p as UFL's symbols, and each symbol's text in C."""
-        names: dict[Any, str] = {}
-        p = SimpleNamespace(**self._values)
-        for key, value in self._values.items():
-            if isinstance(value, np.ndarray):
-                symbols = [input_symbol() for _ in range(int(np.prod(value.shape[1:])))]
-                setattr(p, key, symbols[0] if value.ndim == 1 else ufl.as_vector(symbols))
-                names |= {symbol: f"parameters[{len(names) + n}]" for n, symbol in enumerate(symbols)}
+    def code(self) -> str:
+        """The body of `law_stretches` of `kernels.c`: psi, its gradient and its Hessian."""
+        graph = Graph()
+        names = [name for name, value in self._values.items() if isinstance(value, np.ndarray)]
+        texts = {name: f"parameters[{n}]" for n, name in enumerate(names)}
         if self.has_pressure:
-            p._pressure = input_symbol()
-            names[p._pressure] = "parameters[PARAMETERS]"
-        return names, p
+            texts["_pressure"] = "parameters[PARAMETERS]"
+        inputs = {name: Value(graph, graph.node("input", text)) for name, text in texts.items()}
+        s = [Value(graph, graph.node("input", f"s[{i}]")) for i in range(3)]
+        assert self._density is not None
+        psi = self._density(s, SimpleNamespace(**(dict(self._values) | inputs))).node
+        by = [value.node for value in s]
+        gradient = graph.gradient(psi, by)
+        results = {"psi": psi} | {f"p[{i}]": node for i, node in enumerate(gradient)}
+        for i, entry in enumerate(gradient):
+            hessian = graph.gradient(entry, by)
+            results |= {f"h[{3 * i + j}] = h[{3 * j + i}]": hessian[j] for j in range(i, 3)}
+        return graph.write(results)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import ufl
 
-from ....lhm.base.errors import SceneError
+from ....lhm.base.errors import SceneError, quote
 from ....lhm.base.mesh import Floats, Ints
 from ...clock import count_compilation
-from ...materials import Incompressible, Isotropic, Material
-from ...materials.material import HasDensity, HasMixedDensity, HasStretches
+from ...materials import Corotated, Incompressible, Material
 from ...scene import Scene
 from ...terms import Hyperelastic, Strain, Volume
 from ...terms import Solid as SolidTerm
@@ -21,7 +21,7 @@ from ..mesh.numbering import Numbering
 from .assembly import Stiffness
 from .hyperelastic import MixedForms, check_mixed
 from .kernels import Kernel
-from .law_code import Law, UnknownOperationError
+from .law_code import FUNCTIONS, Law
 from .quadrature import DEGREES, Quadrature
 
 
@@ -44,16 +44,16 @@ def strain_law(stiffness: Floats, limit: Floats) -> Law:
     Both are (k,), stiffness in kPa. At a limit above 1 the curvature at a bound is that of the free side.
     """
 
-    def by_stretches(s, p):
-        psi = 0
+    def density(s: Sequence[Any], p: Any) -> Any:
+        where = FUNCTIONS.where
+        psi = 0.0
         for value in s:
-            above = ufl.Or(ufl.gt(value, p.high), ufl.eq(p.limit, 1.0))
-            below = ufl.conditional(ufl.lt(value, p.low), value - p.low, 0.0)
-            psi += p.stiffness / 2 * ufl.conditional(above, value - p.high, below) ** 2
+            within = where(p.limit > 1.0, 0.0, value - p.limit)
+            outside = where(value < p.low, value - p.low, within)
+            psi += p.stiffness / 2 * where(value > p.limit, value - p.limit, outside) ** 2
         return psi
 
-    values = {"stiffness": stiffness, "limit": limit, "low": 1.0 / limit, "high": limit}
-    return Law(values, by_stretches=by_stretches)
+    return Law({"stiffness": stiffness, "limit": limit, "low": 1.0 / limit}, density)
 
 
 class VolumeLaw(Law):
@@ -63,9 +63,9 @@ class VolumeLaw(Law):
         super().__init__({"stiffness": stiffness, "target": target})
 
     @cached_property
-    def functions(self) -> dict[str, str]:
+    def code(self) -> str:
         """See Law; the nearest point is found by iteration, which is written by hand."""
-        return {"law_stretches": "  psi = volume_law(s, parameters[0], parameters[1], p, h);"}
+        return "  psi = volume_law(s, parameters[0], parameters[1], p, h);"
 
 
 def hyperelastic_law(material: Material, growth: Floats, *, mixed: bool = False) -> Law:
@@ -73,36 +73,29 @@ def hyperelastic_law(material: Material, growth: Floats, *, mixed: bool = False)
     law = material.law if isinstance(material, Incompressible) else material
     values = {field.name: getattr(law, field.name) for field in fields(law)}
     for name, value in values.items():
-        if isinstance(value, np.ndarray):
-            values[name] = np.broadcast_to(value, (len(growth), 3))
-        elif isinstance(value, (int, float, np.number)):
+        if isinstance(value, (int, float, np.number)):
             values[name] = np.full(len(growth), float(value))
     grows = bool(np.any(growth != 1.0))
     if grows:
         values |= {"_growth": growth, "_size": np.cbrt(growth)}
 
-    def density(F, p):
-        elastic = F / p._size if grows else F
-        if mixed:
-            assert isinstance(material, (HasMixedDensity, Incompressible))
-            psi = material.mixed_density(elastic, p._pressure, p)
+    def density(s: Sequence[Any], p: Any) -> Any:
+        elastic = [x / p._size for x in s] if grows else s
+        if isinstance(material, Corotated):
+            psi = material.by_stretches(elastic, p)
+        elif mixed:
+            psi = material.mixed_density(*invariants(elastic), p._pressure, p, FUNCTIONS)
         else:
-            assert isinstance(material, HasDensity)
-            psi = material.density(elastic, p)
+            psi = material.density(*invariants(elastic), p, FUNCTIONS)
         return p._growth * psi if grows else psi
 
-    def by_stretches(s, p):
-        if mixed or isinstance(material, HasDensity):
-            return density(ufl.as_matrix([[s[0], 0, 0], [0, s[1], 0], [0, 0, s[2]]]), p)
-        assert isinstance(material, HasStretches)
-        return p._growth * material.by_stretches([x / p._size for x in s], p) if grows else material.by_stretches(s, p)
+    return Law(values, density, has_pressure=mixed)
 
-    return Law(
-        values,
-        density=density if mixed or isinstance(material, HasDensity) else None,
-        by_stretches=by_stretches if isinstance(law, Isotropic) else None,
-        has_pressure=mixed,
-    )
+
+def invariants(s: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Return I1, I2 and J of three stretches."""
+    a, b, c = (x * x for x in s)
+    return a + b + c, a * b + b * c + c * a, s[0] * s[1] * s[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +118,9 @@ class Solid:
         if mine.all():
             return cls(term, cells, mixed)
         changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
-        changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
-        if isinstance(term, Hyperelastic):
-            law = term.material
-            values = {field.name: getattr(law, field.name) for field in fields(law)}
-            by_tet = {key: value[mine] for key, value in values.items() if _per_tet(value, 2)}
-            changes["material"] = replace(law, **by_tet) if by_tet else law
+        for key, value in vars(term).items():
+            if key != "tets" and isinstance(value, np.ndarray) and value.ndim == 1:
+                changes[key] = value[mine]
         return cls(replace(term, **changes), cells[mine], mixed)
 
     @cached_property
@@ -149,18 +139,14 @@ class Solid:
         return hyperelastic_law(term.material, per_cell(term.growth), mixed=self.mixed)
 
     def check_code(self):
-        """Write the law's code; SceneError for an operation of its density that kernels do not know."""
+        """Write the law's code; SceneError for a density that does what its formula's values cannot."""
         try:
             with count_compilation():
-                _ = self.law.functions
-        except UnknownOperationError as error:
+                _ = self.law.code
+        except (TypeError, AttributeError) as error:
             assert isinstance(self.term, Hyperelastic)
             name = self.term.material.name
-            raise SceneError(f"solver 'fenicsx' cannot model {name}: its density has UFL's {error}") from None
-
-
-def _per_tet(value, dimensions: int) -> bool:
-    return isinstance(value, np.ndarray) and value.ndim == dimensions
+            raise SceneError(f"solver 'fenicsx' cannot model {name}: its density: {quote(str(error), 100)}") from None
 
 
 class Solids:
@@ -198,11 +184,11 @@ class Solids:
         return [Solid.from_term(scene, term, self._order, mixed=mixed) for term in scene.of(SolidTerm)]
 
     def _laws(self, solids: list[Solid]) -> list[tuple[Ints, list[Law]]]:
-        """The laws of kernels by their cells: one of F has its own, those by stretches on the same cells share one."""
+        """The laws of kernels by their cells: one with a pressure has its own, others on the same cells share one."""
         groups: list[tuple[Ints, list[Law]]] = []
         for solid in solids:
             for cells, laws in groups:
-                if solid.law.is_by_stretches and laws[0].is_by_stretches and np.array_equal(cells, solid.cells):
+                if not (solid.mixed or laws[0].has_pressure) and np.array_equal(cells, solid.cells):
                     laws.append(solid.law)
                     break
             else:
