@@ -13,6 +13,7 @@ from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
 from .terms import Cells, Fixed, OnTets, OnTriangles, RigidBody, Solid, Target, Term
+from .terms.cells import prism_vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +62,21 @@ class Scene:
         self._check_bodies(held.any(axis=1))
 
     def _gather_prisms(self) -> Ints:
-        """Gather the terms' rows of three tets, each once; SceneError where a tet is in two."""
-        mates = np.full((len(self.tets), 3), -1)
+        """Gather the terms' rows of three tets, each once; SceneError where a tet is in two, or they are no prism."""
+        mates, seen = np.full((len(self.tets), 3), -1), list[Ints]()
         for term in self.of(Solid):
-            if not term.on_prisms:
+            if not term.on_prisms or any(np.array_equal(term.tets, rows) for rows in seen):
                 continue
             before, own = mates[term.tets], term.tets[:, None]
-            clash = ((before != own) & (before >= 0)).any(axis=2)
+            clash = (before != own) & (before >= 0)
             if clash.any():
-                raise SceneError(f"{term.name}: tet {term.tets[clash][0]} shares its deformation with others elsewhere")
+                tet = term.tets[clash.any(axis=2)][0]
+                raise SceneError(f"{term.name}: tet {tet} shares its deformation with others elsewhere")
             mates[term.tets] = own
-        return mates[mates[:, 0] == np.arange(len(mates))]
+            seen.append(term.tets)
+        prisms = mates[mates[:, 0] == np.arange(len(mates))]
+        prism_vertices(self, prisms)
+        return prisms
 
     @cached_property
     def prism_cells(self) -> Cells:

@@ -192,9 +192,12 @@ class Recorder:
 
 def volume_ratio(scene: Scene, positions: Floats) -> Floats:
     """Return J = det F per tet, shape (m,); the tets of a prism have its F."""
-    ratios = tet_volumes(positions, scene.tets) / scene.volumes
-    if len(scene.prisms):
-        ratios[scene.prisms] = np.linalg.det(scene.prism_cells.deformation(positions))[:, None]
+    if not len(scene.prisms):
+        return tet_volumes(positions, scene.tets) / scene.volumes
+    ratios, alone = np.empty(len(scene.tets)), np.ones(len(scene.tets), dtype=bool)
+    alone[scene.prisms] = False
+    ratios[alone] = tet_volumes(positions, scene.tets[alone]) / scene.volumes[alone]
+    ratios[scene.prisms] = scene.prism_cells.volume_ratio(positions)[:, None]
     return ratios
 
 

@@ -16,28 +16,52 @@ class Cells:
     """Cells with one deformation each, F = Σ_a x_a ⊗ gradients_a.
 
     vertices (k, a), gradients (k, a, 3) [1/mm] and rest volumes (k,) [mm³]: a is 4 for tets and 6 for prisms. The F of
-    a prism is the mean of its three tets' F, weighted by volume: one point per cell, as in Flanagan and Belytschko
+    a prism is the mean of its three tets' F_t, weighted by volume: one point per cell, as in Flanagan and Belytschko
     (1981), "A uniform strain hexahedron and quadrilateral with orthogonal hourglass control".
+    modes (k, a - 4, a) [mm^½]: the two motions h of a prism that F does not see: Σ v_t ‖F_t - F‖² = Σ |Σ_a h_a x_a|².
     """
 
     vertices: Ints
     gradients: Floats
     volumes: Floats
+    modes: Floats
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, tets: Ints) -> Cells:
         """Make cells of a mesh's tets (k,), or of prisms (k, 3); SceneError as of `prism_vertices`."""
         volumes = mesh.volumes[tets]
         if tets.ndim == 1:
-            return cls(mesh.tets[tets], shape_gradients(mesh, tets), volumes)
-        vertices, gradients = gradients_in_prisms(mesh, tets)
-        whole = volumes.sum(axis=1)
-        return cls(vertices, np.einsum("kt,ktad->kad", volumes / whole[:, None], gradients), whole)
+            return cls(mesh.tets[tets], shape_gradients(mesh, tets), volumes, np.zeros((len(tets), 0, 4)))
+        vertices, whole = prism_vertices(mesh, tets), volumes.sum(axis=1)
+        place = np.sum(mesh.tets[tets][..., None] > vertices[:, None, None], axis=-1)
+        each = np.zeros((*tets.shape, 6, 3))
+        np.put_along_axis(each, place[..., None], shape_gradients(mesh, tets), axis=2)
+        mean = np.sum((volumes / whole[:, None])[..., None, None] * each, axis=1)
+        away = np.sqrt(volumes)[..., None, None] * (each - mean[:, None])
+        return cls(vertices, mean, whole, _root(away.transpose(0, 2, 1, 3).reshape(-1, 6, 9)))
 
     def deformation(self, positions: Floats) -> Floats:
         """Return F, shape (k, 3, 3), at positions [mm], shape (n, 3)."""
-        away = positions[self.vertices] - positions[self.vertices[:, :1]]
-        return np.einsum("kai,kaj->kij", away, self.gradients)
+        x = positions[self.vertices]
+        return (x - x[:, :1]).transpose(0, 2, 1) @ self.gradients
+
+    def volume_ratio(self, positions: Floats) -> Floats:
+        """Return J = det F, shape (k,), at positions [mm], shape (n, 3)."""
+        (a, b, c), (d, e, f), (g, h, i) = self.deformation(positions).transpose(1, 2, 0)
+        return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+
+
+def _root(away: Floats) -> Floats:
+    """Return two rows R (k, 2, 6) with Rᵀ R = A Aᵀ of A (k, 6, 9), whose rank is two: Cholesky's, by largest pivots."""
+    left = away @ away.transpose(0, 2, 1)
+    every, modes = np.arange(len(left)), []
+    for _ in range(2):
+        diagonal = np.einsum("kaa->ka", left)
+        pivot = diagonal.argmax(axis=1)
+        mode = left[every, pivot] / np.sqrt(np.maximum(diagonal[every, pivot], 1e-300))[:, None]
+        left = left - mode[:, :, None] * mode[:, None]
+        modes.append(mode)
+    return np.stack(modes, axis=1)
 
 
 def shape_gradients(mesh: Mesh, tets: Ints) -> Floats:
@@ -58,12 +82,3 @@ def prism_vertices(mesh: Mesh, tets: Ints) -> Ints:
         three = ", ".join(map(str, tets[bad[0]]))
         raise SceneError(f"tets {three} have {first[bad[0]].sum()} vertices; three tets of a prism have 6")
     return corners[first].reshape(-1, 6)
-
-
-def gradients_in_prisms(mesh: Mesh, tets: Ints) -> tuple[Ints, Floats]:
-    """Return the vertices (k, 6) of prisms of three tets (k, 3), and each tet's gradients over them, (k, 3, 6, 3)."""
-    vertices = prism_vertices(mesh, tets)
-    place = np.sum(mesh.tets[tets][..., None] > vertices[:, None, None], axis=-1)
-    gradients = np.zeros((*tets.shape, 6, 3))
-    np.put_along_axis(gradients, place[..., None], shape_gradients(mesh, tets), axis=2)
-    return vertices, gradients

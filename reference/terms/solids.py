@@ -27,11 +27,6 @@ class Solid(OnTets):
         """Whether its cells are prisms."""
         return self.tets is not None and self.tets.ndim == 2
 
-    def check(self, mesh: Mesh):
-        """See Term; the three tets of a prism have six vertices."""
-        super().check(mesh)
-        self.element_vertices(mesh)
-
     def element_vertices(self, mesh: Mesh) -> Ints:
         """See Term."""
         tets = self.tets_of(mesh)

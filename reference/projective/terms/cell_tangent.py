@@ -25,6 +25,7 @@ from .local_step import (
     LANES,
     LOW,
     LOW2,
+    MODES,
     ROWS,
     S0,
     S1,
@@ -218,6 +219,10 @@ def add_cell_tangent(parameters, corners, edges, kinds, slots, least, u, blocks)
             for a in range(ends):
                 for b in range(a, ends):
                     _pair_block(h, alpha, beta, g[a], g[b], U, K[a, b], work)
+                    for mode in range(ends - 3):
+                        one, other = MODES + ((ends - 3) * a + mode) * LANES, MODES + ((ends - 3) * b + mode) * LANES
+                        for r in range(3):
+                            K[a, b, r, r] += w[one + k] * w[other + k]
                     if a != b:
                         K[b, a] = K[a, b].T
             # Slots in the order of `corner_pairs`: first those of the first corner, then of each edge's end.

@@ -1,7 +1,7 @@
-"""Strain and Volume on the tets or prisms of a scene, in blocks: energy, gradient, matrix, Hessian (SoftDECA Eq. 10).
+"""Strain, Volume and Hourglass on tets or prisms, in blocks: energy, gradient, matrix, Hessian (SoftDECA Eq. 10).
 
-E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance. The hourglass
-energies of prisms are quadratic: one constant matrix is all of them.
+E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance. Hourglass holds the
+two modes of a prism that F does not see, in the same pass over its edges.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, tril
 
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Cells, Hourglass, Strain, Volume
-from ...terms.cells import gradients_in_prisms
 from .cell_tangent import add_cell_tangent, corner_pairs
 from .local_step import (
     GRADIENTS,
@@ -27,12 +25,14 @@ from .local_step import (
     LANES,
     LOW,
     LOW2,
+    MODES,
     PRISM,
     STRAIN,
     STRAIN2,
     TARGET,
     TET,
     VOLUME,
+    WEIGHTS,
     add_cells,
 )
 from .part import Part
@@ -43,40 +43,51 @@ _STRAIN_ROWS = np.array([[STRAIN, LOW, HIGH], [STRAIN2, LOW2, HIGH2]]) // LANES
 """Weight and bounds of the two Strains that a row of blocks has room for."""
 
 
+OnCells = Strain | Volume | Hourglass
+
+
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where a Strain or Volume stands: its rows of blocks (k,), of a Strain which of the two, and whose numbers."""
+    """Where a term stands: its rows of blocks (k,), of a Strain which of the two, and whose numbers."""
 
     rows: Ints
     slots: Ints
-    term: Strain | Volume | None = None
+    term: OnCells | None = None
 
-    def has_numbers_of(self, term: Strain | Volume) -> bool:
+    def has_numbers_of(self, term: OnCells) -> bool:
         """Whether a term of the same cells has the numbers that were written."""
         mine = self.term
         if isinstance(mine, Strain) and isinstance(term, Strain):
             return _same(mine, term, "stiffness", "limit")
+        if isinstance(mine, Hourglass) and isinstance(term, Hourglass):
+            return _same(mine, term, "stiffness")
         return isinstance(mine, Volume) and isinstance(term, Volume) and _same(mine, term, "stiffness", "target")
 
-    def write(self, term: Strain | Volume, volumes: Floats, parameters: Floats):
-        """Write a term's numbers to the blocks; volumes (k,) [mm³] are those of its cells."""
+    def write(self, term: OnCells, cells: Cells, parameters: Floats):
+        """Write a term's numbers to the blocks of cells."""
+        if isinstance(term, Hourglass):
+            held = np.sqrt(np.reshape(term.stiffness, (-1, 1, 1))) * cells.modes[self.rows, :, 1:]
+            for row, share in enumerate(held.transpose(2, 1, 0).reshape(-1, len(self.rows)), MODES // LANES):
+                _spread(share, row, self.rows, parameters)
+            return
+        weight = term.stiffness * cells.volumes[self.rows]
         if isinstance(term, Volume):
-            _spread(term.stiffness * volumes, VOLUME // LANES, self.rows, parameters)
+            _spread(weight, VOLUME // LANES, self.rows, parameters)
             _spread(term.target, TARGET // LANES, self.rows, parameters)
             return
         strain, low, high = _STRAIN_ROWS[self.slots].T
-        _spread(term.stiffness * volumes, strain, self.rows, parameters)
+        _spread(weight, strain, self.rows, parameters)
         _spread(1.0 / term.limit, low, self.rows, parameters)
         _spread(term.limit, high, self.rows, parameters)
 
 
-def _same(one: Strain | Volume, other: Strain | Volume, *names: str) -> bool:
+def _same(one: OnCells, other: OnCells, *names: str) -> bool:
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
 @dataclass(frozen=True, eq=False)
 class CellBlocks(Part):
-    """Parameters and corners in the layout of `local_step`, and where each Strain and Volume of the scene stands.
+    """Parameters and corners in the layout of `local_step`, and where each term of the scene stands.
 
     A row of blocks is a cell; cells that many terms share have several rows. tets: of each row, see `Solid`.
     """
@@ -91,9 +102,10 @@ class CellBlocks(Part):
     cells: Cells
 
     @classmethod
-    def terms_of(cls, scene: Scene) -> list[Strain | Volume]:
+    def terms_of(cls, scene: Scene) -> list[OnCells]:
         """Return the terms on cells of this kind."""
-        return [term for term in scene.of(Strain) + scene.of(Volume) if term.on_prisms == (cls.edges is PRISM)]
+        terms = scene.of(Strain) + scene.of(Volume) + scene.of(Hourglass)
+        return [term for term in terms if term.on_prisms == (cls.edges is PRISM)]
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Self | None:
@@ -101,9 +113,10 @@ class CellBlocks(Part):
         tets, places = _pair_up(scene, cls.terms_of(scene))
         if not len(tets):
             return None
-        cells, every = Cells.from_mesh(scene, tets), np.arange(len(tets))
+        all_prisms = np.array_equal(tets, scene.prisms)
+        cells, every = scene.prism_cells if all_prisms else Cells.from_mesh(scene, tets), np.arange(len(tets))
         blocks = -(-len(tets) // LANES)
-        parameters = np.zeros((blocks, GRADIENTS // LANES + 3 * len(cls.edges), LANES))
+        parameters = np.zeros((blocks, WEIGHTS + len(cls.edges) ** 2, LANES))
         parameters[:, [row // LANES for row in (LOW, HIGH, LOW2, HIGH2, TARGET)]] = 1.0
         corners = np.zeros((blocks, 1 + len(cls.edges), LANES), dtype=np.uint32)
         for row, gradient in enumerate(cells.gradients[:, 1:].reshape(len(tets), -1).T, GRADIENTS // LANES):
@@ -119,7 +132,7 @@ class CellBlocks(Part):
             return self
         parameters = self.parameters.copy()
         for place, term in zip(self.places, terms, strict=True):
-            place.write(term, self.cells.volumes[place.rows], parameters)
+            place.write(term, self.cells, parameters)
         places = tuple(replace(place, term=term) for place, term in zip(self.places, terms, strict=True))
         return replace(self, parameters=parameters, kinds=_kinds_of(parameters), places=places)
 
@@ -161,7 +174,12 @@ class CellBlocks(Part):
             weights = weights + _share(self.parameters[:, high], volume_share) * self.parameters[:, strain]
         gradients = self.cells.gradients
         local = np.einsum("e,eai,ebi->eab", weights.ravel()[: len(self.tets)], gradients, gradients)
-        return _entries(self.cells.vertices, local)
+        if self.edges is PRISM:
+            held = self.parameters[:, MODES // LANES :].transpose(0, 2, 1).reshape(-1, 5, 2)[: len(self.tets)]
+            held = np.concatenate([-held.sum(axis=1, keepdims=True), held], axis=1)
+            local += held @ held.transpose(0, 2, 1)
+        vertices, count = self.cells.vertices, 1 + len(self.edges)
+        return np.repeat(vertices, count, axis=1).ravel(), np.tile(vertices, (1, count)).ravel(), local.ravel()
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
         """Return the vertices (k, a) of all rows."""
@@ -190,74 +208,14 @@ class PrismBlocks(CellBlocks):
     edges = PRISM
 
 
-@dataclass(frozen=True, eq=False)
-class Hourglasses(Part):
-    """The matrix (n, n) [mN/mm] that all Hourglass terms are, of each component of the displacement."""
-
-    matrix: csr_matrix
-    terms: tuple[Hourglass, ...]
-
-    @classmethod
-    def from_scene(cls, scene: Scene) -> Hourglasses | None:
-        """See Part: Σ_t w_t D_t D_tᵀ of each prism, with D_t the gradients of F_t - F over its six vertices."""
-        terms, n = tuple(scene.of(Hourglass)), len(scene.vertices)
-        if not terms:
-            return None
-        matrix = csr_matrix((n, n))
-        for term in terms:
-            vertices, gradients = gradients_in_prisms(scene, term.tets)
-            volumes = scene.volumes[term.tets]
-            mean = np.einsum("kt,ktad->kad", volumes / volumes.sum(axis=1, keepdims=True), gradients)
-            away, weights = gradients - mean[:, None], np.reshape(term.stiffness, (-1, 1)) * volumes
-            rows, columns, values = _entries(vertices, np.einsum("kt,ktad,ktbd->kab", weights, away, away))
-            matrix = matrix + coo_matrix((values, (rows, columns)), shape=(n, n))
-        return cls(csr_matrix(matrix), terms)
-
-    def rebuilt(self, scene: Scene) -> Hourglasses | None:
-        """See Part."""
-        terms = scene.of(Hourglass)
-        same = all(np.array_equal(a.stiffness, b.stiffness) for a, b in zip(self.terms, terms, strict=True))
-        return self if same else self.from_scene(scene)
-
-    def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
-        pull = self.matrix @ u
-        gradient += pull
-        return total + 0.5 * float(np.vdot(u, pull))
-
-    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """See Part."""
-        entries = self.matrix.tocoo()
-        return entries.row, entries.col, entries.data
-
-    def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """See Part."""
-        return self.matrix.indptr, self.matrix.indices
-
-    def pairs(self, scene: Scene) -> Ints:
-        """Return the pairs of vertices (k, 2) of the matrix's lower half."""
-        lower = tril(self.matrix, format="coo")
-        return np.column_stack([lower.row, lower.col])
-
-    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
-        """See Part."""
-        blocks[slots] += tril(self.matrix, format="coo").data[:, None, None] * np.eye(3)
-
-
-def _entries(vertices: Ints, local: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return rows, columns and values of a sum of matrices (k, a, a), each over its vertices (k, a)."""
-    count = vertices.shape[1]
-    return np.repeat(vertices, count, axis=1).ravel(), np.tile(vertices, (1, count)).ravel(), local.ravel()
-
-
-def _pair_up(scene: Scene, terms: list[Strain | Volume]) -> tuple[Ints, tuple[_Places, ...]]:
+def _pair_up(scene: Scene, terms: list[OnCells]) -> tuple[Ints, tuple[_Places, ...]]:
     """Make one row per cell, or more where it has many terms: the rows' tets, and where each term stands.
 
-    The first two Strains and the first Volume of a cell share a row, for they share F and its stretches; so do the
-    next. All terms are on tets, or all on prisms, which their first tet names.
+    The first two Strains, the first Volume and the first Hourglass of a cell share a row, for they share F and its
+    stretches; so do the next. All terms are on tets, or all on prisms, which their first tet names.
     """
     keys, slots = [], []
-    for kind, room in ((Strain, len(_STRAIN_ROWS)), (Volume, 1)):
+    for kind, room in ((Strain, len(_STRAIN_ROWS)), (Volume, 1), (Hourglass, 1)):
         count = np.zeros(len(scene.tets), dtype=np.int64)
         for term in (term for term in terms if isinstance(term, kind)):
             first = scene.tets_of(term)[:, 0] if term.on_prisms else scene.tets_of(term)

@@ -28,7 +28,7 @@ from ...terms import (
     Volume,
 )
 from .bending import Rings
-from .cells import CellBlocks, Hourglasses, PrismBlocks, TetBlocks
+from .cells import CellBlocks, PrismBlocks, TetBlocks
 from .gaps import Pairs
 from .part import Part
 from .springs import DeadLoads, Springs
@@ -37,8 +37,7 @@ from .triangles import Triangles
 PARTS: dict[type[Part], tuple[type[Term], ...]] = {
     DeadLoads: (Gravity, Traction),
     TetBlocks: (Strain, Volume),
-    PrismBlocks: (Strain, Volume),
-    Hourglasses: (Hourglass,),
+    PrismBlocks: (Strain, Volume, Hourglass),
     Triangles: (SurfaceStrain,),
     Rings: (Bending,),
     Springs: (Target,),

@@ -28,33 +28,34 @@ def rows(first: int, count: int) -> tuple[int, ...]:
     return tuple(LANES * row for row in range(first, first + count))
 
 
-# What depends on the scene: bounds and weights (with the rest volume), and per edge of a cell a row of three of how F
-# grows with it. An edge goes from a cell's first vertex to another: three of a tet, five of a prism.
+# What depends on the scene: bounds and weights (with the rest volume), per edge of a cell a row of three of how F grows
+# with it, and per edge how its hourglass modes do. An edge goes from a cell's first vertex to another: three of a tet,
+# which has no such mode, five of a prism, which has two.
 HIGH, STRAIN2, LOW2, HIGH2 = rows(0, 4)
 SELDOM_READ = 4
 VOLUME, TARGET, STRAIN, LOW = rows(4, 4)
 WEIGHTS = 8
 GRADIENTS = LANES * WEIGHTS
-MOST_EDGES = 5
+MODES = LANES * 23
 
 # What the local step computes. An edge of the displacement, a row of three, becomes the force on its end.
-F00, F01, F02, F10, F11, F12, F20, F21, F22 = rows(WEIGHTS + 3 * MOST_EDGES, 9)
-S0, S1, S2 = rows(32, 3)
-D0, D1, D2 = rows(35, 3)
-ENERGY, DOUBT, MULTIPLIER = rows(38, 3)
+F00, F01, F02, F10, F11, F12, F20, F21, F22 = rows(33, 9)
+S0, S1, S2 = rows(42, 3)
+D0, D1, D2 = rows(45, 3)
+ENERGY, DOUBT, MULTIPLIER = rows(48, 3)
 
 # By singular values F = U diag(s) Vᵀ, with V from Jacobi's sweeps on C = FᵀF.
-C00, C11, C22, C01, C02, C12 = rows(41, 6)
-V00, V01, V02, V10, V11, V12, V20, V21, V22 = rows(47, 9)
-U00, U01, U02, U10, U11, U12, U20, U21, U22 = rows(56, 9)
+C00, C11, C22, C01, C02, C12 = rows(51, 6)
+V00, V01, V02, V10, V11, V12, V20, V21, V22 = rows(57, 9)
+U00, U01, U02, U10, U11, U12, U20, U21, U22 = rows(66, 9)
 
 # By the nearest rotation F = R S: cofactors of F, invariants of S, and a stress R (A0 + A1 S + A2 S²).
-R00, R01, R02, R10, R11, R12, R20, R21, R22 = rows(65, 9)
-K00, K01, K02, K10, K11, K12, K20, K21, K22 = rows(74, 9)
-FIRST, SECOND, THIRD, SQUARES, MINORS = rows(83, 5)
-A0, A1, A2 = rows(88, 3)
-EDGES = LANES * 91
-ROWS = 91 + 3 * MOST_EDGES
+R00, R01, R02, R10, R11, R12, R20, R21, R22 = rows(75, 9)
+K00, K01, K02, K10, K11, K12, K20, K21, K22 = rows(84, 9)
+FIRST, SECOND, THIRD, SQUARES, MINORS = rows(93, 5)
+A0, A1, A2 = rows(98, 3)
+EDGES, HELD = LANES * 101, LANES * 116
+ROWS = 122
 
 TET, PRISM = (1, 2, 3), (1, 2, 3, 4, 5)
 """The edges of a cell by the corner at their ends. A tuple, so that the compiler knows their number."""
@@ -490,7 +491,7 @@ def gather(w, parameters, corners, edges, kinds, u):
 
     Guards' parameters are left out. From displacements, for differences of positions far from the origin lose digits.
     """
-    for i in range(SELDOM_READ * LANES, (WEIGHTS + 3 * len(edges)) * LANES):
+    for i in range(SELDOM_READ * LANES, (WEIGHTS + len(edges) * len(edges)) * LANES):  # 3 and a mode's share per edge
         w[i] = parameters[i]
     if kinds & HAS_BOUNDS:
         _read_bounds(w, parameters)
@@ -512,6 +513,34 @@ def gather(w, parameters, corners, edges, kinds, u):
         w[F00 + k], w[F01 + k], w[F02 + k] = 1.0 + f00, f01, f02
         w[F10 + k], w[F11 + k], w[F12 + k] = f10, 1.0 + f11, f12
         w[F20 + k], w[F21 + k], w[F22 + k] = f20, f21, 1.0 + f22
+
+
+@njit(**COMPILED)
+def _see_modes(w, edges):
+    """Write Σ h e over the edges e of every hourglass mode h."""
+    for k in range(LANES):
+        for mode in range(len(edges) - 3):
+            x, y, z = 0.0, 0.0, 0.0
+            for edge in range(len(edges)):
+                row, share = EDGES + 3 * edge * LANES + k, w[MODES + ((len(edges) - 3) * edge + mode) * LANES + k]
+                x, y, z = x + share * w[row], y + share * w[row + LANES], z + share * w[row + 2 * LANES]
+            row = HELD + 3 * mode * LANES + k
+            w[row], w[row + LANES], w[row + 2 * LANES] = x, y, z
+
+
+@njit(**COMPILED)
+def _hold_modes(w, edges):
+    """Add the forces and the energy by which hourglass modes are held."""
+    for k in range(LANES):
+        for mode in range(len(edges) - 3):
+            row = HELD + 3 * mode * LANES + k
+            x, y, z = w[row], w[row + LANES], w[row + 2 * LANES]
+            w[ENERGY + k] += 0.5 * (x * x + y * y + z * z)
+            for edge in range(len(edges)):
+                row, share = EDGES + 3 * edge * LANES + k, w[MODES + ((len(edges) - 3) * edge + mode) * LANES + k]
+                w[row] += share * x
+                w[row + LANES] += share * y
+                w[row + 2 * LANES] += share * z
 
 
 @njit(**COMPILED)
@@ -693,6 +722,8 @@ def add_cells(parameters, corners, edges, kinds, u, gradient):
     for block in range(len(parameters)):
         kind = kinds[block]
         gather(w, parameters[block], corners[block], edges, kind, u)
+        if len(edges) > 3:
+            _see_modes(w, edges)
         sure = nearest_rotation(w) == 0
         guarded = False
         if sure and kind:
@@ -718,5 +749,7 @@ def add_cells(parameters, corners, edges, kinds, u, gradient):
             if guarded and _acts(w, STRAIN2, LOW2, HIGH2):
                 _bounded_stress(w, STRAIN2, LOW2, HIGH2)
             _forces(w, edges)
+        if len(edges) > 3:
+            _hold_modes(w, edges)
         total += _scatter(w, corners[block], edges, gradient)
     return total
