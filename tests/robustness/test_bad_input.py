@@ -67,18 +67,6 @@ def test_a_factor_scales_and_spaces_do_not_matter():
     assert sorted(weights[weights > 0]) == [0.5, 1.0]
 
 
-@pytest.mark.parametrize("content", ["text", "truncated", "flipped", "other"])
-def test_bad_data_of_the_ict_space_are_named(command, tmp_path, content):
-    file = tmp_path / "ict.npz"
-    np.savez_compressed(file, vertices=np.arange(3000.0).reshape(-1, 3), triangles=np.zeros((5, 3), int))
-    whole = file.read_bytes()
-    flipped = whole[:200] + bytes(255 - b for b in whole[200:240]) + whole[240:]
-    file.write_bytes({"text": b"no zip", "truncated": whole[:100], "flipped": flipped, "other": whole}[content])
-    ended = command("head", "fit", "--identities", f"ict:{file}", "--out", tmp_path / "head.npz")
-    assert "ict.npz: not ICT-FaceKit's data" in ended.refusal()
-    assert [p.name for p in tmp_path.iterdir()] == ["ict.npz"]
-
-
 def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     file = tmp_path / "head.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -49,24 +49,6 @@ def test_regions_that_a_face_lacks_are_counted(head):
     assert [check_head(each).regions_unknown for each in (head, lacking)] == [0, 3]
 
 
-def test_a_simulation_of_a_damaged_head_ends_before_it_begins(tmp_path, head, command):
-    take = tmp_path / "take.json"
-    take.write_text('{"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0}, {"weights": [0], "time": 0.1}]}')
-    path, out = tmp_path / "damaged.npz", tmp_path / "out"
-    save_head(path, head)
-    arrays = dict(np.load(path))
-    np.savez(path, **arrays | {"skin_from_wrap.data": 1e6 * arrays["skin_from_wrap.data"]})
-    ended = command("animate", take, "--head", path, "--out", out)
-    assert ended.status == 1 and f"error: {path}: damaged, " in ended.errors[-1], ended.errors
-    assert not out.exists()
-
-
-def test_a_name_of_two_lines_is_told_once(tmp_path, command):
-    (tmp_path / "a\nb.npz").write_text("no head")
-    (line,) = command("head", "check", tmp_path / "a\nb.npz").errors
-    assert line.count("a b.npz") == 1 and "not a layered head, or damaged" in line
-
-
 def test_a_template_survives_the_file_and_a_damaged_one_is_refused(tmp_path):
     path, template = tmp_path / "template.npz", load_template(level=1)
     save_template(path, template)

@@ -1,8 +1,5 @@
 """Damaged files of a head: each is read as the head that it was, or refused by one line; nothing is written of it."""
 
-import io
-import zipfile
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -42,14 +39,6 @@ def touched(x, triangles):
     return np.vstack([x, tip + [[9, 0, 90], [9, 9, 90], [0, 9, 90.0]]]), np.vstack([triangles, more])
 
 
-def archive(**members):
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as file:
-        for name, content in members.items():
-            file.writestr(name, content)
-    return buffer.getvalue()
-
-
 # Each is the head again once it is read: by suffix, what is done to it, and words of a note on how it was repaired.
 MENDED = {
     "windows.obj": (lambda x, t: obj(x, t).replace("\n", "\r\n"), ""),
@@ -83,18 +72,6 @@ MENDED = {
     ),
     "rounded.obj": (lambda x, t: obj(np.round(x, 2), t), ""),
 }
-# Each is refused by a line that has these words; a file damaged in itself is refused in test_surface_files.py.
-REFUSED = {
-    "half.obj": (lambda x, t: "\n".join(obj(x, t).splitlines()[600:]), "outside 0.."),
-    "nul.obj": (lambda x, t: obj(x, t)[:2000] + "\0" * 50, "it is no text"),
-    "commas.obj": (lambda x, t: obj(x, t).replace(".", ","), "line 1 is none of an OBJ file"),
-    "ply.obj": (lambda x, t: exported("ply", x, t), "OBJ"),
-    "point.obj": (lambda x, t: obj(0 * x, t), "has an area"),
-    "flat.obj": (lambda x, t: obj(x * [1, 1, 0], t), "skin"),
-    "cut.glb": (lambda x, t: exported("glb", x, t)[:-4000], "glb"),
-    "letter.obj": (lambda x, t: "Dear reader,\nthis is a letter.\n", "mesh"),
-    "torn.npz": (lambda x, t: archive(**{"vertices.npy": b"x"})[:-20], "npz"),
-}
 
 
 def written(path, content):
@@ -119,17 +96,6 @@ def test_a_damage_is_mended(tmp_path, head, name):
     assert TriangleTree(x, triangles).closest(used)[2].max() < 0.02
     # Outwards: the volume is the head's, not its negative.
     assert volume(scan.vertices, scan.triangles) == pytest.approx(volume(x, triangles), rel=5e-3)
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_damage_is_refused_by_one_line(tmp_path, head, command, name):
-    content, words = REFUSED[name]
-    path, out = written(tmp_path / name, content(*head)), tmp_path / "out" / "head.npz"
-    ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
-    assert ended.status == 1 and not out.parent.exists()
-    lines = [line for line in ended.errors if line.startswith("softdeca: error")]
-    assert len(lines) == 1 and lines[0] == ended.errors[-1] and "Traceback" not in "".join(ended.errors)
-    assert str(path) in lines[0] and words in lines[0].replace(str(path), path.suffix), lines
 
 
 def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, command):

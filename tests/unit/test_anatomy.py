@@ -121,25 +121,6 @@ def test_connectors_between_spheres_and_where_there_is_no_bone():
     assert not find_connectors(skin, normals, -normals, bone, longest=3.0)[1].any()
 
 
-@pytest.mark.parametrize("damage", ["missing", "text", "arrays", "parts"])
-def test_wrong_files_are_refused_by_name(tmp_path, damage):
-    path = tmp_path / "bones.npz"
-    if damage == "text":
-        path.write_text("not an archive")
-    elif damage == "arrays":
-        np.savez(path, vertices=np.zeros((3, 3)))
-    elif damage == "parts":
-        np.savez(
-            path,
-            vertices=np.eye(3),
-            faces=[[0, 1, 2]],
-            face_part=[0],
-            part_name=np.array(["Frontal Bone"]),
-            part_group=np.array(["skull"]),
-        )
-    refused(r"bones\.npz", bodyparts.load, path)
-
-
 @pytest.fixture(scope="module")
 def bones(data):
     path = data / "bodyparts3d_head.npz"

@@ -1,11 +1,9 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
-import os
 import shutil
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -278,15 +276,6 @@ def test_a_reader_finds_what_the_shards_hold(made, table):
         np.testing.assert_allclose(found.shapes(identity), person.shapes, rtol=1e-3, atol=1e-6)
 
 
-def test_rows_of_a_shard_that_is_cut_off_are_an_error(copied):
-    rows, path = Table(copied, "statics", "test"), copied / "person-00002.h5"
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 4])
-    with pytest.raises(InputError, match="person-00002.*truncated"):
-        [rows[k] for k in range(len(rows))]
-    with pytest.raises(InputError, match="person-00002.*truncated or damaged"):
-        Table(copied, "statics", "test")
-
-
 def test_torch_reads_it_in_several_processes(made):
     torch = pytest.importorskip("torch")
     from softdeca.surrogate.corpus.reading import CorpusDataset
@@ -386,146 +375,6 @@ def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
         Table(copied, "statics", "test")
 
 
-def test_a_checksum_covers_owner_format_and_version(copied):
-    path = copied / "person-00001.h5"
-    whole = path.read_bytes()
-    for name, value in (("version", "0.1.1"), ("checksum", "0"), ("checksum", None)):
-        path.write_bytes(whole)
-        with h5py.File(path, "r+") as file:
-            del file.attrs[name]
-            file.attrs.update({} if value is None else {name: value})
-        with pytest.raises(InputError, match=r"person-00001.h5: .*checksum"):
-            Corpus.open(copied).verify()
-
-
-@pytest.mark.parametrize("format", [2, 3.7, "3", True], ids=repr)
-def test_a_shard_is_of_the_format_of_its_corpus(copied, format):
-    with h5py.File(copied / "person-00001.h5", "r+") as file:
-        file.attrs["format"] = format
-    with pytest.raises(InputError, match=r"person-00001.h5: .*format"):
-        Corpus.open(copied).verify()
-
-
-def put(name, **how):
-    """Put another dataset in the place of one."""
-
-    def damage(file):
-        kept = file[name][()]
-        del file[name]
-        file.create_dataset(name, **({"data": kept} | how))
-
-    return damage
-
-
-def replace_by(name, make):
-    def damage(file):
-        del file[name]
-        file[name] = make(file)
-
-    return damage
-
-
-def change_one(file):
-    file["statics/weights"][0, 0] = 0.123
-
-
-DAMAGES = {
-    "one value": change_one,
-    "gzip": put("statics/corrected", compression="gzip"),
-    "a soft link": replace_by("statics/corrected", lambda file: h5py.SoftLink("/statics/weights")),
-    "a link to another file": replace_by(
-        "groups/settled", lambda file: h5py.ExternalLink("other.h5", "/groups/settled")
-    ),
-    "a link to a pipe": replace_by("groups/settled", lambda file: h5py.ExternalLink("pipe.h5", "/groups/settled")),
-    "storage elsewhere": put("statics/weights", external=[("other.raw", 0, 10**4)]),
-    "a group": lambda file: (file.__delitem__("statics/weights"), file.create_group("statics/weights")),
-    "seconds beside it": lambda file: seconds_path(Path(file.filename)).write_text('{"fit": "1"}'),
-    "two persons": lambda file: put("persons/code", data=np.repeat(file["persons/code"][()], 2, axis=0))(file),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_status_names_what_verify_names(copied, command, monkeypatch, damage):
-    monkeypatch.chdir(copied)  # where storage elsewhere is made
-    (copied / "other.raw").write_bytes(bytes(10**4))
-    os.mkfifo(copied / "pipe.h5")
-    with h5py.File(copied / "person-00001.h5", "r+") as file:
-        damage(file)
-    named = command("corpus", "verify", copied).refusal()
-    assert "person-00001.h5: " in named or "person-00001.json: " in named
-    ended = command("corpus", "status", copied)
-    assert (
-        ended.status == 1 and f"DAMAGED {named.partition('error: ')[2]}" in ended.out and "2 of 3 people" in ended.out
-    )
-
-
-def forged(shard, table, **arrays):
-    """The shard with other arrays of a table, each a function of what it has."""
-    rows = getattr(shard, table)
-    changed = {name: change(getattr(rows, name).copy()) for name, change in arrays.items()}
-    return replace(shard, **{table: replace(rows, **changed)})
-
-
-def put_at(place, value):
-    def change(array):
-        array[place] = value
-        return array
-
-    return change
-
-
-TRAINED = PLAN.pools["train"]["conversation"][0]
-DRIVEN = PLAN.recordings[PLAN.sequence(2, 0)[0]].frames
-DEFAULT = next(name for name in NAMES if name not in parameters_of(2).names)
-FORGED = {
-    "rotations of zeros": ("sequences", "rotations", lambda a: 0 * a),
-    "T - S of 60 m": ("statics", "corrected", put_at((0, 0, 0), 6e4)),
-    "settled by 60 m": ("groups", "settled", put_at((0, 0, 0), -6e4)),
-    "derivatives of 60 m": ("responses", "expressions", put_at((0, 0, 0, 0), 6e4)),
-    "shapes of 60 m": ("persons", "shapes", lambda a: 0 * a + 6e4),
-    "in metres": ("persons", "skin", lambda a: a / 1000),
-    "a long code": ("persons", "code", lambda a: np.zeros((1, 5))),
-    "coefficients of 99,999": ("groups", "coefficients", lambda a: 0 * a + 99_999),
-    "nothing varied": ("groups", "varied", lambda a: a & False),
-    "an unknown kind": ("groups", "kind", put_at(0, b"magic")),
-    "another set": ("groups", "number", lambda a: a + 1),
-    "weights of 2": ("statics", "weights", put_at((0, 0), 2.0)),
-    "an unknown recording": ("statics", "recording", put_at(0, b"hard/99")),
-    "a negative frame": ("statics", "frame", put_at(0, -1)),
-    "a row of no group": ("statics", "group", put_at(0, 7)),
-    "shapes of reversed vertices": ("persons", "shapes", lambda a: a[:, :, np.random.default_rng(0).permutation(42)]),
-    "a residual above the tolerance": ("statics", "residual", put_at(0, 2.0 * PLAN.tolerance)),
-    "more iterations than allowed": ("statics", "iterations", put_at(0, 2 * PLAN.max_iterations + 1)),
-    "inverted tets of positive volume": ("statics", "inverted", put_at(0, 3)),
-    "negative volume of no tet": ("sequences", "smallest_volume_ratio", put_at((0, 0), -0.1)),
-    "a sequence over the end": ("sequences", "frame", lambda a: 0 * a + DRIVEN - LENGTH + 1),
-    "a recording of training": ("statics", "recording", put_at(0, TRAINED.encode())),
-    "a group that did not settle": ("groups", "status", put_at(0, b"settling: lost")),
-    "a derivative by a default": ("parameter_responses", "name", put_at(0, DEFAULT.encode())),
-    "a negative distance": ("statics", "moved", put_at((0, 0), -1.0)),
-    "a letter of a terminal": ("statics", "status", put_at(0, b"\x1b[2J")),
-    "an unknown parameter": ("parameter_responses", "name", put_at(0, b"charm")),
-    "numbers of 64 bits": ("statics", "weights", lambda a: a.astype(np.float64)),
-}
-
-
-@pytest.mark.parametrize(("table", "name", "change"), FORGED.values(), ids=FORGED)
-def test_numbers_that_no_simulation_has_are_refused_whatever_the_checksum_says(made, copied, table, name, change):
-    """By readers, by verify, and by generate, which makes the shard anew."""
-    write_shard(copied / "person-00002.h5", forged(made.shard(2), table, **{name: change}), made.owner)
-    with pytest.raises(InputError, match="person-00002.h5: (.*/)?.*; `softdeca corpus generate` makes it anew"):
-        Corpus.open(copied).verify()
-    with pytest.raises(InputError, match="person-00002.h5"):
-        Table(copied, "statics", "test")
-    assert not Corpus.from_plan(copied, PLAN, PEOPLE).is_whole(2)
-
-
-def test_numbers_of_frames_that_are_not_accepted_are_not_checked(made, copied):
-    status = {"status": put_at(0, b"solver: lost"), "corrected": put_at(0, np.nan), "residual": put_at(0, np.nan)}
-    write_shard(copied / "person-00002.h5", forged(made.shard(2), "statics", **status), made.owner)
-    assert Corpus.open(copied).verify() == 3
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -558,56 +407,3 @@ def test_files_that_vanish_while_a_corpus_is_made_end_it(tmp_path, gone):
     with pytest.raises(InputError, match="files were removed while the corpus was made"):
         corpus.generate(on_progress=remove)
     assert corpus.generate().identities_done == 3 and Corpus.open(corpus.folder).verify() == 3
-
-
-@pytest.mark.parametrize("name", ["corpus.json", "template.npz"])
-@pytest.mark.parametrize("content", [None, b"", b"{}"], ids=["removed", "empty", "replaced"])
-def test_files_that_change_while_a_corpus_is_made_end_it(copied, name, content):
-    path = copied / name
-
-    def damage(what, share):
-        if what == "check" and share == 1.0:
-            path.unlink() if content is None else path.write_bytes(content)
-
-    with pytest.raises(InputError, match=name) as refused:
-        Corpus.from_plan(copied, PLAN, PEOPLE).generate(on_progress=damage)
-    assert "\n" not in str(refused.value)
-
-
-def test_another_description_while_a_corpus_is_made_ends_it(copied):
-    path = copied / "corpus.json"
-
-    def replace_people(what, share):
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"people": "others"}))
-
-    with pytest.raises(InputError, match="corpus.json: it changed while the corpus was made"):
-        Corpus.from_plan(copied, PLAN, PEOPLE).generate(on_progress=replace_people)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"content": None}, "content and made_with: expected objects"),
-        ({"tested": None}, "tested: None, expected 1"),
-        ({"template": "0" * 16}, "not of the mesh that corpus.json names"),
-        ({"format": 1}, "format: 1, this version reads 4"),
-        ({"plan": "0" * 16}, "content: not that of plan 0000"),
-        ({"pools": {"train": {"hard": ["a"]}, "test": {"hard": ["a"]}}}, "recording a is in train and in test"),
-        ({"parameters": []}, "parameters: others than this version has"),
-    ],
-)
-def test_nulls_and_others_in_a_manifest_are_named(copied, change, words):
-    path = copied / "corpus.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(InputError) as refused:
-        Table(copied, "statics", "train")
-    assert words in str(refused.value)
-
-
-def test_counts_of_a_manifest_are_bounded(copied):
-    path = copied / "corpus.json"
-    said = json.loads(path.read_text())
-    for name, value in (("identities", 10**12), ("identities", None), ("seed", -1), ("groups", 10**9)):
-        path.write_text(json.dumps(said | {"content": said["content"] | {name: value}}))
-        with pytest.raises(InputError, match=rf"corpus.json: damaged.*{name}"):
-            Table(copied, "statics", "train")

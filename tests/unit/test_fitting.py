@@ -151,26 +151,3 @@ def test_vertices_over_time_are_read(tmp_path):
     np.testing.assert_array_equal(sequence.triangles, HALVES)
     np.savez(tmp_path / "bare.npz", vertices=frames)
     assert read_mesh_sequence(tmp_path / "bare.npz").triangles is None
-
-
-def test_a_bad_sequence_names_the_file(tmp_path):
-    refused("no meshes in this folder", read_mesh_sequence, tmp_path)
-    refused("nowhere: expected a folder of meshes, or an .npz", read_mesh_sequence, tmp_path / "nowhere")
-    refused("nowhere.npz: no such file", read_mesh_sequence, tmp_path / "nowhere.npz")
-    write_obj(tmp_path / "a.obj", SQUARE, HALVES)
-    write_obj(tmp_path / "b.obj", SQUARE[:3], HALVES[:1])
-    write_obj(tmp_path / "c.obj", SQUARE, HALVES[::-1])
-    (tmp_path / "d.obj").write_text("v 0 0 nan\n")
-    sequence = read_mesh_sequence(tmp_path)
-    refused("b.obj: 3 vertices, a.obj has 4", sequence.read, 1)
-    refused("c.obj: other triangles than a.obj", sequence.read, 2)
-    refused("d.obj: ", sequence.read, 3)
-    for name, arrays, words in (
-        ("other", {"points": SQUARE}, "array 'vertices' is missing"),
-        ("flat", {"vertices": SQUARE}, "vertices"),
-        ("none", {"vertices": np.zeros((0, 4, 3))}, "vertices: none"),
-        ("holed", {"vertices": np.full((1, 4, 3), np.nan)}, "vertices"),
-        ("beyond", {"vertices": SQUARE[None], "triangles": [[0, 1, 4]]}, "triangles"),
-    ):
-        np.savez(tmp_path / f"{name}.npz", **arrays)
-        assert words in refused(f"{name}.npz: ", read_mesh_sequence, tmp_path / f"{name}.npz")

@@ -9,8 +9,7 @@ import time
 
 import pytest
 
-from softdeca.benchmarks.harness import RunRequest, compare_results, processes, run, run_together, runner
-from softdeca.benchmarks.harness.results import read_results
+from softdeca.benchmarks.harness import RunRequest, processes, run, run_together, runner
 from softdeca.lhm import InputError
 
 from ..conftest import measure_here
@@ -194,43 +193,6 @@ def is_alive(group):
     """Whether a process of the group is left that is not a zombie."""
     found = subprocess.run(["ps", "-eo", "pgid=,stat="], capture_output=True, text=True, check=True).stdout
     return any(line.split()[0] == str(group) and line.split()[1][0] != "Z" for line in found.splitlines())
-
-
-def results_file(path, rows):
-    rows = [
-        {"case": case, "method": "m", "status": "done" if times else "failed", "values": {"times": times, "error": 1.0}}
-        for case, times in rows.items()
-    ]
-    path.write_text(json.dumps({"study": "toy", "rows": rows}))
-    return path
-
-
-DAMAGED = {
-    "[]": "an object with the name of its study",
-    '{"study": "toy"}': "rows: expected a list, got None",
-    '{"study": "toy", "rows": [3]}': "row 0: expected an object, got 3",
-    '{"study": "toy", "rows": [{"case": "a", "method": "m", "status": "done", "values": null}]}': "row 0, values: got",
-    '{"study": "toy", "rows": [{"case": "a", "method": "m", "status": "gone", "values": {}}]}': "row 0, status: gone",
-    '{"study": "toy", "rows": [], "gates": [{"what": "x", "passed": 1}]}': "gate 0, passed: got 1",
-    '{"study": "toy", "rows": [NaN]}': "NaN is no finite number",
-    "[" * 100_000: "levels of brackets",
-}
-
-
-@pytest.mark.parametrize("text", DAMAGED, ids=lambda text: text[:40])
-def test_a_damaged_results_file_is_named_with_the_place(tmp_path, text):
-    (tmp_path / "results.json").write_text(text)
-    with pytest.raises(InputError, match="results.json: no results of a study") as refused:
-        read_results(tmp_path)
-    assert DAMAGED[text] in str(refused.value)
-
-
-def test_values_that_a_study_cannot_read_are_named(toys, tmp_path):
-    before = results_file(tmp_path / "a.json", {"x": [1.0]})
-    rows = [{"case": "x", "method": "m", "status": "done", "values": {"rows": 3}}]
-    (tmp_path / "b.json").write_text(json.dumps({"study": "toy", "rows": rows}))
-    with pytest.raises(InputError, match="results damaged, or made by another version"):
-        compare_results(before, tmp_path / "b.json", toys.Toy)
 
 
 def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):

@@ -147,22 +147,9 @@ class Evil:
 def test_bad_flame_files_are_named_and_nothing_is_run(arrays, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "flame.pkl"
-    whole = pickle.dumps(arrays, protocol=2)
-    for content, message in (
-        (pickle.dumps({**arrays, "extra": Evil()}, protocol=2), "asks for posix.system"),
-        (whole[: len(whole) // 2], "damaged"),
-        (b"", "damaged"),
-        (pickle.dumps([1, 2]), "not FLAME's data, or damaged"),
-        (pickle.dumps({"f": arrays["f"]}), "'v_template' is missing"),
-        (pickle.dumps({**arrays, "weights": "none"}), "expected numbers"),
-        (pickle.dumps({**arrays, "weights": arrays["weights"][1:]}), "not FLAME's data"),
-        (pickle.dumps({**arrays, "shapedirs": arrays["shapedirs"] * np.nan}), "identity of .* not finite"),
-        (pickle.dumps({**arrays, "f": arrays["f"] + 10000}), "not FLAME's data"),
-    ):
-        file.write_bytes(content)
-        assert "flame.pkl" in refused(message, identities.FLAME, file)
+    file.write_bytes(pickle.dumps({**arrays, "extra": Evil()}, protocol=2))
+    refused("flame.pkl: .*posix.system", identities.FLAME, file)
     assert not (tmp_path / "evil").exists()
-    refused("no such file", identities.FLAME, tmp_path / "none.pkl")
 
 
 def _write(path, vertices, triangles):
@@ -229,22 +216,6 @@ def test_expressions_and_parts_of_a_folder(folder):
     for content, message in (("[0, 1]", "expected shape"), ("[", "not JSON"), (json.dumps([7] * len(x)), "0..3")):
         (folder / "parts.json").write_text(content)
         refused(f"parts.json.*{message}", identities.MeshFolder, folder)
-
-
-def test_bad_folders_are_named(folder, tmp_path):
-    refused("no such folder", identities.MeshFolder, tmp_path / "none")
-    (tmp_path / "empty").mkdir()
-    refused("empty: no mesh", identities.MeshFolder, tmp_path / "empty")
-    refused("people: its mean head is .* mm across; expected", identities.MeshFolder, folder, unit="m")
-    file = folder / "3.npz"
-    read = np.load(file)
-    x, triangles = read["vertices"], read["triangles"]
-    _write(file, x, triangles[:-1])
-    refused("3.npz: another topology", identities.MeshFolder, folder)
-    x[2] = np.nan
-    _write(file, x, triangles)
-    refused("3.npz.*not finite", identities.MeshFolder, folder)
-    refused("'folder:'.*'flame:FILE' or 'folder:DIR'", identities.from_text, "folder:")
 
 
 def test_the_default_space_is_what_its_source_gives():

@@ -1,8 +1,5 @@
 """ICT-FaceKit's and BodyParts3D's folders made files, by small folders of the same form."""
 
-import os
-import resource
-
 import numpy as np
 import pytest
 import trimesh
@@ -13,7 +10,6 @@ from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities import ict
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 
-from ..refusals import refused
 from ..robustness.whole_files import grouped_obj
 
 NOTICE = "Copyright (c) somebody"
@@ -74,28 +70,6 @@ def test_a_folder_of_facekits_form_becomes_a_space(small, command, tmp_path):
     assert grown == pytest.approx(1.1 * top, rel=1e-5)
 
 
-def test_facekits_folders_that_are_wrong_are_refused_by_name(small, tmp_path):
-    refused(r"nowhere: no such folder", ict.read_folder, tmp_path / "nowhere")
-    refused(r"no generic_neutral_mesh\.obj in it", ict.read_folder, tmp_path)
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    for file in small.glob("*.obj"):
-        (copy / file.name).write_bytes(file.read_bytes())
-    (copy / "identity001.obj").unlink()
-    refused(r"identity001\.obj: no such file", ict.read_folder, copy)
-    (copy / "identity001.obj").write_text("v 0 0 zero\n")
-    refused(r"identity001\.obj: line 1 is none of an OBJ file", ict.read_folder, copy)
-    text = (copy / "jawOpen.obj").read_text()
-    (copy / "jawOpen.obj").write_text(text[: text.rindex("f ")])
-    refused(r"jawOpen\.obj: another topology than generic_neutral_mesh\.obj", ict.read_folder, copy)
-    (copy / "jawOpen.obj").write_text(text.replace("v ", "v nan ", 1))
-    refused(r"jawOpen\.obj: vertices: 1 rows are not finite", ict.read_folder, copy)
-
-
-def test_another_model_is_told_by_its_size(facekit):
-    refused(r"expected 26719 vertices and 52220 triangles, found", ict.read_folder, facekit[0])
-
-
 def parts_of_a_body():
     """A box per part of `bodyparts.FMA_PARTS`, the left ones at x > 0, in the body's coordinates [mm]."""
     for group, text in bodyparts.FMA_PARTS.items():
@@ -147,30 +121,9 @@ def test_a_folder_of_bodyparts_becomes_anatomy(body, command, tmp_path):
     assert volume == pytest.approx(64.0 * 15, rel=1e-4)  # turned, not mirrored
 
 
-def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path):
-    arrays = bodyparts.read_folder(body)
+def test_bodies_that_lack_parts_are_named(body, command, tmp_path):
     file = next(f for f in body.glob("*.obj") if f.stem == "FMA9710" or "FMA9710\n" in f.read_text())
-    text = file.read_text()
     file.unlink()
-    (body / "FJ3.obj").touch()
-    os.truncate(body / "FJ3.obj", 2 * 10**9)  # one line, of which only the beginning is read
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert bodyparts.missing_parts(bodyparts.read_folder(body)) == ["vomer"]
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000, "kB"
-    (body / "FJ3.obj").unlink()
     ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
-    file.write_text(text.replace("f 1/1", "f 99/1"))
-    refused(rf"{file.name}: triangles: 1 refer to vertices outside", bodyparts.read_folder, body)
-    file.write_text(text.replace("v ", "v 1e39 ", 1))
-    refused(rf"{file.name}: a vertex lies at 1e\+39", bodyparts.read_folder, body)
-    (tmp_path / "empty").mkdir()
-    refused("no OBJ file of a head's part in it", bodyparts.read_folder, tmp_path / "empty")
-    refused("no such folder", bodyparts.read_folder, tmp_path / "nowhere")
-    file.write_text(text)
-    for file in body.glob("*.obj"):
-        if "FMA52748" in file.stem or "FMA52748\n" in file.read_text():
-            file.unlink()
-    ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "none.npz")
-    assert ended.status == 1 and not (tmp_path / "none.npz").exists()
-    assert len(arrays["part_fma"]) in (111, 112)

@@ -181,30 +181,6 @@ def _moved(surface, scale, shift=0.0):
     return surface.with_vertices(scale * surface.vertices + shift)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda f, skin, skull: (f / "p1_skull.npz").unlink(), "pair p1 has no p1_skull"),
-        (lambda f, skin, skull: (f / "p2_skin.npz").unlink(), "pair p2 has no p2_skin"),
-        (lambda f, skin, skull: [p.unlink() for p in f.glob("p[01]_*")], "2 pairs of files .* 3 or more"),
-        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1e-3)), r"p1_skull\.npz: its extent .* units off"),
-        (lambda f, skin, skull: write(f, "p1", _moved(skin, 1e-3), skull), r"p1_skin\.npz: .* units off"),
-        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1, 80.0)), "pair p1: .* lie outside the skin"),
-        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1.3)), "pair p1: .* lie outside the skin"),
-        (lambda f, skin, skull: (f / "p1_skull.ply").touch(), "pair p1 has two files of its skull"),
-        (
-            lambda f, skin, skull: np.savez(
-                f / "p1_skin.npz", vertices=np.nan * skin.vertices, triangles=skin.triangles
-            ),
-            r"p1_skin\.npz: .*not finite",
-        ),
-    ],
-)
-def test_a_folder_that_is_wrong_is_refused_by_the_pairs_name(folder, template, space, change, message):
-    change(folder, *head(template, space, 1))
-    refused(message, read_pairs, folder, template, space)
-
-
 def test_skins_of_another_topology_are_registered(folder, template, space, monkeypatch):
     """What comes back takes the skin's place; what fails names the file. The registration has tests of its own."""
     skin, skull = head(template, space, 1, 0.9)

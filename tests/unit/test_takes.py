@@ -1,6 +1,5 @@
 """Takes: LiveLink Face's CSV and JSON, by name and with their times, and resampling."""
 
-import itertools
 import json
 
 import numpy as np
@@ -187,76 +186,6 @@ def test_a_row_per_quantity_is_read_too(write):
     np.testing.assert_allclose(rotations(take.head), turned.as_matrix(), atol=1e-12)
 
 
-def milliseconds(text):
-    first, stamps, *rest = text.splitlines()
-    return "\n".join([first, "timestamp," + ",".join(f"{1000 * float(s)}" for s in stamps.split(",")[1:]), *rest])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.replace("JawOpen,", "JawLeft,"), "jawLeft stands in line"),
-        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,inf,"), "jawOpen, frame 0: inf is not finite"),
-        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,"), "8 frames, other quantities have 9"),
-        (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
-        (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, by frame: quaternion 0 has length 0; expected 1"),
-        (lambda t: t.replace(",0,1,2,", ",2,1,0,"), "line 1: expected frames whose numbers rise"),
-        (lambda t: t.replace("head w", "neck w"), "head x, head y, head z without head w"),
-        (lambda t: t.replace(",0,1,2,", ",0,1,1,"), "line 1: frame 1 stands there 2 times"),
-        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,\u0661,"), "is no number"),
-        (milliseconds, "rate: 0.059988 Hz, expected 1 to 1,000; are its times milliseconds?"),
-        (lambda t: "\n".join(line.split(",")[0] for line in t.splitlines()), "no frames, only the names"),
-    ],
-)
-def test_a_bad_row_per_quantity_names_it(write, change, message):
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (9, 1))
-    text = recorder_csv(ramp(9), 3.0 + np.arange(9) / 60, still)
-    assert change(text) != text
-    assert message in refused("take.csv: ", read_take, write(change(text)))
-
-
-def broken_csv():
-    good = csv_text(ramp(3), timecodes(3)).splitlines()
-    cells = good[2].split(",")
-    column = HEADER.index("JawOpen")
-
-    def third(change):
-        row = list(cells)
-        change(row)
-        return "\n".join([good[0], good[1], ",".join(row), good[3]])
-
-    yield "", "the file is empty"
-    yield "a,b\n1,2\n", "names none of ARKit's 52"
-    yield good[0], "no frames"
-    yield third(lambda row: row.pop()), "line 3: 54 columns, line 1 has 55"
-    yield third(lambda row: row.__setitem__(column, "nan")), "line 3, column JawOpen: nan is not finite"
-    yield third(lambda row: row.__setitem__(0, "10:00:00:02.25")), "line 4, column Timecode: time does not rise"
-    yield third(lambda row: row.__setitem__(0, "10:00:00:900")), "line 3, column Timecode: frame 900"
-    for code in ("24:00:00:00", "10:75:61:00", "10:00:00:\u0661"):
-        yield third(lambda row, code=code: row.__setitem__(0, code)), "line 3, column Timecode: '"
-    beyond = csv_text(ramp(240), timecodes(240)).replace("10:00:01:59.250", "10:00:01:90.250")
-    yield beyond, "line 121, column Timecode: frame 90, but most seconds end before it"
-    yield "\n".join(good).replace("LeftEyeYaw", "HeadYaw"), "HeadYaw without HeadPitch, HeadRoll"
-    degrees = "\n".join([good[0] + ",HeadYaw,HeadPitch,HeadRoll", good[1] + ",0,0,0", good[2] + ",5,-30,1"])
-    yield degrees, "line 3, column HeadPitch: -30 is more than a full turn [rad]; is it in degrees?"
-    yield csv_text(ramp(2), timecodes(2), [*HEADER[:-1], "timecode"]), "column timecode stands there 2 times"
-    yield "Timecode,JawOpen\n" + "10:00:00:00,0\n" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
-    yield "," * 1_000_001 + "\njawOpen" + ",0" * 1_000_001, "1,000,001 frames; expected 1 to 1,000,000"
-    yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
-    yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
-    rare = csv_text(ramp(3), ["10:00:00:00.0", "10:00:10:00.0", "10:00:20:00.0"])
-    yield rare, "rate: 0.1 Hz, expected 1 to 1,000"
-    yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
-
-
-BROKEN = list(broken_csv())
-
-
-@pytest.mark.parametrize(("content", "message"), BROKEN, ids=range(len(BROKEN)))
-def test_a_bad_csv_is_one_line_that_names_the_place(write, content, message):
-    assert message in refused("take.csv: ", read_take, write(content))
-
-
 def test_other_files_are_refused(write, tmp_path):
     refused("nowhere.csv: no such file", read_take, tmp_path / "nowhere.csv")
     refused("expected one of .csv, .json, .jsonl", read_take, write("", "take.txt"))
@@ -272,42 +201,6 @@ def test_json_is_read_with_its_times(write):
     np.testing.assert_array_equal(take.weights, [expressions.weights_of(frame) for frame in expected])
     np.testing.assert_allclose(take.times, np.arange(3) / 30, atol=1e-12)
     assert take.rate == pytest.approx(30) and len(take.missing) == 50 and "jawOpen" not in take.missing
-
-
-def timed(*times):
-    return json.dumps({"names": ["jawOpen"], "frames": [{"weights": [1], "time": time} for time in times]})
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "not JSON"),
-        ("[1, 2]", "not a take"),
-        ('{"names": ["jawOpen"], "frames": []}', "not a take"),
-        ('{"rate": 30, "frames": [{"jawOpen": 0.5}]}', '"names": expected the list of the expressions'),
-        ('{"names": ["jawOpen"], "frames": [[1], [1]]}', "frame 0: expected an object with a list of 1 weights"),
-        ('{"names": ["jawOpen"], "frames": [3]}', "frame 0: expected an object with a list of 1 weights"),
-        (
-            '{"names": ["jawOpen"], "frames": [{"weights": [1, 2], "time": 0}]}',
-            "frame 0: expected an object with a list",
-        ),
-        ('{"names": ["jawOpen", "JawOpen"], "frames": [3]}', "jawOpen stands there 2 times"),
-        ('{"names": ["jawOpn"], "frames": [3]}', "names: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
-        (timed(0, 0.1).replace("[1]", '["x"]'), "frame 0, jawOpen: x is no finite"),
-        (timed(0, 0.1).replace("[1]", "[NaN]"), "frame 0, jawOpen: nan is no finite"),
-        (timed(0, 0.1).replace("[1]", "[true]"), "frame 0, jawOpen: True"),
-        (timed(1, 1), "frame 1, time: expected two frames or more whose times rise"),
-        (timed(1), "frame 0, time: expected two frames or more whose times rise"),
-        (timed(0, 16.7, 33.3), "rate: 0.0600601 Hz, expected 1 to 1,000; are its times milliseconds?"),
-        (timed(0, 1.67e-5, 3.33e-5), "are its times milliseconds?"),
-        (timed(None, 0.1, 0.2), "frame 0, time: None is no finite number"),
-        (timed(0.0, 0.1, "0.2"), "frame 2, time: 0.2 is no finite number"),
-        ('{"names": ["jawOpen"], "frames": [' + "{}," * 1_000_000 + "{}]}", "1,000,001 frames; expected"),
-    ],
-    ids=itertools.count(),
-)
-def test_a_bad_json_is_one_line_that_names_the_place(write, text, message):
-    assert message in refused("take.json: ", read_take, write(text, "take.json"))
 
 
 def landmarker(*frames, camel=False, **more):
@@ -351,39 +244,6 @@ def test_results_without_timestamps_are_a_webcams(write):
     assert take.rate == 30.0 and take.times[1] == pytest.approx(1 / 30)
     alone = read_take(write(json.dumps(landmarker({"jawOpen": 1.0})[0]), "take.json"))
     assert len(alone.weights) == 1 and alone.weights[0, index("jawOpen")] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("results", "message"),
-    [
-        (landmarker(None, None), "no frames with a face"),
-        ({"frames": [], "face_blendshapes": 1}, "expected a list of face landmarker results that is not empty"),
-        ([*landmarker({"jawOpen": 0.1}), {"timestamp": 3}], "frame 1: expected an object with a list face_blendshapes"),
-        ([*landmarker({"jawOpen": 0.1}), 3], "frame 1: expected an object with a list face_blendshapes"),
-        ([{"face_blendshapes": [[], []]}], "frame 0: 2 faces, expected one"),
-        ([{"face_blendshapes": [[]]}], "frame 0: expected a list of categories"),
-        ([{"face_blendshapes": [[{"score": 1}]]}], "frame 0, category 0: expected an object with category_name"),
-        (landmarker({}), "frame 0: no category but _neutral"),
-        (landmarker({"jawOpen": 0.1}, {"jawOpn": 0.1}), "frame 1, category 1: unknown ARKit expression 'jawOpn'"),
-        (landmarker({"jawOpen": 0.1, "JawOpen": 0.1}), "frame 0: category jawOpen stands there twice"),
-        (landmarker({"jawOpen": 0.1}, {"jawOpen": None}), "frame 1, category jawOpen: None is no finite number"),
-        (landmarker({"jawOpen": 0.1}, {"jawOpen": float("nan")}), "frame 1, category jawOpen: nan is no finite"),
-        (landmarker({"jawOpen": 0.1}, {"jawLeft": 0.1}), "frame 0: no category jawLeft, which frame 1 has"),
-        (landmarker({"jawOpen": 0.1, "jawLeft": 0}, {"jawOpen": 0}), "frame 1: no category jawLeft, which frame 0 has"),
-        (landmarker(*SCORES, timestamp=[0, 40, 40]), "frame 2, timestamp: time does not rise"),
-        (landmarker(*SCORES, timestamp=[0, "x", 80]), "frame 1, timestamp: x is no finite number"),
-        (landmarker(*SCORES, timestamp=[0, None, 80]), "frame 1, timestamp: None is no finite number"),
-        (landmarker(*SCORES, timestamp=[0.0, 0.04, 0.08]), "25000 frames a second; expected milliseconds"),
-    ],
-    ids=itertools.count(),
-)
-def test_a_bad_result_of_mediapipe_names_frame_and_category(write, results, message):
-    assert message in refused("take.json: ", read_take, write(json.dumps(results), "take.json"))
-
-
-def test_a_line_that_is_no_json_is_named(write):
-    line = json.dumps(landmarker({"jawOpen": 0.1})[0])
-    assert "line 3: not JSON" in refused("take.jsonl: ", read_take, write(f"{line}\n\n{{\n", "take.jsonl"))
 
 
 def test_takes_check_what_they_are_made_of():

@@ -5,7 +5,6 @@ import io
 import json
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from softdeca.animation.pictures import shade_skin
@@ -13,8 +12,6 @@ from softdeca.lhm import identities, load_template, scans
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.files.texture import read_texture
 from softdeca.lhm.head.file import load_head, save_head
-
-from ..refusals import refused
 
 QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], dtype=np.uint8)
 """Red, green; blue, white: from the upper left."""
@@ -62,20 +59,6 @@ def test_a_scan_without_a_picture_has_no_texture(tmp_path):
     assert read_texture(tmp_path / "bare.obj") is None
     (tmp_path / "scan.stl").write_bytes(b"")
     assert read_texture(tmp_path / "scan.stl") is None
-
-
-@pytest.mark.parametrize(
-    ("materials", "said"),
-    [
-        ("newmtl skin\nmap_Kd none.png\n", "no such file"),
-        ("newmtl skin\nmap_Kd /etc/passwd\n", "has to lie in its folder"),
-    ],
-)
-def test_a_bad_picture_is_refused_in_a_line(tmp_path, materials, said):
-    refused(said, read_texture, write_obj(tmp_path, materials=materials))
-    file = write_obj(tmp_path)
-    (tmp_path / "picture.png").write_bytes((tmp_path / "picture.png").read_bytes()[:150])
-    refused("its picture is damaged", read_texture, file)
 
 
 def write_gltf(path, **material):
