@@ -11,10 +11,9 @@ import numpy as np
 
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
-from ..surrogate.corpus.mixture import NAMES
+from ..surrogate.corpus.mixture import NAMES, STATIC
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
-from ..surrogate.corpus.simulator import UNDIFFERENTIATED
 from .pictures import Panel, draw_strip
 
 SIZE = 220
@@ -76,6 +75,6 @@ def _frame(table: Table, row: Row) -> bytes:
 
 def _largest(row: Row) -> str:
     """The parameter that differs most from the middle of its range."""
-    varied = np.array([k for k in np.flatnonzero(row["varied"]) if NAMES[k] not in UNDIFFERENTIATED], dtype=int)
+    varied = np.array([k for k in np.flatnonzero(row["varied"]) if NAMES[k] in STATIC], dtype=int)
     largest = varied[np.argmax(np.abs(row["coefficients"][varied, 0]))]
     return NAMES[largest].replace("_", " ")[:FITS]

@@ -137,16 +137,16 @@ class Generate:
 
     def _foretell(self, corpus, progress: OnProgress) -> None:
         """Print what a plan comes to, by the rate of the corpus that lies in `out`, or of two people."""
-        from ..surrogate.corpus.predict import Rates, measure_rates, predict_cost
+        from ..surrogate.corpus.predict import Spent, predict_cost, probe
 
-        plan, rates = corpus.plan, Rates.of(corpus.status())
-        if rates is None:
+        plan, spent = corpus.plan, Spent.of(corpus.status())
+        if spent is None:
             progress("measuring a rate", 0.0)
-            rates = measure_rates(plan, corpus.people)
+            spent = probe(plan, corpus.people)
             progress("measuring a rate", 1.0)
-        cost = predict_cost(plan, len(corpus.mean.vertices), rates)
+        cost = predict_cost(plan, len(corpus.mean.vertices), spent)
         if self.json:
-            click.echo(json.dumps({"plan": plan.digest, "rates": asdict(rates), **asdict(cost)}, indent=1))
+            click.echo(json.dumps({"plan": plan.digest, "spent": asdict(spent), **asdict(cost)}, indent=1))
             return
         lines = [
             f"plan {plan.digest}: {cost.people} people, {plan.tested} of them in test; {cost.groups} parameter sets",

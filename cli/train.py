@@ -30,7 +30,7 @@ from .written_file import FOLDER
     type=click.IntRange(0, 1_000_000),
     help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
-@click.option("--device", default="cpu", help="torch device: cpu or cuda")
+@click.option("--device", default="cpu", help="torch device: cpu, or cuda for modal")
 @click.option("--more", type=click.Path(path_type=Path), help="second corpus, of faces without frames (preset faces)")
 @click.option(
     "--start",
@@ -137,7 +137,7 @@ def _gradients(
     progress,
 ):
     from ..surrogate import Surrogate
-    from ..surrogate.corpus.heads import Heads
+    from ..surrogate.corpus.folder import Corpus
     from ..surrogate.corpus.reading import Faces, Table
     from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
     from ..surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
@@ -147,7 +147,7 @@ def _gradients(
     faces = Faces(corpus, "train", **read)
     # Before the long part: where there are no sequences, or nobody fits heads.
     sequences = Table(corpus, "sequences", "train", **read) if recurrence_steps else None
-    pivot = find_mean_pivot(Heads.from_corpus(corpus, progress)) if recurrence_steps else None
+    pivot = find_mean_pivot(Corpus.open(corpus).heads(progress)) if recurrence_steps else None
     out.mkdir(parents=True, exist_ok=True)
     weights = train_gradients(faces, config, **teachers, state=out / f"{network}.pt", on_progress=progress)
     if sequences is not None and pivot is not None:

@@ -25,18 +25,16 @@ from ..reference import Parameters
 from ..reference.face.dynamics import OSCILLATION, Swing
 from ..reference.face.face import Face
 from ..reference.face.local import at_vertices as spread_over
-from .corpus.face import MOVED, KeptFace
+from .corpus.face import KeptFace
 from .corpus.mixture import BONES, NAMES, STATIC, basis
-from .networks.features import Inputs
-from .networks.forms import FORMS, MODAL, has_tables
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
 from .networks.tables import Tables, expand, find_first_order
-from .networks.weights import Weights
+from .networks.weights import FORMS, MODAL, Weights, has_tables
 from .rigs.baked import compress
 from .rigs.bound import BoundSurrogate
 from .rigs.inertia import Swings
-from .rigs.rig import WEIGHTS, FaceModes, check_code, check_skin
+from .rigs.rig import check_code, check_skin
 
 Beyond = Literal["refuse", "clamp"]
 SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))
@@ -58,7 +56,7 @@ class Surrogate:
     """A trained network for any person and parameters of its space; see `networks.modal` for the shipped one's form."""
 
     def __init__(self, weights: Weights):
-        self.weights, self.inputs = weights, Inputs.from_weights(weights)
+        self.weights, self.inputs = weights, weights.inputs
 
     @classmethod
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
@@ -204,23 +202,14 @@ class Surrogate:
         code = self.inputs.code(code)
         if not self.has_derivatives:
             return self._bind_gradients(described, code, carry().astype(np.float32))
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            if simulated is None:
-                first = self._find_first_order(code, at_vertices, shapes, carry)
-            else:
-                first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
-            rig: BoundRig
-            if self.weights.kind == MODAL:
-                rig = BoundSurrogate(skin, self._find_modes(first, code, at_vertices), shapes, swing)
-            else:
-                rig = self._bind_gradients(described, code, *first)
-            farthest = np.abs(rig.frame(np.full(WEIGHTS, 0.5)) - rig.blend(np.full(WEIGHTS, 0.5))).max()
-        if not farthest <= MOVED:
-            raise InputError(
-                f"weights: they move a vertex of this face by {farthest:.3g} mm, expected at most {MOVED:g} mm; are "
-                "they damaged?"
-            )
-        return rig
+        if simulated is None:
+            first = self._find_first_order(code, at_vertices, shapes, carry)
+        else:
+            first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
+        if self.weights.kind != MODAL:
+            return self._bind_gradients(described, code, *first)
+        modes = compress(bind_modal(self.weights.network, first, self.inputs.features, code, at_vertices))
+        return BoundSurrogate(skin, modes, shapes, swing)
 
     def _bind_gradients(
         self, described: Described, code: Floats, offset: Floats32, responses: Floats32 | None = None
@@ -234,23 +223,10 @@ class Surrogate:
     def _find_first_order(
         self, code: Floats, at_vertices: Floats, shapes: Floats32, carry: Callable[[], Floats | Floats32]
     ) -> tuple[Floats32, Floats32]:
-        """Return what the tables give for a face; InputError unless it is finite."""
+        """Return what the tables give for a face."""
         network, tables, features = self.weights.network, self._tables, self.inputs.features
         carried = carry().astype(np.float32) if tables.carry is None else None
-        first = find_first_order(network, tables, features, code, at_vertices, shapes, carried)
-        _check_finite(*first)
-        return first
-
-    def _find_modes(self, first: tuple[Floats32, Floats32], code: Floats, at_vertices: Floats) -> FaceModes:
-        """Return what the network gives for a face, in few modes; InputError unless it is finite."""
-        modes = bind_modal(self.weights.network, first, self.inputs.features, code, at_vertices)
-        _check_finite(modes.modes)
-        try:
-            modes = compress(modes)
-        except np.linalg.LinAlgError:
-            raise InputError("weights: their remainder for this face is not finite; they are damaged") from None
-        _check_finite(modes.modes)
-        return modes
+        return find_first_order(network, tables, features, code, at_vertices, shapes, carried)
 
     @cached_property
     def _tables(self) -> Tables:
@@ -308,12 +284,6 @@ def _from_array(parameters: Floats, skin: Surface) -> Parameters:
     return Parameters(
         **{name: value if Parameters.info(name).local and np.ptp(value) else value.mean() for name, value in columns}
     )
-
-
-def _check_finite(*arrays: Floats32) -> None:
-    """Raise InputError unless what weights give for a face is finite."""
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise InputError("weights: what they give for this face is not finite; they are damaged")
 
 
 def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:

@@ -11,9 +11,8 @@ import numpy as np
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats32
-from .corpus.face import KeptFace
+from .corpus.face import Heads, KeptFace
 from .corpus.folder import Corpus
-from .corpus.heads import Heads
 from .corpus.plan import Split
 from .corpus.reading import Faces, Table
 from .corpus.shard import FEM_LAWS
@@ -68,12 +67,11 @@ class CorpusTrials:
         return Corpus.open(self.folder)
 
     def _faces(self, split: Split | None) -> Faces:
-        heads = Heads.from_corpus(self.folder) if self.heads is None else self.heads
-        return Faces(self.folder, split, partial=self.partial, heads=heads)
+        return Faces(self.folder, split, partial=self.partial, heads=self.heads)
 
     def table(self, name: str, split: Split | None = None) -> Table:
         """Open a table of these people, or of another split."""
-        return Table(self.folder, name, split or self.split, partial=self.partial)
+        return Table(self.folder, name, split or self.split, partial=self.partial, heads=self.heads)
 
     def spread(self, count: int) -> list[KeptFace]:
         """Read `count` faces, spread over all."""
@@ -94,8 +92,7 @@ class CorpusTrials:
             who = self.split or "whole"
             raise InputError(f"corpus {self.folder}: no sequence of the {who} split is of a face with derivatives")
         for k in chosen:
-            row, heads = table[k], self.faces.heads
-            face = self.faces.face(number_of[keys[k]]) if only_differentiated else table.face(k, heads)
+            row, face = table[k], self.faces.face(number_of[keys[k]]) if only_differentiated else table.face(k)
             yield Trial(face, row["weights"], row["corrected"].astype(np.float32), DYNAMIC, row)
 
     def read_references(self) -> Iterator[ReferenceFrame]:

@@ -59,7 +59,6 @@ RUN_FRAMES = Bound("frames of the run", 100_000, "the plans have 1,024; a frame 
 ITERATIONS = Bound("iterations", 1_000_000, "a solve of 1,000 iterations has failed", 1)
 SHARD_BYTES = Bound("bytes of a shard", 2_000_000_000, "a person of `small` has 7 MB; a shard is held in memory")
 WEIGHTS_BYTES = Bound("bytes of weights", 1_000_000_000, "the shipped network has 29 MB; weights are held in memory")
-CURVE_POINTS = Bound("points of a learning curve", 100_000, "a training notes some hundred")
 TRAINING_STEPS = Bound("steps", 100_000_000, "a step takes a millisecond or more: a day of work", 1)
 WORKERS = Bound("processes", 256, "each takes 0.2 GB or more, whatever the machine has", 1)
 BAKED_TARGETS = Bound("morph targets", 4_096, "the network has some 150 directions; viewers stop far earlier", 1)

@@ -10,8 +10,8 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.head.head import LayeredHead
 from ...reference.face.facial import contact_regions, contact_triangles
+from .face import Heads
 from .folder import Corpus
-from .heads import Heads
 from .plan import IDENTITY
 from .reading import Faces
 from .shard import ACCEPTED
@@ -30,7 +30,7 @@ def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnPr
     does. Of a face the frame is taken that moves its skin farthest from blendshapes. Raises InputError for one that
     comes out otherwise than it is kept, and for lids or lips that cross though the plan keeps them apart.
     """
-    heads = Heads.from_corpus(corpus.folder) if heads is None else heads
+    heads = corpus.heads() if heads is None else heads
     try:
         people = heads.people
     except InputError:

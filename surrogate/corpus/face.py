@@ -1,20 +1,20 @@
-"""A person under one parameter set: how the neutral face settles, its first order, and frames of it."""
+"""A person, who fits the head, and the person under one parameter set: settled, to first order, and in frames."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
+from ...lhm.head.head import LayeredHead
 from ...reference.face.face import Face
 from .mixture import ParameterSet
-
-if TYPE_CHECKING:
-    from .heads import Heads
 
 MOVED = 500.0
 """[mm] Most that a vertex moves by a shape, by p, or by physics: two heads' width."""
@@ -27,6 +27,77 @@ class Person:
     code: Floats
     skin: Surface
     shapes: Floats
+
+
+class People(Protocol):
+    """Whoever a corpus simulates; has to be picklable for other processes."""
+
+    @property
+    def name(self) -> str:
+        """The name by which corpora and checkpoints know them."""
+        ...
+
+    @property
+    def mean(self) -> Surface:
+        """The mean neutral skin [mm], whose triangles all share."""
+        ...
+
+    @property
+    def code_size(self) -> int:
+        """How many numbers a person's code has."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """A name for all that heads are made from, such as a template's digest; empty where nobody tells."""
+        ...
+
+    def person(self, rng: np.random.Generator) -> Person:
+        """Draw somebody at random."""
+        ...
+
+    def head(self, person: Person) -> LayeredHead:
+        """Fit the person's layered head; FitError where there is none."""
+        ...
+
+
+@dataclass(eq=False)
+class Heads:
+    """Fits heads of people whom `make` makes when a head is first asked for; the last head is kept."""
+
+    make: Callable[[], People]
+
+    def __post_init__(self):
+        self._last: tuple[bytes, LayeredHead] | None = None
+
+    @cached_property
+    def people(self) -> People:
+        """Who they are; InputError where nobody fits their heads."""
+        try:
+            return self.make()
+        except InputError as error:
+            raise InputError(f"a head of each person is needed, but {error}") from None
+
+    def fit(self, person: Person) -> LayeredHead:
+        """Fit the head of a person anew. Raises what `people` and fitting raise."""
+        return self.people.head(person)
+
+    def head(self, person: Person) -> LayeredHead:
+        """Return the head of a person, fitted unless it was the last."""
+        key = person.skin.vertices.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self.fit(person)
+        return self._last[1]
+
+
+def surface_hash(surface: Surface) -> str:
+    """Name a mean skin by its triangles, and its vertices to 0.01 mm: 16 hexadecimal digits.
+
+    Corpora and weights tell theirs from others by it.
+    """
+    digest = hashlib.sha256(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())
+    digest.update(np.round(surface.vertices * 100.0).astype("<i8").tobytes())
+    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,14 +17,21 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.errors import InputError, quote
-from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import lock_folder
 from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, describe_duration, silent
 from ...reference.face.sequence import Velocities
-from .intact import check_shard
-from .manifest import MANIFEST, OWNER, describe_corpus, read_manifest, read_template, write_template
-from .people import People
+from .face import Heads, People
+from .manifest import (
+    MANIFEST,
+    OWNER,
+    describe_corpus,
+    read_manifest,
+    read_template,
+    write_manifest,
+    write_template,
+)
+from .people import people_from_text
 from .plan import CorpusPlan
 from .schedule import Schedule, run_items
 from .sequences import load_velocities
@@ -32,7 +39,7 @@ from .shard import ACCEPTED, Shard, read_arrays_of, read_label, read_seconds, re
 from .simulate import simulate_person
 
 SERIAL = Schedule()
-OWN = ("person-*", "corpus", "template", "velocities", "README", "figures", "croissant")
+OWN = ("person-*", "corpus", "template", "velocities", "README", "figures")
 """Files of a corpus, without their endings."""
 
 
@@ -150,6 +157,15 @@ class Corpus:
         """What a command needs to make the people again, empty for a corpus made from Python."""
         return self.said.get("made_with", {})
 
+    def heads(self, on_progress: OnProgress = silent) -> Heads:
+        """Return who fits the heads of its people, as its folder says how."""
+
+        def make() -> People:
+            identities, level = self.known_people
+            return people_from_text(identities, level=level, on_progress=on_progress)
+
+        return Heads(make)
+
     @property
     def known_people(self) -> tuple[str, int]:
         """The people by name and their template's level; InputError where no command knows them."""
@@ -238,11 +254,7 @@ class Corpus:
             raise self._describe_removal(len(self.people_there()))
         begin = time.process_time()
         shard = simulate_person(self.plan, self._simulated, identity, self._velocities if self.plan.sequences else None)
-        try:
-            self._check_numbers(shard, identity)
-        except InputError as error:
-            raise InputError(f"person {identity}: {error}") from None
-        write_shard(self.shard_path(identity), shard, self.owner)
+        write_shard(self.shard_path(identity), shard, self.owner, identity)
         return time.process_time() - begin
 
     @property
@@ -268,13 +280,9 @@ class Corpus:
         return True
 
     def shard(self, identity: int) -> Shard:
-        """Read one person's shard; InputError, naming file and array, if it is missing, damaged, or of another."""
-        key, path = self._key(identity), self.shard_path(identity)
-        shard = read_shard(path, self.owner)
-        try:
-            self._check_numbers(shard, identity)
-        except InputError as error:
-            raise InputError(f"shard {path}: {error}; `softdeca corpus generate` makes it anew") from None
+        """Read one person's shard; InputError, naming the file, if it is missing, damaged, or of another."""
+        key = self._key(identity)
+        shard = read_shard(self.shard_path(identity), self.owner, identity)
         if key is not None:
             _intact.add(key)
         return shard
@@ -284,13 +292,6 @@ class Corpus:
         key = self._key(identity)
         if key is None or key not in _intact:
             self.shard(identity)
-
-    def _check_numbers(self, shard: Shard, identity: int) -> None:
-        split = self.plan.split(identity)
-        pool = {name for names in self.said["pools"][split].values() for name in names}
-        frames = {name: each[1] for name, each in self.said["content"]["recordings"].items() if name in pool}
-        code_size = self.said.get("code_size")  # format 2 does not say it
-        check_shard(shard, self.plan, identity, mean=self.mean, code_size=code_size, recordings=frames)
 
     def _key(self, identity: int) -> Key | None:
         path = self.shard_path(identity)
@@ -315,7 +316,7 @@ class Corpus:
                 continue
             try:
                 self.check(identity)
-                arrays, label, spent = read_arrays_of(path, self.owner, *names), read_label(path), read_seconds(path)
+                arrays, label, spent = read_arrays_of(path, *names), read_label(path), read_seconds(path)
             except InputError as error:
                 damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
                 continue
@@ -350,6 +351,7 @@ class Corpus:
         InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged,
         or the template.
         """
+        _ = self.mean
         people = self.plan.identities
         for identity in range(people):
             self.shard(identity)
@@ -359,7 +361,7 @@ class Corpus:
 
     def _write_manifest(self):
         write_template(self.folder, self.mean)
-        write_whole(self.folder / MANIFEST, json.dumps(self.said, indent=1).encode())
+        write_manifest(self.folder, self.said)
 
 
 def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:

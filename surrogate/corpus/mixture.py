@@ -2,13 +2,12 @@
 
 | kind      | what differs from the default face                                                                      |
 |-----------|---------------------------------------------------------------------------------------------------------|
-| few       | the stiffnesses of soft tissue and of targets, and how strong gravity is: what a small network can learn |
 | materials | stiffnesses of soft tissue, muscle, skin and targets, volume ratios; a strain limit in a tenth of all    |
 | effects   | two to four of: weight, muscle volume, growing skin, mandible, cranium, gravity on lean tissue, palsy  |
 | both      | materials, and effects                                                                                  |
 | single    | one of these effects alone                                                                              |
 
-Frequency and damping differ in all but the few. What is `local` is one number, or a smooth random field in the share of
+Frequency and damping differ in all. What is `local` is one number, or a smooth random field in the share of
 sets that the plan gives. Ranges are those of `Parameters`, but for these, where the energy would have several minima:
 muscle's strain ratio from 0.3 on, a strain limit up to 1.1, growth up to 1.4; a skin that is stiff or grows also bends.
 
@@ -29,7 +28,7 @@ from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.head import LayeredHead
 from ...reference import Parameters
 
-KINDS = ("few", "materials", "effects", "both", "single")
+KINDS = ("materials", "effects", "both", "single")
 NAMES = tuple(info.name for info in Parameters.infos())
 INFOS = {info.name: info for info in Parameters.infos()}
 BONES = tuple(f"{bone}_scale_{axis}" for bone in ("cranium", "mandible") for axis in "xyz")
@@ -50,7 +49,6 @@ MATERIALS: dict[str, tuple[float, float]] = {
     "skin_stiffness": (5.0, 300.0),
     "target_stiffness": (1.0, 30.0),
 }
-FEW = ("soft_stiffness", "target_stiffness", "gravity")
 LIMITED = 0.1
 """Share of materials with a strain limit."""
 LEAN = (1.0, 3.0)
@@ -137,10 +135,6 @@ class ParameterSet:
 def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:
     """Draw a random parameter set of a kind; with `field`, local parameters vary over the face."""
     drawn = _Draw(rng, field)
-    if kind == "few":
-        for name in FEW:
-            drawn.uniform(name, INFOS[name].low, INFOS[name].high)
-        return ParameterSet(kind, drawn.varied, drawn.coefficients)
     if kind in ("materials", "both"):
         _materials(drawn)
     if kind in ("effects", "both", "single"):

@@ -1,10 +1,9 @@
-"""People whom a corpus simulates: the protocol of all, and people by name, as a command line has them."""
+"""People of spaces whom a corpus simulates, by name, as a command line has them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -16,40 +15,8 @@ from ...lhm.head.head import LayeredHead
 from ...lhm.identities import IdentitySpace
 from ...lhm.template.template import DEFAULT_LEVEL
 from .external import External
-from .face import Person
+from .face import People, Person
 from .spheres import Spheres
-
-
-class People(Protocol):
-    """Whoever a corpus simulates; has to be picklable for other processes."""
-
-    @property
-    def name(self) -> str:
-        """The name by which corpora and checkpoints know them."""
-        ...
-
-    @property
-    def mean(self) -> Surface:
-        """The mean neutral skin [mm], whose triangles all share."""
-        ...
-
-    @property
-    def code_size(self) -> int:
-        """How many numbers a person's code has."""
-        ...
-
-    @property
-    def digest(self) -> str:
-        """A name for all that heads are made from, such as a template's digest; empty where nobody tells."""
-        ...
-
-    def person(self, rng: np.random.Generator) -> Person:
-        """Draw somebody at random."""
-        ...
-
-    def head(self, person: Person) -> LayeredHead:
-        """Fit the person's layered head; FitError where there is none."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

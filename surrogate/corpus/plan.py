@@ -73,8 +73,8 @@ class CorpusPlan:
     People, parameter sets and recordings are split into training and test first and paired then, so that the two splits
     share none of the three. Each person has `groups` parameter sets, no two people share one, and `frames` static
     frames of each; `sequences` of 16 frames at 60 Hz, the k-th under the person's k-th set. The share `responses` of
-    all groups has derivatives by expressions, `parameter_responses` of these by parameters, too; `references` static
-    frames of each person in test are solved by FEniCSx, too.
+    all groups has derivatives by expressions. `references` static frames of each person in test are solved by FEniCSx,
+    too.
 
     `kinds` and `sources` are shares, of parameter sets (see `mixture`) and of expressions; sources without a recording
     leave theirs to the others. `takes`: folder of recorded takes. Sequences begin with velocities of one long run of
@@ -88,7 +88,6 @@ class CorpusPlan:
     frames: int = 10
     sequences: int = 1
     responses: float = 1.0
-    parameter_responses: float = 0.05
     references: int = 5
     kinds: Mapping[str, float] = field(
         default_factory=lambda: {"materials": 0.34, "single": 0.16, "effects": 0.15, "both": 0.35}
@@ -119,7 +118,7 @@ class CorpusPlan:
             raise InputError(f"corpus plan takes: expected the name of a folder, got {quote(self.takes)}")
         if self.sequences > self.groups:
             raise InputError(f"corpus plan sequences: {self.sequences} for {self.groups} groups of a person")
-        for name in ("responses", "parameter_responses", "varying", "inverted_share"):
+        for name in ("responses", "varying", "inverted_share"):
             if not _is_share(getattr(self, name)):
                 raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {quote(getattr(self, name))}")
         for name, known in (("kinds", KINDS), ("sources", SOURCES)):
@@ -203,11 +202,9 @@ class CorpusPlan:
         kind = str(rng.choice(KINDS, p=[self.kinds[name] for name in KINDS]))
         return draw(rng, kind, field=bool(rng.random() < self.varying))
 
-    def has_responses(self, parameter_number: int) -> tuple[bool, bool]:
-        """Tell whether the group with this parameter set has derivatives: by expressions, and by parameters."""
-        drawn = self.rng(PARAMETERS, parameter_number, 1).random(2)
-        wanted = bool(drawn[0] < self.responses)
-        return wanted, wanted and bool(drawn[1] < self.parameter_responses)
+    def has_responses(self, parameter_number: int) -> bool:
+        """Tell whether the group with this parameter set has derivatives."""
+        return bool(self.rng(PARAMETERS, parameter_number, 1).random() < self.responses)
 
     def static(self, identity: int, index: int) -> Static:
         """Draw a person's static frame; those of group g are numbered from g * frames."""
@@ -258,8 +255,6 @@ class CorpusPlan:
         content = asdict(replace(self, takes="")) | {
             "recordings": {name: [r.kind, r.frames, r.rate, _text(r)] for name, r in self.recordings.items()}
         }
-        if not self.contact:
-            del content["contact"]  # as plans had none
         return json.dumps(content, sort_keys=True)
 
     @cached_property
@@ -332,7 +327,6 @@ PRESETS: dict[str, CorpusPlan] = {
         hard=3,
         seconds=4.0,
         run=24,
-        parameter_responses=1.0,
     ),
     # What `make study` tests the surrogate on: other people, parameters and recordings than those of "small".
     "study": CorpusPlan(
@@ -342,7 +336,6 @@ PRESETS: dict[str, CorpusPlan] = {
         frames=4,
         sequences=0,
         references=0,
-        parameter_responses=0.0,
         kinds={"materials": 0.35, "single": 0.45, "effects": 0.1, "both": 0.1},
         sources={"conversation": 0.5, "hard": 0.5},
         conversations=10,
@@ -358,7 +351,6 @@ PRESETS: dict[str, CorpusPlan] = {
         frames=6,
         sequences=0,
         references=0,
-        parameter_responses=0.0,
         kinds={"materials": 0.3, "single": 0.35, "effects": 0.15, "both": 0.2},
         sources={"conversation": 0.5, "hard": 0.5},
         conversations=10,
@@ -377,7 +369,6 @@ PRESETS: dict[str, CorpusPlan] = {
         frames=0,
         sequences=0,
         references=0,
-        parameter_responses=0.0,
         contact=False,
     ),
     # SoftDECA's 500,000 frames, a quarter of them in sequences.

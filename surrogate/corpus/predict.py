@@ -1,60 +1,48 @@
-"""The cost of a plan: bytes by counting, core-hours by a rate measured on a person or on people done already."""
+"""The cost of a plan: bytes by counting, core-hours by a person who is simulated here or by people done already."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from threadpoolctl import threadpool_limits
 
+from .face import People
 from .folder import CorpusStatus
-from .people import People
 from .plan import LENGTH, CorpusPlan
 from .sequences import load_velocities
 from .shard import FEM_LAWS, TABLES, columns_of
 from .simulate import simulate_person
 
-VARIED = 9
-"""Parameters of a set, about, in the mean over kinds."""
 REFERENCE = 10.0
 """Static frames that cost what one of FEniCSx' answers costs, where none was measured."""
 PROBED = {"frames": 4, "references": 0, "run": 16}
 
 
 @dataclass(frozen=True)
-class Rates:
-    """Processor seconds of one process: per person (shapes and fit), group, static frame, sequence frame, reference.
+class Spent:
+    """Processor seconds by phase of one process, and the `rows` that took them: people, and rows by table.
 
     busy: seconds that pass for each of them on this machine, where that was measured.
     """
 
-    person: float
-    group: float
-    static: float
-    sequence: float
-    reference: float | None
+    seconds: Mapping[str, float]
+    rows: Mapping[str, int]
     busy: float | None = None
 
     @classmethod
-    def of(cls, status: CorpusStatus) -> Rates | None:
-        """Divide the seconds that a corpus has spent; None where nothing is done, or they are not known."""
-        spent, asked = status.seconds, status.asked
-        if not status.identities_done or not asked["groups"] or not spent:
-            return None
+    def of(cls, status: CorpusStatus) -> Spent | None:
+        """Take what a corpus has spent; None where nothing is done, or its seconds are not known."""
+        known = status.identities_done and status.seconds
+        return cls(status.seconds, status.asked | {"people": status.identities_done}) if known else None
 
-        def each(table: str) -> float:
-            return spent.get(table, 0.0) / max(asked[table], 1)
-
-        return cls(
-            (spent.get("shapes", 0.0) + spent.get("fit", 0.0)) / status.identities_done,
-            (spent.get("settling", 0.0) + spent.get("derivatives", 0.0)) / asked["groups"],
-            each("statics"),
-            each("sequences"),
-            each("references") if asked["references"] else None,
-        )
+    def each(self, table: str, *phases: str) -> float:
+        """Return the seconds of some phases for each row of a table."""
+        return sum(self.seconds.get(phase, 0.0) for phase in phases) / max(self.rows[table], 1)
 
 
 @dataclass(frozen=True)
@@ -77,8 +65,8 @@ class Prediction:
         return self.bytes / max(self.statics + LENGTH * self.sequences, 1)
 
 
-def measure_rates(plan: CorpusPlan, people: People) -> Rates:
-    """Measure rates on the plan's second person; the first warms caches and does not count."""
+def probe(plan: CorpusPlan, people: People) -> Spent:
+    """Simulate the plan's second person, with few frames; the first warms caches and does not count."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
     with TemporaryDirectory() as folder, threadpool_limits(1):
         begun = load_velocities(Path(folder), small, people) if plan.sequences else None
@@ -86,17 +74,12 @@ def measure_rates(plan: CorpusPlan, people: People) -> Rates:
         begin = time.monotonic(), time.process_time()
         seconds = simulate_person(small, people, 1, begun).seconds
         busy = (time.monotonic() - begin[0]) / (time.process_time() - begin[1])
-    return Rates(
-        seconds["shapes"] + seconds["fit"],
-        (seconds["settling"] + seconds["derivatives"]) / small.groups,
-        seconds["statics"] / (small.groups * small.frames),
-        seconds.get("sequences", 0.0) / max(LENGTH * small.sequences, 1),  # a plan may have none
-        None,
-        busy,
-    )
+    groups, frames = small.groups, LENGTH * small.sequences
+    rows = {"people": 1, "groups": groups, "statics": groups * small.frames, "sequences": frames, "references": 0}
+    return Spent(seconds, rows, busy)
 
 
-def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
+def predict_cost(plan: CorpusPlan, vertices: int, spent: Spent) -> Prediction:
     """Predict counts, bytes and core-hours of a plan over a skin of so many vertices.
 
     The long run of the velocities counts by its frames, which cost what those of sequences cost.
@@ -109,17 +92,19 @@ def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
         "statics": plan.static_frames,
         "sequences": sequences,
         "responses": responses,
-        "parameter_responses": VARIED * round(plan.parameter_responses * responses),
         "references": len(FEM_LAWS) * references,
     }
     size = sum(count * _row_bytes(TABLES[table], vertices) for table, count in rows.items())
-    seconds = plan.identities * rates.person + groups * rates.group + plan.static_frames * rates.static
-    seconds += (LENGTH * sequences + (plan.run if sequences else 0)) * rates.sequence
-    seconds += rows["references"] * (REFERENCE * rates.static if rates.reference is None else rates.reference)
+    static = spent.each("statics", "statics")
+    reference = spent.each("references", "references") if spent.rows["references"] else REFERENCE * static
+    seconds = plan.identities * spent.each("people", "shapes", "fit")
+    seconds += groups * spent.each("groups", "settling", "derivatives") + plan.static_frames * static
+    seconds += (LENGTH * sequences + (plan.run if sequences else 0)) * spent.each("sequences", "sequences")
+    seconds += rows["references"] * reference
     hours = seconds / 3600.0
     return Prediction(
         plan.identities, groups, plan.static_frames, sequences, responses, references, size, hours,
-        None if rates.busy is None else hours * rates.busy,
+        None if spent.busy is None else hours * spent.busy,
     )  # fmt: skip
 
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
-from .face import Derivatives, Frames, KeptFace, Person
+from .face import Derivatives, Frames, Heads, KeptFace, Person
 from .folder import Corpus
-from .heads import Heads
 from .mixture import ParameterSet
 from .plan import SPLITS, Split
 from .shard import ACCEPTED, TABLES, Place, columns_of, places_of, read_arrays_of
@@ -27,7 +26,9 @@ if TYPE_CHECKING:
     import torch
 
 Row = dict[str, Any]
-OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
+OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "persons/code")
+OF_FACES = ("persons/skin", "persons/shapes", "groups/settled", "groups/carried")
+"""Small and large arrays that readers of every table have."""
 READ = [table for table in TABLES if table != "persons"]
 SMALL = {table: [n for n, column in columns_of(TABLES[table]).items() if not column.large] for table in READ}
 LARGE = {table: [n for n, column in columns_of(TABLES[table]).items() if column.large] for table in READ}
@@ -36,19 +37,16 @@ LARGE = {table: [n for n, column in columns_of(TABLES[table]).items() if column.
 
 @dataclass(frozen=True, eq=False)
 class _Person:
-    """A shard's small arrays and the places of its large ones."""
+    """A shard's small arrays, of the table by name and of groups, and the places of its large ones."""
 
     path: Path
-    code: NDArray
-    kinds: NDArray
-    coefficients: NDArray
-    varied: NDArray
     small: dict[str, NDArray]
+    groups: dict[str, NDArray]
     places: dict[str, Place]
-    skin: Place
-    shapes: Place
-    settled: Place
-    carried: Place
+
+    def row(self, name: str, number: int) -> NDArray:
+        """Read one row of a large array."""
+        return self.places[name].row(self.path, number)
 
 
 class Table:
@@ -56,9 +54,9 @@ class Table:
 
     A row is a dict: identity, code (c,), varied (P,), coefficients (P, 1 + WAVES), and the fields of the table as
     `shard` says, without the first axis. With `partial`, people that are not there yet are left out. `share` of the
-    people, the first of them, have rows. Raises InputError for a folder that is no corpus, an unknown table or split,
-    shards that are missing, damaged or of another person (each is read whole once, see `intact`), and where no row is
-    accepted.
+    people, the first of them, have rows. heads: who fits the people's heads; by default the corpus' folder says so.
+    Raises InputError for a folder that is no corpus, an unknown table or split, shards that are missing, damaged or of
+    another person (each is read whole once), and where no row is accepted.
     """
 
     def __init__(
@@ -69,11 +67,13 @@ class Table:
         *,
         partial: bool = False,
         share: float = 1.0,
+        heads: Heads | None = None,
     ):
         if table not in SMALL or split not in (None, *SPLITS):
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
         self.corpus = Corpus.open(folder)
+        self.heads = self.corpus.heads() if heads is None else heads
         self.mean = self.corpus.mean
         people, first = self.corpus.plan.identities, self.corpus.plan.trained
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
@@ -86,7 +86,7 @@ class Table:
                 "them, --partial takes those that are there"
             )
         chosen = there[: round(share * len(there))]
-        self._people = {k: self._person(k) for k in chosen}
+        self._people = {k: self._open(k) for k in chosen}
         rows = [(k, row) for k, person in self._people.items() for row in _find_accepted(person.small)]
         if not rows:
             raise InputError(
@@ -94,31 +94,24 @@ class Table:
             )
         self.rows = np.array(rows)
 
-    def _person(self, identity: int) -> _Person:
+    def _open(self, identity: int) -> _Person:
         path = self.corpus.shard_path(identity)
         self.corpus.check(identity)
-        names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
+        small = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
-        arrays = read_arrays_of(path, self.corpus.owner, *OF_GROUPS, *names.values())
-        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", "groups/carried", *large.values())
+        arrays = read_arrays_of(path, *OF_GROUPS, *small.values())
+        places = places_of(path, *OF_FACES, *large.values())
         return _Person(
             path=path,
-            code=arrays["persons/code"][0],
-            kinds=arrays["groups/kind"],
-            coefficients=arrays["groups/coefficients"],
-            varied=arrays["groups/varied"],
-            small={name: arrays[key] for name, key in names.items()},
-            places={name: places[key] for name, key in large.items()},
-            skin=places["persons/skin"],
-            shapes=places["persons/shapes"],
-            settled=places["groups/settled"],
-            carried=places["groups/carried"],
+            small={name: arrays[key] for name, key in small.items()},
+            groups={key: arrays[key] for key in OF_GROUPS},
+            places={key: places[key] for key in OF_FACES} | {name: places[key] for name, key in large.items()},
         )
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    @property
+    @cached_property
     def groups(self) -> NDArray[np.int64]:
         """Identity and number of the parameter set among the person's, of each row that has one, shape (rows, 2)."""
         if self.table == "groups":
@@ -128,18 +121,17 @@ class Table:
     def __getitem__(self, index: int) -> Row:
         identity, row = self.rows[index]
         person = self._people[int(identity)]
-        return self.described(index) | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
+        return self.described(index) | {name: person.row(name, int(row)) for name in LARGE[self.table]}
 
     def described(self, index: int) -> Row:
         """Return a row without its large fields; nothing is read for it."""
         identity, row = self.rows[index]
         person = self._people[int(identity)]
         small = {name: values[row] for name, values in person.small.items()}
-        described: Row = {"identity": identity, "code": person.code, **small}
+        described: Row = {"identity": identity, "code": person.groups["persons/code"][0], **small}
         if self.table == "groups" or "group" in small:
             group = row if self.table == "groups" else small["group"]
-            described |= {"kind": person.kinds[group], "varied": person.varied[group]}
-            described["coefficients"] = person.coefficients[group]
+            described |= {name: person.groups[f"groups/{name}"][group] for name in ("kind", "varied", "coefficients")}
         return described
 
     def parameters(self, index: int) -> ParameterSet:
@@ -149,22 +141,21 @@ class Table:
 
     def person(self, identity: int) -> Person:
         """Read a person's code, neutral skin and shapes."""
-        code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
+        code = np.asarray(self._people[int(identity)].groups["persons/code"][0], dtype=np.float64)
         return Person(code, self.skin(identity), self.shapes(identity))
 
     def carried(self, index: int) -> Floats32:
         """Read how far scaled bones carry the face of a row [mm], shape (n, 3)."""
         identity, group = self.groups[index].tolist()
-        person = self._people[identity]
-        return person.carried.row(person.path, group).astype(np.float32)
+        return self._people[identity].row("groups/carried", group).astype(np.float32)
 
-    def face(self, index: int, heads: Heads | None = None) -> KeptFace:
+    def face(self, index: int) -> KeptFace:
         """Read the face of a row; with derivatives where the table is of responses."""
         identity, group = self.groups[index].tolist()
-        person = self._people[identity]
-        settled, carried = person.settled.row(person.path, group), self.carried(index)
+        settled, carried = self._people[identity].row("groups/settled", group), self.carried(index)
         derivatives = self.derivatives(index) if self.table == "responses" else None
-        return KeptFace(identity, self.person(identity), self.parameters(index), settled, carried, derivatives, heads)
+        person, parameters = self.person(identity), self.parameters(index)
+        return KeptFace(identity, person, parameters, settled, carried, derivatives, self.heads)
 
     def derivatives(self, index: int) -> Derivatives:
         """Read the face of a row to first order; of the table of responses alone."""
@@ -173,13 +164,12 @@ class Table:
 
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
-        person = self._people[int(identity)]
-        return Surface(person.skin.row(person.path, 0).astype(np.float64), self.mean.triangles)
+        skin = self._people[int(identity)].row("persons/skin", 0)
+        return Surface(skin.astype(np.float64), self.mean.triangles)
 
     def shapes(self, identity: int) -> NDArray:
         """Read what each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
-        person = self._people[int(identity)]
-        return person.shapes.row(person.path, 0)
+        return self._people[int(identity)].row("persons/shapes", 0)
 
 
 def _find_accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
@@ -188,11 +178,10 @@ def _find_accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
     return np.flatnonzero(small["status"] == ACCEPTED.encode())
 
 
-class Faces:
-    """The faces of a split of a corpus, or of both; read as they are asked for.
+class Faces(Table):
+    """The faces of a split of a corpus, or of both: its table of responses, and the static frames of each face.
 
-    Those with derivatives. `partial`, `share` and errors: as of `Table`. heads: who fits the people's heads; by default
-    the corpus' folder says so.
+    Arguments and errors are those of `Table`.
     """
 
     def __init__(
@@ -204,61 +193,36 @@ class Faces:
         share: float = 1.0,
         heads: Heads | None = None,
     ):
-        self.heads = Heads.from_corpus(folder) if heads is None else heads
-        self._table = Table(folder, "responses", split, partial=partial, share=share)
+        super().__init__(folder, "responses", split, partial=partial, share=share, heads=heads)
         self._open_statics = lambda: Table(folder, "statics", split, partial=partial, share=share)
-        self.groups = self._table.groups
-
-    def __len__(self) -> int:
-        return len(self.groups)
-
-    @property
-    def folder(self) -> Path:
-        """The corpus' folder."""
-        return self._table.folder
-
-    @property
-    def mean(self) -> Surface:
-        """The mean skin of the space [mm]."""
-        return self._table.mean
 
     @property
     def space(self) -> str:
         """The name of the people's space."""
-        return self._table.corpus.space
+        return self.corpus.space
 
     @property
     def has_frames(self) -> bool:
         """Whether static frames were planned; preset "faces" has none."""
-        return self._table.corpus.plan.frames > 0
+        return self.corpus.plan.frames > 0
+
+    @property
+    def people(self) -> Ints:
+        """Numbers of the people, in their order."""
+        return np.unique(self.groups[:, 0])
+
+    @property
+    def codes(self) -> Floats:
+        """The code of each of the people, shape (k, c)."""
+        return np.array([self._people[k].groups["persons/code"][0] for k in self.people.tolist()], dtype=np.float64)
 
     def code(self, index: int) -> Floats:
         """Return the code (c,) of a face's person."""
-        return np.asarray(self._table.described(index)["code"], dtype=np.float64)
+        return np.asarray(self.described(index)["code"], dtype=np.float64)
 
     def coefficients(self, index: int) -> Floats:
         """Return a face's coefficients of STATIC (P, 1 + WAVES)."""
-        return self._table.parameters(index).static
-
-    def face(self, index: int) -> KeptFace:
-        """Read one face."""
-        return self._table.face(index, self.heads)
-
-    def derivatives(self, index: int) -> Derivatives:
-        """Read one face to first order."""
-        return self._table.derivatives(index)
-
-    def carried(self, index: int) -> Floats32:
-        """Read how far scaled bones carry a face [mm], shape (n, 3)."""
-        return self._table.carried(index)
-
-    def skin(self, identity: int) -> Surface:
-        """Read a person's neutral skin [mm]."""
-        return self._table.skin(identity)
-
-    def person(self, identity: int) -> Person:
-        """Read a person's code, neutral skin and shapes."""
-        return self._table.person(identity)
+        return self.parameters(index).static
 
     @cached_property
     def _statics(self) -> Table:

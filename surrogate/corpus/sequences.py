@@ -19,7 +19,7 @@ from ...reference import Sequence
 from ...reference.face.dynamics import extrapolate_turns
 from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities, is_plausible
-from .people import People
+from .face import People
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
 from .simulator import Answer, describe_answer, reject_moved

@@ -1,20 +1,19 @@
-"""One person of a corpus as an HDF5 file: arrays in seven tables, written whole or not at all, with a checksum.
+"""One person of a corpus as an HDF5 file: arrays in six tables, written whole or not at all, with a checksum.
 
 Arrays are stored as they are, one run of bytes each, so that a row can be read without HDF5 (`Place`). T is the
 simulator's skin, S that of the linear blendshapes; T - S is kept in float16, which rounds by less
 than 0.001 mm below 2 mm and 0.008 mm below 16 mm. The same content gives the same bytes: processor seconds, which
-differ between runs, lie in a JSON file beside the shard. Each column says the range of its numbers, which `intact`
-checks; the card of a corpus lists them.
+differ between runs, lie in a JSON file beside the shard. The checksum is of all other bytes of the file.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -26,18 +25,17 @@ from numpy.typing import NDArray
 
 from ...lhm.base.checks import number
 from ...lhm.base.errors import InputError, quote
-from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.text import read_json
-from ...lhm.base.limits import PARAMETER_SETS, SHARD_BYTES, TAKE_FRAMES
+from ...lhm.base.files.atomic import UNSEALED, is_sealed, seal, write_whole
+from ...lhm.base.files.text import read_bytes, read_json
+from ...lhm.base.limits import SHARD_BYTES
 from ...lhm.base.mesh import Floats
 from ...reference.face.facial import PD_ENERGY
-from .face import MOVED
-from .mixture import KINDS, NAMES, WAVES
+from .mixture import NAMES, WAVES
 from .plan import LENGTH
 
 ACCEPTED = "accepted"
-FORMAT = 4
-"""Of the file, and of what its arrays mean; raised when either changes, and others are refused."""
+FORMAT = 5
+"""Format version. Raise it when layout or meaning changes; others are refused."""
 FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 """Laws by which FEniCSx answers."""
 LONGEST = 200
@@ -57,59 +55,38 @@ Texts = NDArray[np.bytes_]
 class Column:
     """A row of a table's column: its type and lengths of axes, among them VERTICES and CODE.
 
-    large: left in the file by readers until a row is asked for. low, high: the range of its numbers. below: its numbers
-    are rows of that table. choices: its texts are among these, if there are any.
+    large: left in the file by readers until a row is asked for.
     """
 
     dtype: np.dtype
     shape: tuple[int, ...]
     large: bool
-    low: float
-    high: float
-    below: str
-    choices: tuple[str, ...]
 
-    def lengths(self, vertices: int, code: int | None) -> tuple[Any, ...]:
-        """Return the axes of a row in a corpus of such skins and codes; None is any length."""
+    def lengths(self, vertices: int, code: int) -> tuple[int, ...]:
+        """Return the axes of a row in a corpus of such skins and codes."""
         known = {VERTICES: vertices, CODE: code}
         return tuple(known.get(length, length) for length in self.shape)
-
-    def describe_range(self) -> str:
-        """Return the range in words; empty where there is none."""
-        if self.choices:
-            return "one of " + ", ".join(self.choices)
-        if self.below:
-            return f"a row of {self.below}"
-        return "" if self.dtype.kind in "Sb" else f"{self.low:g} to {self.high:g}"
 
 
 VERTICES, CODE = -1, -2
 """Lengths of axes that a corpus has: of its skins, and of its people's codes."""
 FARTHEST = 10_000.0
-"""[mm] Of a vertex, and of a derivative."""
-LEAST_GROWN = 10.0
-"""Most of the smallest volume ratio of a frame: muscle and skin grow to three times at most."""
-CODES = 10.0
-"""Most of a code's number; people are drawn within 2.5."""
-COUNT = 2**31
-"""Most of a count."""
+"""[mm] Most of a derivative."""
 
 
-def column(
-    dtype: Any, *shape: int, large: bool = False, low: float = 0, high: float = COUNT, below: str = "", choices=()
-) -> Any:
+def column(dtype: Any, *shape: int, large: bool = False) -> Any:
     """Make a field of a table; see `Column`."""
-    return field(metadata={"column": Column(np.dtype(dtype), shape, large, low, high, below, tuple(choices))})
+    return field(metadata={"column": Column(np.dtype(dtype), shape, large)})
 
 
-def moved_column(*shape: int, farthest: float = MOVED) -> Any:
+def moved_column(*shape: int) -> Any:
     """Make a field of displacements [mm] in float16, large."""
-    return column(np.float16, *shape, 3, large=True, low=-farthest, high=farthest)
+    return column(np.float16, *shape, 3, large=True)
 
 
-def text_column(choices: Sequence[str] = ()) -> Any:
+def text_column() -> Any:
     """Make a field of texts."""
-    return column(f"S{LONGEST}", choices=choices)
+    return column(f"S{LONGEST}")
 
 
 def columns_of(kind: type) -> dict[str, Column]:
@@ -121,8 +98,8 @@ def columns_of(kind: type) -> dict[str, Column]:
 class Persons:
     """The one person: code (1, c), neutral skin (1, n, 3) [mm], and shapes (1, 52, n, 3) [mm]."""
 
-    code: Floats = column(np.float64, CODE, low=-CODES, high=CODES)
-    skin: Singles = column(np.float32, VERTICES, 3, large=True, low=-FARTHEST, high=FARTHEST)
+    code: Floats = column(np.float64, CODE)
+    skin: Singles = column(np.float32, VERTICES, 3, large=True)
     shapes: Halves = moved_column(WEIGHTS, VERTICES)
 
 
@@ -134,10 +111,10 @@ class Groups:
     status: accepted, or why it did not settle.
     """
 
-    number: Numbers = column(np.int64, high=PARAMETER_SETS.most - 1)
-    kind: Texts = text_column(KINDS)
+    number: Numbers = column(np.int64)
+    kind: Texts = text_column()
     varied: NDArray[np.bool_] = column(bool, len(NAMES))
-    coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES, low=-1.0, high=1.0)
+    coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES)
     settled: Halves = moved_column(VERTICES)
     carried: Halves = moved_column(VERTICES)
     status: Texts = text_column()
@@ -152,16 +129,16 @@ class Statics:
     of the simulated skin wrap that cross.
     """
 
-    group: Numbers = column(np.int64, below="groups")
+    group: Numbers = column(np.int64)
     recording: Texts = text_column()
-    frame: Numbers = column(np.int64, high=TAKE_FRAMES.most - 1)
-    weights: Singles = column(np.float32, WEIGHTS, low=0.0, high=1.0)
+    frame: Numbers = column(np.int64)
+    weights: Singles = column(np.float32, WEIGHTS)
     corrected: Halves = moved_column(VERTICES)
-    moved: Singles = column(np.float32, 2, high=2.0 * MOVED)
+    moved: Singles = column(np.float32, 2)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
     residual: Singles = column(np.float32)
-    smallest_volume_ratio: Singles = column(np.float32, low=-FARTHEST, high=LEAST_GROWN)
+    smallest_volume_ratio: Singles = column(np.float32)
     inverted: Numbers = column(np.int64)
     crossings: Numbers = column(np.int64)
 
@@ -175,17 +152,17 @@ class Sequences:
     frames before by `extrapolate_turns` of these). A sequence is accepted as a whole.
     """
 
-    group: Numbers = column(np.int64, below="groups")
+    group: Numbers = column(np.int64)
     recording: Texts = text_column()
-    frame: Numbers = column(np.int64, high=TAKE_FRAMES.most - 1)
-    weights: Singles = column(np.float32, LENGTH, WEIGHTS, low=0.0, high=1.0)
-    rotations: Singles = column(np.float32, LENGTH, 3, 3, low=-1.001, high=1.001)
+    frame: Numbers = column(np.int64)
+    weights: Singles = column(np.float32, LENGTH, WEIGHTS)
+    rotations: Singles = column(np.float32, LENGTH, 3, 3)
     before: Halves = moved_column(2, VERTICES)
     corrected: Halves = moved_column(LENGTH, VERTICES)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64, LENGTH)
     residual: Singles = column(np.float32, LENGTH)
-    smallest_volume_ratio: Singles = column(np.float32, LENGTH, low=-FARTHEST, high=LEAST_GROWN)
+    smallest_volume_ratio: Singles = column(np.float32, LENGTH)
     inverted: Numbers = column(np.int64, LENGTH)
     crossings: Numbers = column(np.int64, LENGTH)
 
@@ -197,22 +174,10 @@ class Responses:
     offset (R, n, 3) [mm]: T - S at w = 0; expressions (R, 52, n, 3) [mm]: d(T - S)/dw.
     """
 
-    group: Numbers = column(np.int64, below="groups")
+    group: Numbers = column(np.int64)
     exact: NDArray[np.bool_] = column(bool)
     offset: Halves = moved_column(VERTICES)
-    expressions: Halves = moved_column(WEIGHTS, VERTICES, farthest=FARTHEST)
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterResponses:
-    """The K derivatives of T at w = 0 by one parameter each: group, name, and change (K, n, 3) [mm].
-
-    Per unit of the parameter mapped to [-1, 1], of a field by shifting it as a whole.
-    """
-
-    group: Numbers = column(np.int64, below="groups")
-    name: Texts = text_column(NAMES)
-    change: Halves = moved_column(VERTICES, farthest=FARTHEST)
+    expressions: Halves = moved_column(WEIGHTS, VERTICES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +187,8 @@ class References:
     A law that has no counterpart of a face's p, such as a stiffness that varies, has no row.
     """
 
-    static: Numbers = column(np.int64, below="statics")
-    law: Texts = text_column(FEM_LAWS)
+    static: Numbers = column(np.int64)
+    law: Texts = text_column()
     corrected: Halves = moved_column(VERTICES)
     status: Texts = text_column()
     iterations: Numbers = column(np.int64)
@@ -238,20 +203,8 @@ class Shard:
     statics: Statics
     sequences: Sequences
     responses: Responses
-    parameter_responses: ParameterResponses
     references: References
     seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 over names, types, shapes and bytes of all arrays."""
-        digest = hashlib.sha256()
-        for table in TABLES:
-            for item in fields(TABLES[table]):
-                array = np.ascontiguousarray(getattr(getattr(self, table), item.name))
-                digest.update(f"{table}/{item.name} {array.dtype.str} {array.shape};".encode())
-                digest.update(array.tobytes())
-        return digest.hexdigest()
 
 
 TABLES: dict[str, type] = {name: kind for name, kind in get_type_hints(Shard).items() if name != "seconds"}
@@ -274,8 +227,18 @@ def stack_rows(kind: type, rows: Sequence[Mapping[str, Any]], vertices: int) -> 
     return kind(**arrays)
 
 
-def write_shard(path: Path, shard: Shard, owner: str) -> None:
-    """Write a shard of the corpus `owner`, and its seconds beside it. InputError if one cannot be written.
+@dataclass(frozen=True)
+class Label:
+    """The attributes of a shard but its checksum: corpus, person, format, version of the software."""
+
+    owner: str
+    identity: int
+    format: int
+    version: str
+
+
+def write_shard(path: Path, shard: Shard, owner: str, identity: int) -> None:
+    """Write the shard of a person of the corpus `owner`, and its seconds beside it; InputError if one cannot be.
 
     `path` is whole or as it was.
     """
@@ -283,31 +246,18 @@ def write_shard(path: Path, shard: Shard, owner: str) -> None:
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="`product` is deprecated")  # in Debian's h5py
-        label = Label(owner, FORMAT, version("softdeca"))
-        file.attrs.update(asdict(label) | {"checksum": label.checksum(shard)})
+        label = Label(owner, identity, FORMAT, version("softdeca"))
+        file.attrs.update(asdict(label) | {"checksum": UNSEALED})
         for table, kind in TABLES.items():
             for item in fields(kind):
                 file.create_dataset(f"{table}/{item.name}", data=getattr(getattr(shard, table), item.name))
-    write_whole(path, buffer.getvalue())
-
-
-@dataclass(frozen=True)
-class Label:
-    """The attributes of a shard but its checksum: corpus, format, version of the software."""
-
-    owner: str
-    format: int
-    version: str
-
-    def checksum(self, shard: Shard) -> str:
-        """SHA-256 over this label and the shard's arrays."""
-        return hashlib.sha256(json.dumps([*vars(self).values(), shard.checksum]).encode()).hexdigest()
+    write_whole(path, seal(buffer.getvalue()))
 
 
 def read_label(path: Path) -> Label:
     """Read a shard's label alone; InputError for a file that is missing or no shard."""
-    with _opened(path) as file:
-        return _label(file)
+    with _open(path) as file:
+        return _read_label(path, file)
 
 
 def seconds_path(path: Path) -> Path:
@@ -332,29 +282,33 @@ def read_seconds(path: Path) -> dict[str, float]:
     return seconds
 
 
-def read_shard(path: Path, owner: str) -> Shard:
-    """Read a shard and check it; InputError for one that is missing, truncated, damaged or of another corpus.
+def read_shard(path: Path, owner: str, identity: int) -> Shard:
+    """Read a person's shard; InputError for one that is missing, damaged, or of another version, corpus or person.
 
     Its seconds are left to `read_seconds`.
     """
-    with _opened(path) as file:
-        label, kept = _label(file), str(file.attrs["checksum"])
-        _check_label(path, label, owner)
+    with _open(path) as file:
+        label = _read_label(path, file)
+        if not is_sealed(read_bytes(path, SHARD_BYTES), str(file.attrs["checksum"])):
+            raise InputError(f"shard {path}: its content does not match its checksum; {_REMEDY}")
+        if label.owner != owner:
+            raise InputError(
+                f"shard {path}: of another corpus ({quote(label.owner, 80)}, expected {quote(owner, 80)}): its plan or "
+                "template differs"
+            )
+        if label.identity != identity:
+            raise InputError(f"shard {path}: of another person, {label.identity}, expected {identity}; {_REMEDY}")
         tables = {
-            table: kind(**{item.name: _array(file, f"{table}/{item.name}") for item in fields(kind)})
+            table: kind(**{item.name: file[f"{table}/{item.name}"][()] for item in fields(kind)})
             for table, kind in TABLES.items()
         }
-    shard = Shard(**tables)
-    if label.checksum(shard) != kept:
-        raise InputError(f"shard {path}: its content does not match its checksum; {_REMEDY}")
-    return shard
+    return Shard(**tables)
 
 
-def read_arrays_of(path: Path, owner: str, *names: str) -> dict[str, NDArray[Any]]:
-    """Read some arrays of a shard by "table/name"; only the owner is checked. InputError as `read_shard`."""
-    with _opened(path) as file:
-        _check_label(path, _label(file), owner)
-        return {name: _array(file, name) for name in names}
+def read_arrays_of(path: Path, *names: str) -> dict[str, NDArray[Any]]:
+    """Read some arrays of a shard that was checked, by "table/name"."""
+    with _open(path) as file:
+        return {name: np.asarray(file[name][()]) for name in names}
 
 
 @dataclass(frozen=True)
@@ -385,71 +339,28 @@ class Place:
 
 
 def places_of(path: Path, *names: str) -> dict[str, Place]:
-    """Return the places of some arrays of a shard, by "table/name"; InputError as `read_shard`."""
-    with _opened(path) as file:
-        every = {name: _dataset(file, name) for name in names}
-        return {name: Place(data.id.get_offset() or 0, data.dtype, data.shape) for name, data in every.items()}
+    """Return the places of some arrays of a shard that was checked, by "table/name"."""
+    with _open(path) as file:
+        return {name: Place(file[name].id.get_offset() or 0, file[name].dtype, file[name].shape) for name in names}
 
 
-def _array(file: h5py.File, name: str) -> NDArray[Any]:
-    return np.asarray(_dataset(file, name)[()])
-
-
-def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    """Return one array of a file, of a plain type, whose bytes lie in the file in one run, as `write_shard` has it."""
-    data: Any = file
-    for part in name.split("/"):
-        # Asked before anything is opened: a link leads to other arrays, or to files elsewhere.
-        if not isinstance(data, h5py.Group) or data.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
-            raise ValueError(f"{name} is a link, or lies in no group")
-        data = data[part]
-    if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "biufS":
-        raise ValueError(f"{name} is no array of numbers or texts")
-    if not 0 <= data.nbytes <= file.id.get_filesize() or (data.nbytes and data.id.get_offset() is None):
-        raise ValueError(f"{name} of shape {data.shape} does not lie in the file")
-    return data
-
-
-class _opened:
-    """An open HDF5 file; errors of its library within become InputError."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __enter__(self) -> h5py.File:
-        if not self.path.is_file():
-            raise InputError(f"shard {self.path}: missing; {_REMEDY}")
-        try:
-            SHARD_BYTES.check(f"shard {self.path}", self.path.stat().st_size)
-            self.file = h5py.File(self.path, "r")
-        except OSError as error:
-            raise self._describe_damage(error) from None
-        return self.file
-
-    def __exit__(self, kind, error, trace):
-        self.file.close()
-        if isinstance(error, (OSError, KeyError, RuntimeError, ValueError, TypeError)) and not isinstance(
-            error, InputError
-        ):
-            raise self._describe_damage(error) from None
-
-    def _describe_damage(self, error: Exception) -> InputError:
+@contextmanager
+def _open(path: Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file; errors of its library within become InputError."""
+    if not path.is_file():
+        raise InputError(f"shard {path}: missing; {_REMEDY}")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
         cause = str(error).splitlines()[0][:60] if str(error) else type(error).__name__
-        return InputError(f"shard {self.path}: truncated or damaged ({cause}); {_REMEDY}")
+        raise InputError(f"shard {path}: truncated or damaged ({cause}); {_REMEDY}") from None
 
 
-def _label(file: h5py.File) -> Label:
-    format = file.attrs["format"]
-    if not isinstance(format, np.integer):
-        raise ValueError(f"format: expected a whole number, got {quote(format)}")
-    return Label(str(file.attrs["owner"]), int(format), str(file.attrs["version"]))
-
-
-def _check_label(path: Path, label: Label, owner: str) -> None:
-    if label.format != FORMAT:
-        raise InputError(f"shard {path}: of format {label.format}, this version reads {FORMAT}; {_REMEDY}")
-    if label.owner != owner:
-        raise InputError(
-            f"shard {path}: of another corpus ({quote(label.owner, 80)}, expected {quote(owner, 80)}): its plan or "
-            "template differs"
-        )
+def _read_label(path: Path, file: h5py.File) -> Label:
+    said = file.attrs
+    if said["format"] != FORMAT:
+        raise InputError(f"shard {path}: of format {quote(said['format'])}, this version reads {FORMAT}; {_REMEDY}")
+    return Label(str(said["owner"]), int(said["identity"]), FORMAT, str(said["version"]))

@@ -17,16 +17,14 @@ from ...lhm.base.errors import SoftdecaError
 from ...lhm.head.head import LayeredHead
 from ...reference.face.face import Face
 from ...reference.face.sequence import Velocities
-from .face import Person
+from .face import People, Person
 from .mixture import ParameterSet
-from .people import People
 from .plan import IDENTITY, VELOCITIES, CorpusPlan
 from .references import references
 from .sequences import SequenceAnswer, simulate_sequence
 from .shard import ACCEPTED, FARTHEST, TABLES, Shard, stack_rows
 from .simulator import (
     Answer,
-    differentiate_by_parameters,
     make_face,
     prepare_face,
     reject_moved,
@@ -92,7 +90,8 @@ class _PersonRows:
                 self._add_sequence(group, face, status)
         if face is not None:
             with self._time_phase("derivatives"):
-                self._add_derivatives(group, face, parameters, *plan.has_responses(number))
+                if plan.has_responses(number):
+                    self._add_responses(group, face)
             with self._time_phase("references"):
                 self._add_references(group, face, answers, references_wanted)
 
@@ -133,20 +132,12 @@ class _PersonRows:
             sequence = simulate_sequence(plan, face, take, first, velocities, rng)
         self.rows["sequences"].append({"group": group, "recording": name, "frame": first} | vars(sequence))
 
-    def _add_derivatives(
-        self, group: int, face: Face, parameters: ParameterSet, by_weights: bool, by_parameters: bool
-    ) -> None:
-        if by_weights and not (reject_moved(face.offset) or reject_moved(face.responses, FARTHEST)):
+    def _add_responses(self, group: int, face: Face) -> None:
+        if not (reject_moved(face.offset) or reject_moved(face.responses, FARTHEST)):
             exact = face.derivatives.is_exact
             self.rows["responses"].append(
                 {"group": group, "exact": exact, "offset": face.offset, "expressions": face.responses}
             )
-        if by_parameters:
-            self.rows["parameter_responses"] += [
-                {"group": group, "name": name, "change": change}
-                for name, change in differentiate_by_parameters(face, parameters.names).items()
-                if not reject_moved(change, FARTHEST)
-            ]
 
     def _add_references(self, group: int, face: Face, answers: list[Answer], count: int) -> None:
         accepted = [row for row, answer in enumerate(answers) if answer.status == ACCEPTED]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,16 +11,12 @@ from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
 from ...reference import Parameters, Solution
-from ...reference.face.by_parameters import skin_by_parameters
 from ...reference.face.derivatives import Analysis, spring_norm
 from ...reference.face.face import Face
-from .face import MOVED, Person
-from .mixture import INFOS, ParameterSet
-from .people import People
+from .face import MOVED, People, Person
+from .mixture import ParameterSet
 from .plan import CorpusPlan
 from .shard import ACCEPTED
-
-UNDIFFERENTIATED = ("frequency", "damping", "strain_limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +63,6 @@ def prepare_face(people: People, face: Face) -> None:
 def reject_moved(displacements: np.ndarray, farthest: float = MOVED) -> str:
     """Say why displacements [mm] are not kept in a corpus; empty where they are."""
     return "" if (np.abs(displacements) <= farthest).all() else f"a vertex moves farther than {farthest:g} mm"
-
-
-def differentiate_by_parameters(face: Face, names: Iterable[str]) -> dict[str, Floats]:
-    """Return dT/du at w = 0 [mm], shape (n, 3), by static parameters, each mapped to u in [-1, 1].
-
-    But for the strain limit: where it is 1 the energy has kinks.
-    """
-    along = {name: _along(face.on_wraps, name) for name in names if name not in UNDIFFERENTIATED}
-    return skin_by_parameters(face, along) if along else {}
-
-
-def _along(parameters: Parameters, name: str) -> float | Floats:
-    """Return the change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
-    info, value = INFOS[name], np.asarray(getattr(parameters, name))
-    change = value * np.log(info.high / info.low) if info.log else np.full(value.shape, info.high - info.low)
-    return 0.5 * change if value.ndim else float(0.5 * change)
 
 
 def solve_frame(plan: CorpusPlan, face: Face, weights: Floats | Floats32) -> Solution:

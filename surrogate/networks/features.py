@@ -6,9 +6,10 @@ logarithm, in which ratios are differences; gravity comes as an acceleration, an
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,13 +20,9 @@ from ...reference import Parameters
 from ...reference.face.dynamics import OSCILLATION
 from ...reference.face.palsy import activation_share, left_share
 from ...reference.face.settle import GROWING
+from ..corpus.face import KeptFace
 from ..corpus.mixture import NAMES, STATIC, basis, select_static
 from .layers import EVERY
-
-if TYPE_CHECKING:
-    from ..corpus.face import KeptFace
-    from ..corpus.reading import Faces, Row
-    from .weights import Weights
 
 POINTS = 24
 """Places at which the summary has what varies over the face."""
@@ -164,16 +161,9 @@ class Inputs:
     code_scale: Floats
 
     @classmethod
-    def from_faces(cls, faces: Faces) -> Inputs:
-        """Normalise by the codes of all faces."""
-        codes = np.array([faces.code(k) for k in range(len(faces))])
-        people = np.unique(faces.groups[:, 0], return_index=True)[1]
-        return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
-
-    @classmethod
-    def from_weights(cls, weights: Weights) -> Inputs:
-        """Normalise as trained weights do."""
-        return cls(Features(weights.mean), weights.code_mean, weights.code_scale)
+    def from_codes(cls, mean: Surface, codes: Floats) -> Inputs:
+        """Normalise by the codes (k, c) of some people of a mean skin."""
+        return cls(Features(mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
 
     def code(self, code: Floats) -> Floats:
         """See `normalise_code`."""
@@ -183,7 +173,7 @@ class Inputs:
         """See `Features.summary`."""
         return self.features.summary(self.code(code), at_vertices)
 
-    def of_sequence(self, row: Row) -> Floats:
+    def of_sequence(self, row: Mapping[str, Any]) -> Floats:
         """Return w, the summary of p and h, and p's frequency and damping, of each frame of a sequence, (L, inputs)."""
         at_vertices = self.features.at_vertices(select_static(row["coefficients"]))
         always = np.concatenate([self.summary(row["code"], at_vertices), row["coefficients"][_SWINGING, 0]])
@@ -195,9 +185,9 @@ class Inputs:
         return self.summary(face.code, self.features.at_vertices(face.coefficients))
 
 
-def seen_ranges(faces: Faces, chosen: Ints, features: Features) -> dict[str, tuple[float, float]]:
+def seen_ranges(features: Features, coefficients: Iterable[Floats]) -> dict[str, tuple[float, float]]:
     """Return the range of each parameter over some faces, a little widened: ends of a range are hardly ever drawn."""
-    values = (features.at_vertices(faces.coefficients(int(index))) for index in chosen)
+    values = (features.at_vertices(each) for each in coefficients)
     ranges = np.array([(value.min(axis=0), value.max(axis=0)) for value in values])
     low, high = ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)
     widened = np.where(high > low, WIDENED, 0.0)

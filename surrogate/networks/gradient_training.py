@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -29,12 +29,11 @@ from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
 from .components import find_components
 from .features import Features, Inputs, seen_ranges
-from .forms import FORMS
 from .frames import FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
 from .modal_faces import LessonFaces
 from .softsmpl import LARGE, SMALL
-from .table_training import TableTraining, after_tables, continue_network, draw_mixers, train_tables
+from .table_training import TableTraining, after_tables, draw_mixers, learn_tables
 from .tables import table_shapes
 from .trainer import (
     Lesson,
@@ -45,10 +44,9 @@ from .trainer import (
     draw_positions,
     hold_out_people,
     join_curves,
-    open_device,
     torch,
 )
-from .weights import TrainingNote, Weights
+from .weights import FORMS, TrainingNote, Weights
 
 LEAST_MOTION = 0.02
 """[mm] Added to a frame's own size: a still one must not decide."""
@@ -121,13 +119,15 @@ def train_gradients(
     Frames are read as batches need them. A form with tables learns these first, from the corpus' faces and `more`; or
     they are those of `start`, weights of either kind that has them. With `state`, a file, the training is kept there
     now and then, that of tables beside it, and goes on from there when called again. Raises InputError for fewer than
-    two people, or ten where tables are learned, a device that is not there, a loss that is not finite, a `start`
+    two people, or ten where tables are learned, another device than the CPU, a loss that is not finite, a `start`
     without tables of these sizes, and for a state of another training.
     """
     config = GradientTraining() if config is None else config
     form, data = FORMS[config.form], None
     first: dict[str, np.ndarray] = {}
     curve: list[dict[str, float]] = []
+    if config.device != "cpu":
+        raise InputError(f"training: a {form.kind} network learns on the cpu, not on {config.device!r}")
     if not form.has_tables and (more is not None or start is not None):
         raise InputError(f"training: a {form.kind} network has no tables that more faces or a start could teach")
     if form.has_tables:
@@ -136,13 +136,10 @@ def train_gradients(
             faces, more, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
         )
         shapes = table_shapes(config.network, data.vertex_count, data.code_size)
-        if start is None:
-            first = draw_mixers(config.network, faces.mean, data.code_size, np.random.default_rng([config.seed, 3]))
-        else:
-            first = continue_network(start, data, shapes)
-        if start is None or more is not None:
-            learned, curve = train_tables(data, first, config.tables, config, state, on_progress)
-            first |= {name: learned[name] for name in shapes if name in learned}
+        rng = np.random.default_rng([config.seed, 3])
+        begin = partial(draw_mixers, config.network, faces.mean, data.code_size, rng)
+        whole, curve = learn_tables(data, start, shapes, begin, config.tables, config, state, on_progress)
+        first = {name: whole[name] for name in shapes}
     lesson = GradientLesson(faces, config, data)
     trainer = Trainer(lesson, after_tables(config) if curve else config)
     trainer.train(state, on_progress)
@@ -176,8 +173,7 @@ class GradientLesson(Lesson):
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
-        self.device = open_device(config.device)
-        people = np.unique(faces.groups[:, 0])
+        people = faces.people
         if len(people) < 2:
             raise InputError(f"training needs frames of at least two people, there are {len(people)}")
         if data is None:
@@ -188,7 +184,7 @@ class GradientLesson(Lesson):
         self.training = np.flatnonzero(~is_held)
         self.source = self._open(self.training)
         self.inputs = _normalise_codes(faces.mean, self.source.codes) if data is None else data.inputs
-        self.seen = seen_ranges(faces, self.training, self.inputs.features)
+        self.seen = seen_ranges(self.inputs.features, map(faces.coefficients, self.training.tolist()))
         self.followed = np.ptp(self.source.coefficients[:, :, 0], axis=0) > 0.0
         torch.manual_seed(config.seed)
         rng = np.random.default_rng([config.seed, 2])
@@ -198,11 +194,9 @@ class GradientLesson(Lesson):
         self.network["anchored"][anchors] = 1.0
         if "modes" in self.network:
             self.network |= _begin_modes(sample, faces.mean, config.network.latent, rng)
-        self.network = {name: value.to(self.device) for name, value in self.network.items()}
         for name, value in self.network.items():
             value.requires_grad_(name not in HELD)
-        transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
-        self.transfer = open_differentiable(transfer, self.device)
+        self.transfer = SparseTransfer(DeformationTransfer(faces.mean, anchors, dtype=np.float32))
         self.judged = self._tensors(self._open(np.flatnonzero(is_held)).sample(JUDGED, rng), 1)
         self.about = [f"{len(faces)} faces"]
 
@@ -218,7 +212,7 @@ class GradientLesson(Lesson):
         weights = batch.weights.reshape(len(codes), frames, -1)
         parameters = self._parameters(batch.coefficients[::frames])
         parts = weights, codes, parameters, batch.blended, batch.simulated, batch.moved
-        return tuple(torch.from_numpy(np.ascontiguousarray(part)).to(self.device) for part in parts)
+        return tuple(torch.from_numpy(np.ascontiguousarray(part)) for part in parts)
 
     def _parameters(self, coefficients: Floats32) -> Floats32:
         """Return p mapped to [-1, 1], shape (g, 1, k), or (g, faces, k) where some varies over the face."""
@@ -311,39 +305,6 @@ class SparseTransfer:
     def __call__(self, gradients: torch.Tensor, blended: torch.Tensor) -> torch.Tensor:
         """Return x - S [mm], shape (batch, n, 3), of J - I (batch, m, 9) and S (batch, n, 3)."""
         return _Transfer.apply(gradients, blended, self.transfer)
-
-
-@dataclass(frozen=True, eq=False)
-class DenseTransfer:
-    """The same by a dense factor of torch, on any device: 80 MB for the default skin."""
-
-    transfer: DeformationTransfer
-    device: torch.device
-
-    @cached_property
-    def _parts(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """K's factor, the triangles, and their stiffness as (m, 2, 2)."""
-        c11, c12, c22 = torch.from_numpy(self.transfer.stiffness.copy()).to(self.device).unbind(-1)
-        both = torch.stack([torch.stack([c11, c12], -1), torch.stack([c12, c22], -1)], -2)
-        factor = torch.linalg.cholesky(torch.from_numpy(self.transfer.matrix.toarray()).to(self.device))
-        return factor, torch.from_numpy(self.transfer.triangles.astype(np.int64)).to(self.device), both
-
-    def __call__(self, gradients: torch.Tensor, blended: torch.Tensor) -> torch.Tensor:
-        """Return x - S [mm]; see `SparseTransfer`."""
-        factor, triangles, stiffness = self._parts
-        corners = blended[:, triangles]
-        edges = (corners[:, :, 1:] - corners[:, :, :1]).transpose(-1, -2)
-        pulls = (gradients.unflatten(-1, (3, 3)) @ edges @ stiffness).transpose(-1, -2)
-        forces = torch.zeros_like(blended)
-        for corner, pull in enumerate((-pulls.sum(dim=2), pulls[:, :, 0], pulls[:, :, 1])):
-            forces = forces.index_add(1, triangles[:, corner], pull)
-        flat = forces.transpose(0, 1).flatten(1)
-        return torch.cholesky_solve(flat, factor).unflatten(1, (len(blended), 3)).transpose(0, 1)
-
-
-def open_differentiable(transfer: DeformationTransfer, device: torch.device) -> SparseTransfer | DenseTransfer:
-    """Return the transfer as a torch operation, by the solver that the device has."""
-    return SparseTransfer(transfer) if device.type == "cpu" else DenseTransfer(transfer, device)
 
 
 def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> Ints:

@@ -21,11 +21,10 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.deformation import DeformationTransfer, weighted_edges
 from ...lhm.base.mesh import Floats, Floats32, Surface
-from ..corpus.mixture import STATIC
 from ..rigs.inertia import DynamicRig, Swings, dynamic_rig
 from ..rigs.rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
-from .layers import Arrays, check_network, layer_shapes
-from .tables import TableSizes, table_shapes
+from .layers import Arrays
+from .tables import TableSizes
 
 Bound = Callable[[Floats32], tuple[Floats32, Floats32]]
 """L (faces, 9, k) and z (k,), with J - I = z L, for weights (52,)."""
@@ -76,20 +75,6 @@ class GradientForm(ABC):
     def tables(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
         """Return shapes of arrays that are no layers, besides HELD: by default of π alone."""
         return {"position": (sizes.faces, sizes.widths.position)}
-
-    def shapes(self, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-        """Return the shape of each array of a network."""
-        first = table_shapes(sizes.widths, sizes.vertices, sizes.code) if self.has_tables else {}
-        held = {"followed": (len(STATIC),), "anchored": (sizes.vertices,)}
-        return {**first, **self.tables(sizes), **held, **layer_shapes(self.layers(sizes), self.without_bias)}
-
-    def check(
-        self, network: Mapping[str, np.ndarray], widths: Mapping[str, int], mean: Surface, code_size: int
-    ) -> None:
-        """Raise InputError unless a network has every array, of the shapes that Widths ask, and finite."""
-        followed = int(np.count_nonzero(network.get("followed", ())))
-        sizes = Sizes(Widths(**widths), len(mean.vertices), len(mean.triangles), code_size, followed)
-        check_network(network, self.shapes(sizes))
 
     @abstractmethod
     def gradients(self, network: Arrays, weights: Any, code: Any, parameters: Any) -> Any:

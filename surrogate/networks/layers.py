@@ -11,15 +11,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from ...lhm.base.checks import array_of_kind, finite
-from ...lhm.base.errors import InputError
 from ..rigs.rig import silu
 
 EVERY = slice(None)
 Arrays = Mapping[str, Any]
 """A network: numpy's arrays at run time, torch's tensors in training."""
-LARGEST = 1e4
-"""Of any number in a network: the shipped one ends at 40, float16 ends at 65,504."""
 
 
 def layer_shapes(
@@ -34,17 +30,6 @@ def perceptron_layers(name: str, *widths: int) -> dict[str, tuple[int, int]]:
     """Return the (outputs, inputs) of layers `name.0`, `name.2`, ... of these widths; see `perceptron`."""
     pairs = zip(widths[:-1], widths[1:], strict=True)
     return {f"{name}.{2 * k}": (outputs, inputs) for k, (inputs, outputs) in enumerate(pairs)}
-
-
-def check_network(network: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise InputError unless a network has arrays of these shapes and no others, finite and none beyond LARGEST."""
-    different = sorted(set(shapes) ^ set(network))
-    if different:
-        word = "missing" if different[0] in shapes else "not known"
-        raise InputError(f"array {different[0]!r} of the network is {word}")
-    for name, expected in shapes.items():
-        array = array_of_kind(f"network {name}", network[name], "f", "real numbers")
-        finite(f"network {name}", array, expected, most=LARGEST)
 
 
 def exp(x):

@@ -12,15 +12,14 @@ batches of faces at some vertices: features (batch, v, f) and summaries (batch, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats, Floats32, Surface
+from ...lhm.base.mesh import Floats, Floats32
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from .features import Features
-from .layers import EVERY, Arrays, check_network, exp, layer_shapes, linear, scale_modes
+from .layers import EVERY, Arrays, exp, layer_shapes, linear, scale_modes
 from .tables import TableSizes, carry_shapes, mixer_layers, see_vertices, table_shapes
 
 WITHOUT_BIAS = ("gain_code", "remainder_out", "remainder_linear")
@@ -65,11 +64,6 @@ def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dic
         "gain_position": (n, config.position),
         **layer_shapes(layers, WITHOUT_BIAS),
     }
-
-
-def check_modal(network: Mapping[str, np.ndarray], sizes: Mapping[str, int], mean: Surface, code_size: int) -> None:
-    """Raise InputError unless a network has every array, of the shapes that sizes of ModalConfig ask, and finite."""
-    check_network(network, modal_shapes(ModalConfig(**sizes), Features(mean), code_size))
 
 
 def basis(network: Arrays, local, code, vertices=EVERY):

@@ -13,9 +13,8 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.mirror import is_symmetric
 from ...lhm.base.mesh import Floats, Floats32, Ints
 from ...lhm.identities.arkit import MIRRORED
-from ..corpus.face import Frames, KeptFace
+from ..corpus.face import Frames, KeptFace, surface_hash
 from ..corpus.reading import Faces
-from ..corpus.surface_hash import surface_hash
 from .features import Features, Inputs
 from .layers import EVERY
 from .trainer import hold_out_people
@@ -161,7 +160,7 @@ class LessonFaces:
         """
         if more is not None and surface_hash(more.mean) != surface_hash(corpus.mean):
             raise InputError("training: the second corpus is of another space or level than the first")
-        people = np.unique(corpus.groups[:, 0])
+        people = corpus.people
         if len(people) < LEAST_PEOPLE:
             raise InputError(
                 f"training: {len(people)} people of {corpus.folder} have derivatives; at least 10 are needed, "
@@ -170,7 +169,7 @@ class LessonFaces:
         held_out = hold_out_people(people, validation_share, rng)
         is_held_out = np.isin(corpus.groups[:, 0], held_out)
         training, held = np.flatnonzero(~is_held_out), np.flatnonzero(is_held_out)
-        inputs = Inputs.from_faces(corpus) if start is None else Inputs.from_weights(start)
+        inputs = Inputs.from_codes(corpus.mean, corpus.codes) if start is None else start.inputs
         has_mirror = _is_mirrored(corpus.face(int(training[0])), inputs.features)
         return cls(corpus, more, inputs, training, held, held_out, has_mirror)
 

@@ -1,6 +1,6 @@
 """Training of the modal network: of its tables, then of its remainder, and the file that it ends in.
 
-`modal_faces` has the faces, `modal_start` what the network begins with, `table_training` how its tables learn.
+`modal_faces` has the faces, `table_training` how its tables learn.
 """
 
 from __future__ import annotations
@@ -13,17 +13,37 @@ from typing import Any
 import numpy as np
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Ints
+from ...lhm.base.mesh import Floats32, Ints
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
+from .components import find_components
 from .features import seen_ranges
-from .modal import ModalConfig, basis, bind_modal, modal_shapes, remainder
+from .modal import (
+    QUIET,
+    WITHOUT_BIAS,
+    ModalConfig,
+    basis,
+    bind_modal,
+    modal_shapes,
+    remainder,
+    remainder_layers,
+)
 from .modal_faces import LessonFaces
-from .modal_start import draw_network
-from .table_training import TableTraining, after_tables, continue_network, train_tables
+from .table_training import TableTraining, after_tables, draw_mixers, learn_tables
 from .tables import expand, find_first_order
-from .trainer import Lesson, Trainer, TrainerConfig, join_curves, open_device, to_tensors, torch
-from .weights import TrainingNote, Weights
+from .trainer import (
+    Lesson,
+    Trainer,
+    TrainerConfig,
+    draw_layers,
+    draw_positions,
+    join_curves,
+    open_device,
+    quieten,
+    to_tensors,
+    torch,
+)
+from .weights import MODAL, TrainingNote, Weights
 
 OF_REMAINDER = ("gain_", "remainder_", "modes", "size_")
 """Beginnings of the names of arrays that frames teach."""
@@ -49,6 +69,8 @@ BEGUN_RATE = 0.3
 """Of the learning rate, where a remainder begins with weights."""
 FRAME_FLOOR = 0.02
 """[mm] Added to a face's motion, by which errors of its frames count: a still face must not decide."""
+SAMPLED_FRAMES = 4
+"""Of each face whose remainders the modes start from."""
 ROUNDING = 1e-6
 """[mm²] Added to a squared distance, which at zero has no derivative."""
 
@@ -78,15 +100,10 @@ def train_modal(
     device, rng = open_device(config.device), np.random.default_rng([config.seed, 0])
     data = LessonFaces.divide(faces, more, start, validation_share=config.validation, rng=rng)
     torch.manual_seed(config.seed)
-    if start is None:
-        framed = rng.permutation(data.find_framed(config.frames))[: config.sampled]
-        network = draw_network(data, config.network, framed, rng)
-    else:
-        network = continue_network(start, data, modal_shapes(config.network, data.features, data.code_size))
-    curve: list[dict[str, float]] = []
-    if start is None or more is not None or not faces.has_frames:
-        learned, curve = train_tables(data, network, config.tables, config, state, on_progress)
-        network |= learned
+    shapes = modal_shapes(config.network, data.features, data.code_size)
+    network, curve = learn_tables(
+        data, start, shapes, lambda: draw_network(data, config, rng), config.tables, config, state, on_progress
+    )
     if faces.has_frames:
         at_remainder = RemainderLesson(data, network, config, device)
         rest = config if start is None else replace(config, learning_rate=BEGUN_RATE * config.learning_rate)
@@ -95,6 +112,34 @@ def train_modal(
         network |= trainer.arrays()
         curve = join_curves(curve, trainer.curve)
     return _export(data, network, curve, config, start)
+
+
+def draw_network(data: LessonFaces, training: ModalTraining, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return a network without tables, whose modes are principal components of the remainders of some faces."""
+    mean, config = data.corpus.mean, training.network
+    framed = rng.permutation(data.find_framed(training.frames))[: training.sampled]
+    modes, sizes = find_components(_sample_remainders(data, framed, rng), config.modes, rng)
+    place = draw_positions(mean.vertices, mean.vertex_normals, config.position, rng)
+    mixers = draw_mixers(config, mean, data.code_size, rng)
+    layers = draw_layers(remainder_layers(config, data.features, data.code_size), WITHOUT_BIAS)
+    quieten(layers, QUIET)
+    layers["remainder_linear.weight"] *= 0.0
+    return mixers | {
+        **{name: value.numpy() for name, value in layers.items()},
+        "gain_position": place,
+        "modes": modes.reshape(len(modes), *mean.vertices.shape) * np.sqrt(np.float32(mean.vertices.size)),
+        "size_remainder": sizes.astype(np.float32),
+    }
+
+
+def _sample_remainders(data: LessonFaces, framed: Ints, rng: np.random.Generator) -> Floats32:
+    """Return what some frames of faces have beyond first order [mm], a row (3 n,) each."""
+    rows = []
+    for number in framed.tolist():
+        (face,) = data.draw_sides(data.faces([number]), rng)
+        frames = data.corpus.frames(number, rng.permutation(len(data.corpus.frames_of[number]))[:SAMPLED_FRAMES])
+        rows.append(face.see(frames).remainder(face).reshape(len(frames.weights), -1))
+    return np.vstack(rows)
 
 
 class RemainderLesson(Lesson):
@@ -172,9 +217,11 @@ def _export(
 ) -> Weights:
     """Return a trained network with what it was made from."""
     corpus, more, inputs = data.corpus, data.more, data.inputs
-    seen: list[Mapping[str, tuple[float, float]]] = [seen_ranges(corpus, data.training, data.features)]
+    seen: list[Mapping[str, tuple[float, float]]] = [
+        seen_ranges(data.features, map(corpus.coefficients, data.training.tolist()))
+    ]
     if more is not None:
-        seen.append(seen_ranges(more, np.arange(len(more)), data.features))
+        seen.append(seen_ranges(data.features, map(more.coefficients, range(len(more)))))
     if start is not None:
         seen.append(start.note.seen)
     joined = {name: [end for ranges in seen for end in ranges[name]] for name in seen[0]}
@@ -191,4 +238,4 @@ def _export(
         before=None if start is None else asdict(start.note),
     )
     looseness = None if start is None else start.looseness
-    return Weights("modal", corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness)
+    return Weights(MODAL, corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness)

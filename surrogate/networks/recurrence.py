@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.checks import finite
 from ...lhm.base.mesh import Floats
 from ..corpus.mixture import NAMES
 from ..corpus.plan import RATE
 from ..rigs.inertia import LearnedSwing
 from ..rigs.rig import silu
-from .layers import Arrays, check_network, exp, layer_shapes, linear, perceptron, perceptron_layers
+from .layers import Arrays, exp, linear, perceptron, perceptron_layers
 
 COEFFICIENTS = ("beta", "gamma")
 WITHOUT_BIAS = tuple(f"{name}_{layer}" for name in COEFFICIENTS for layer in ("from_position", "from_code"))
@@ -60,14 +59,6 @@ class LearnedRecurrence:
 
     network: Mapping[str, np.ndarray]
     pivot: Floats
-
-    def check(self, vertices: int, code_size: int) -> None:
-        """Raise InputError unless every array is there, of fitting shape and finite."""
-        table, bias = (np.asarray(self.network.get(name, ())) for name in ("position", "beta_from_parameters.bias"))
-        position = table.size // vertices
-        layers = layer_shapes(recurrence_layers(code_size, position, bias.size), WITHOUT_BIAS)
-        check_network(self.network, {"position": (vertices, position)} | layers)
-        finite("recurrence pivot", self.pivot, (3,))
 
     def bind(self, code: Floats, at_vertices: Floats) -> LearnedSwing:
         """Evaluate α, β, γ of a normalised code (c,) and of NAMES in [-1, 1] at vertices (n, P)."""

@@ -12,12 +12,10 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import extrapolate_turns, find_pivot
-from ..corpus.face import KeptFace, Person
-from ..corpus.heads import Heads
+from ..corpus.face import Heads, KeptFace, Person
 from ..corpus.mixture import basis
 from ..corpus.reading import Table
 from ..rigs.rig import Rig
-from .features import Inputs
 from .recurrence import WITHOUT_BIAS, LearnedRecurrence, coefficients, recurrence_layers
 from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, draw_positions, torch
 from .weights import Weights
@@ -81,7 +79,7 @@ class RecurrenceLesson(Lesson):
 
     def __init__(self, weights: Weights, bind: Bind, table: Table, pivot: Floats, config: RecurrenceTraining):
         self.table, self.config = table, config
-        self._inputs, self._bind = Inputs.from_weights(weights), bind
+        self._inputs, self._bind = weights.inputs, bind
         self._pivot = torch.from_numpy(pivot.astype(np.float32))
         held = set(weights.note.held)
         people = table.groups[:, 0].tolist()

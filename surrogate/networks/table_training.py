@@ -8,7 +8,7 @@ vertices: of those that it never saw it leaves as much. So a step costs a twenti
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -111,10 +111,29 @@ def draw_mixers(sizes: TableSizes, mean: Surface, code_size: int, rng: np.random
     return {name: value.numpy() for name, value in layers.items()} | places
 
 
-def continue_network(
-    start: Weights, data: LessonFaces, expected: Mapping[str, tuple[int, ...]]
-) -> dict[str, np.ndarray]:
-    """Return the arrays of earlier weights that a network has; InputError where there are none of these shapes."""
+def learn_tables(
+    data: LessonFaces,
+    start: Weights | None,
+    shapes: Mapping[str, tuple[int, ...]],
+    draw: Callable[[], dict[str, np.ndarray]],
+    options: TableTraining,
+    rest: TrainerConfig,
+    state: str | PathLike[str] | None,
+    on_progress: OnProgress,
+) -> tuple[dict[str, np.ndarray], list[dict[str, float]]]:
+    """Return the arrays with which the steps that follow begin, tables among them, and the curve; see `train_tables`.
+
+    Drawn and trained, or those of earlier weights: these keep their tables where there are frames and no more faces.
+    Raises InputError for a `start` without arrays of these shapes.
+    """
+    network = draw() if start is None else _continue(start, data, shapes)
+    if start is not None and data.more is None and data.corpus.has_frames:
+        return network, []
+    learned, curve = train_tables(data, network, options, rest, state, on_progress)
+    return network | learned, curve
+
+
+def _continue(start: Weights, data: LessonFaces, expected: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
     start.check_mesh(data.corpus.mean)
     if any(name not in start.network or start.network[name].shape != shape for name, shape in expected.items()):
         raise InputError(

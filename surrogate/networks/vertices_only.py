@@ -30,7 +30,7 @@ class VerticesOnly(Lesson):
 
     def fit(self, faces: Faces) -> None:
         """Train on at most FRAMES frames, about as many of each face."""
-        self._inputs = Inputs.from_faces(faces)
+        self._inputs = Inputs.from_codes(faces.mean, faces.codes)
         torch.manual_seed(self._config.seed)
         rng = np.random.default_rng(self._config.seed)
         each = max(1, FRAMES // max(len(faces), 1))

@@ -1,39 +1,49 @@
-"""The weights of a trained network as one safetensors file: numbers only, so that reading it runs no code."""
+"""The weights of a trained network as one safetensors file: numbers only, so that reading it runs no code.
+
+The file has a version, and a checksum over all its bytes; a reader trusts it after these.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from ...lhm.base.checks import finite, in_range, integers, text
-from ...lhm.base.errors import InputError, escape, quote
-from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.errors import InputError, quote
+from ...lhm.base.files.atomic import UNSEALED, is_sealed, seal, write_whole
 from ...lhm.base.files.text import parse_json, read_bytes
-from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
+from ...lhm.base.limits import WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
+from ..corpus.face import surface_hash
 from ..corpus.mixture import STATIC
-from ..corpus.surface_hash import surface_hash
 from ..rigs.inertia import Looseness
-from .forms import FORMS
-from .modal import check_modal
+from .face_wise import FaceWise
+from .features import Features, Inputs
+from .gradients import GradientForm
+from .hypernetwork import Hypernetwork, PrintedHypernetwork
 from .recurrence import LearnedRecurrence
+from .softsmpl import SoftSMPL
 
-CHECKS = {"modal": check_modal} | {kind: form.check for kind, form in FORMS.items()}
-"""What checks the arrays of each kind of network by the sizes that its training noted: run time indexes them without
-looking."""
-UNSEALED = "0" * 64
-"""What stands for a checksum while it is computed."""
-FARTHEST = 1e5
-"""[mm] Of any vertex or pivot, and of a number of a code: a hundred metres."""
+FORMAT = 6
+"""Format version. Raise it when layout or meaning changes; others are refused."""
+MODAL = "modal"
+"""The kind of the network that is no form of deformation gradients."""
+FORMS: Mapping[str, GradientForm] = {
+    form.kind: form for form in (Hypernetwork(), PrintedHypernetwork(), SoftSMPL(), FaceWise())
+}
+"""The forms of networks of deformation gradients, by kind."""
+
+
+def has_tables(kind: str) -> bool:
+    """Whether a network of a kind has an offset and responses, which the simulator's can replace."""
+    return kind == MODAL or FORMS[kind].has_tables
 
 
 @dataclass(frozen=True)
@@ -76,8 +86,8 @@ class TrainingNote:
 class Weights:
     """Arrays of a network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
 
-    kind: one of CHECKS. looseness: what dynamic frames need besides; None where nobody could fit heads to the people.
-    recurrence: learned coefficients of Eq. 21, which take its place.
+    kind: MODAL, or one of FORMS. looseness: what dynamic frames need besides; None where nobody could fit heads to the
+    people. recurrence: learned coefficients of Eq. 21, which take its place.
     """
 
     kind: str
@@ -89,6 +99,11 @@ class Weights:
     note: TrainingNote
     looseness: Looseness | None = None
     recurrence: LearnedRecurrence | None = None
+
+    @cached_property
+    def inputs(self) -> Inputs:
+        """Features of faces, normalised as in training."""
+        return Inputs(Features(self.mean), self.code_mean, self.code_scale)
 
     @property
     def template(self) -> str:
@@ -109,11 +124,13 @@ class Weights:
         other tables in bytes (see `tables`).
         """
         about = {
-            "format": _format(self.kind),
+            "format": FORMAT,
+            "kind": self.kind,
             "space": self.space,
             "template": self.template,
             "parameters": STATIC,
             "note": asdict(self.note),
+            "checksum": UNSEALED,
         }
         arrays: dict[str, np.ndarray] = {
             f"network.{name}": np.ascontiguousarray(value, dtype=_choose_type(name, value))
@@ -132,111 +149,55 @@ class Weights:
             learned = self.recurrence.network.items()
             arrays |= {f"recurrence.{name}": np.ascontiguousarray(value, dtype=np.float32) for name, value in learned}
             arrays["recurrence.pivot"] = np.ascontiguousarray(self.recurrence.pivot, dtype=np.float64)
-        about["checksum"] = UNSEALED
         write_whole(Path(path), seal(save(arrays, metadata={"softdeca": json.dumps(about)})))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Weights:
-        """Read what `save` wrote, each array and note checked; InputError names the file and what is wrong."""
+        """Read what `save` wrote; InputError, one line, for a file that is missing, damaged or of another version."""
         path = Path(path)
         if not path.exists():
             raise InputError(f"weights {path}: no such file; `softdeca train` makes it")
         content = read_bytes(path, WEIGHTS_BYTES)
-        try:
-            size = int.from_bytes(content[:8], "little")
-            about = parse_json(parse_json(content[8 : 8 + size])["__metadata__"]["softdeca"])
-            formats = {_format(kind): kind for kind in CHECKS}
-            if about["format"] not in formats:
-                raise InputError(f"format {quote(about['format'])!r}, this version reads {', '.join(formats)}")
-            if tuple(about["parameters"]) != STATIC:
-                raise InputError("of other parameters than this version has; train them anew")
-            if "checksum" not in about:
-                raise InputError("without a checksum")
-            if _digest(content, said := text("checksum", about["checksum"])) != said:
-                raise InputError("their content does not match their checksum")
-            return cls._from_arrays(formats[about["format"]], about, load(content))
-        except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            said = escape(" ".join(str(error).split()))[:200] or type(error).__name__
-            raise InputError(f"weights {path}: damaged, or no weights of softdeca ({said})") from None
-
-    @classmethod
-    def _from_arrays(cls, kind: str, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Weights:
-        mean = Surface(
-            finite("mean.vertices", arrays["mean.vertices"], (None, 3), most=FARTHEST), arrays["mean.triangles"]
+        about = _read_about(path, content)
+        if about["format"] != FORMAT:
+            raise InputError(
+                f"weights {path}: of format {quote(about['format'])}, this version reads {FORMAT}; train them anew"
+            )
+        if not is_sealed(content, about["checksum"]):
+            raise InputError(f"weights {path}: damaged, their content does not match their checksum; train them anew")
+        arrays, note = load(content), about["note"]
+        loose, swing = _select(arrays, "looseness"), _select(arrays, "recurrence")
+        seen = {name: (low, high) for name, (low, high) in note["seen"].items()}
+        return cls(
+            kind=about["kind"],
+            space=about["space"],
+            mean=Surface(arrays["mean.vertices"], arrays["mean.triangles"]),
+            code_mean=arrays["code_mean"],
+            code_scale=arrays["code_scale"],
+            network={name: value.astype(np.float32) for name, value in _select(arrays, "network").items()},
+            note=TrainingNote(**note | {"curve": tuple(note["curve"]), "seen": seen, "held": tuple(note["held"])}),
+            looseness=Looseness(**{k: v.astype(np.float64) for k, v in loose.items()}) if loose else None,
+            recurrence=LearnedRecurrence(swing, swing.pop("pivot")) if swing else None,
         )
-        code_mean = finite("code_mean", arrays["code_mean"], (None,), most=FARTHEST)
-        code_scale = in_range("code_scale", arrays["code_scale"], 1e-9, FARTHEST, code_mean.shape)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused
-            network = {
-                name.removeprefix("network."): value.astype(np.float32)
-                for name, value in arrays.items()
-                if name.startswith("network.")
-            }
-        space, note = text("space", about["space"]), _read_note(about["note"])
-        CHECKS[kind](network, note.config["network"], mean, len(code_mean))
-        looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
-        recurrence = _read_recurrence(arrays, len(code_mean), len(mean.vertices))
-        weights = cls(kind, space, mean, code_mean, code_scale, network, note, looseness, recurrence)
-        if weights.template != about["template"]:
-            raise InputError(f"their mesh is not the one they name ({quote(about['template'])}); train them anew")
-        return weights
 
 
-def _format(kind: str) -> str:
-    return f"softdeca-{kind.replace(' ', '-')}-5"
+def _read_about(path: Path, content: bytes) -> dict[str, Any]:
+    """Read what a file says of itself; InputError for one that has no format or checksum of ours."""
+    size = int.from_bytes(content[:8], "little")
+    try:
+        about = parse_json(parse_json(content[8 : 8 + size])["__metadata__"]["softdeca"])
+        return about | {"format": about["format"], "checksum": str(about["checksum"])}
+    except (ValueError, LookupError, TypeError):
+        raise InputError(f"weights {path}: damaged, or no weights of softdeca") from None
+
+
+def _select(arrays: Mapping[str, np.ndarray], part: str) -> dict[str, np.ndarray]:
+    """Return the arrays of a part of a file, without its name."""
+    beginning = f"{part}."
+    return {name.removeprefix(beginning): value for name, value in arrays.items() if name.startswith(beginning)}
 
 
 def _choose_type(name: str, value: np.ndarray) -> type:
     if name.endswith("_table"):
         return np.int8
     return np.float16 if np.ndim(value) > 1 else np.float32
-
-
-def seal(content: bytes) -> bytes:
-    """Put the checksum of a whole file, header included, in the place of its zeros."""
-    return content.replace(UNSEALED.encode(), _digest(content, UNSEALED).encode(), 1)
-
-
-def _digest(content: bytes, checksum: str) -> str:
-    """SHA-256 of a file in which zeros stand for its checksum."""
-    return hashlib.sha256(content.replace(checksum.encode(), UNSEALED.encode(), 1)).hexdigest()
-
-
-def _read_note(said: Mapping[str, Any]) -> TrainingNote:
-    """Read the note of a training; check its counts, curve and ranges."""
-    counts = {name: said[name] for name in ("people", "faces", "frames", "neutrals", "steps")}
-    for name, count in counts.items():
-        integers(f"note {name}", count, 0, 2**53, ())
-    curve = said["curve"]
-    CURVE_POINTS.check("note curve", len(curve))
-    for point in curve:
-        finite("note curve", list(point.values()), (len(point),))
-    if not curve or "seconds" not in curve[-1]:
-        raise InputError("note curve: no point with its seconds")
-    unknown = set(said["seen"]) ^ set(STATIC)
-    if unknown:
-        raise InputError(f"note seen: {quote(min(unknown))} is not known, or missing")
-    seen = {name: tuple(in_range(f"note seen {name}", said["seen"][name], -1.0, 1.0, (2,)).tolist()) for name in STATIC}
-    held = integers("note held", np.array(said.get("held", ()), dtype=np.int64), 0, 2**53, (None,)).tolist()
-    config, before = said["config"], said.get("before")
-    if not isinstance(config, dict) or not isinstance(before, (dict, type(None))):
-        raise InputError("note config and before: expected objects")
-    if before is not None:
-        before = asdict(_read_note(before))
-    return TrainingNote(**counts, config=config, curve=tuple(curve), seen=seen, held=tuple(held), before=before)
-
-
-def _read_looseness(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> Looseness | None:
-    if "looseness.shares" not in arrays:
-        return None
-    shares = finite("looseness.shares", arrays["looseness.shares"], (code_size + 1, vertices), most=FARTHEST)
-    return Looseness(shares, finite("looseness.pivots", arrays["looseness.pivots"], (code_size + 1, 3), most=FARTHEST))
-
-
-def _read_recurrence(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> LearnedRecurrence | None:
-    if "recurrence.pivot" not in arrays:
-        return None
-    read = {k.removeprefix("recurrence."): value for k, value in arrays.items() if k.startswith("recurrence.")}
-    learned = LearnedRecurrence({k: value for k, value in read.items() if k != "pivot"}, read["pivot"])
-    learned.check(vertices, code_size)
-    return learned

@@ -13,7 +13,6 @@ identities = 2
 frames = 1
 sequences = 0
 references = 0
-parameter_responses = 0.0
 [sources]
 conversation = 0.5
 random = 0.5

@@ -19,8 +19,8 @@ SPACE = Spheres(1)
 OF_THE_CHECKOUT = {"clean tree", "commit"}
 """What a results file may lack here: tests run on changed trees, and without git."""
 PLAN = CorpusPlan(
-    identities=12, groups=2, frames=6, sequences=0, references=0, parameter_responses=0.0,
-    varying=0.0, kinds={"few": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
+    identities=12, groups=2, frames=6, sequences=0, references=0,
+    varying=0.0, kinds={"materials": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ READERS = (
     "lhm/base/files", "lhm/base/checks", "lhm/base/mesh", "lhm/head", "lhm/rig", "lhm/template", "lhm/identities",
     "lhm/expressions/readers", "lhm/expressions/takes", "lhm/anatomy/bodyparts", "lhm/template/registration/landmarks",
     "lhm/regressor", "lhm/scans/personal", "reference/face/parameters", "surrogate/corpus/folder",
-    "surrogate/corpus/intact", "surrogate/corpus/manifest", "surrogate/corpus/plan", "surrogate/corpus/reading",
+    "surrogate/corpus/manifest", "surrogate/corpus/plan", "surrogate/corpus/reading",
     "surrogate/corpus/shard", "surrogate/networks/weights", "surrogate/networks/modal.py",
     "benchmarks/face/score", "benchmarks/harness/results", "benchmarks/harness/report", "animation/live/messages",
 )  # fmt: skip

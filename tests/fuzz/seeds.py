@@ -36,10 +36,11 @@ from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.networks.features import Features
-from softdeca.surrogate.networks.forms import FORMS
 from softdeca.surrogate.networks.gradients import HELD, Sizes, Widths
+from softdeca.surrogate.networks.layers import layer_shapes
 from softdeca.surrogate.networks.modal import ModalConfig, modal_shapes
-from softdeca.surrogate.networks.weights import CHECKS, TrainingNote, Weights
+from softdeca.surrogate.networks.tables import table_shapes
+from softdeca.surrogate.networks.weights import FORMS, MODAL, TrainingNote, Weights
 
 from ..robustness import whole_files
 from ..robustness.whole_files import big_endian_ply, exported, glb_words, obj, stl
@@ -97,12 +98,15 @@ def rough_weights(kind: str) -> Weights:
     """A network of random numbers, a digit each, on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
     n, faces, code_size = len(SPACE.mean.vertices), len(SPACE.mean.triangles), SPACE.code_size
-    if kind == "modal":
+    if kind == MODAL:
         config = ModalConfig(**SMALL, modes=3, local=4, summary=4, expression=4)
         shapes = modal_shapes(config, features, code_size)
     else:
         config = Widths(**SMALL, latent=2, expression=2, hidden=2)
-        shapes = FORMS[kind].shapes(Sizes(config, n, faces, code_size, len(STATIC)))
+        form, sizes = FORMS[kind], Sizes(config, n, faces, code_size, len(STATIC))
+        shapes = table_shapes(config, n, code_size) if form.has_tables else {}
+        shapes |= {"followed": (len(STATIC),), "anchored": (n,), **form.tables(sizes)}
+        shapes |= layer_shapes(form.layers(sizes), form.without_bias)
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))
@@ -166,7 +170,7 @@ def seeds(folder: Path) -> tuple[dict[tuple[str, str], bytes], dict[str, bytes]]
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
     Corpus.from_plan(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
     made = {(name, "whole"): (folder / name).read_bytes() for name in ("head.npz", "template.npz", "depths.npz")}
-    for kind in CHECKS:
+    for kind in (MODAL, *FORMS):
         rough_weights(kind).save(folder / "weights.safetensors")
         made["weights.safetensors", kind] = (folder / "weights.safetensors").read_bytes()
     flame = whole_files.flame()

@@ -47,7 +47,7 @@ def test_a_plan_is_the_same_each_time_and_another_seed_makes_another():
 
 
 @pytest.mark.parametrize(
-    "kinds", [{"materials": 0.3, "single": 0.35, "effects": 0.15, "both": 0.2}, {"few": 0.3, "both": 0.4}]
+    "kinds", [{"materials": 0.3, "single": 0.35, "effects": 0.15, "both": 0.2}, {"materials": 0.3, "both": 0.4}]
 )
 def test_a_plan_read_from_its_own_text_is_the_same(kinds):
     plan = CorpusPlan(kinds=kinds, sources=MADE_UP.sources)

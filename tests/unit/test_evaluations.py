@@ -9,8 +9,8 @@ import pytest
 from softdeca.benchmarks.studies.surrogate.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
@@ -25,7 +25,7 @@ from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
 PLAN = CorpusPlan(
-    identities=12, groups=1, frames=3, sequences=1, references=2, parameter_responses=0.0, run=24,
+    identities=12, groups=1, frames=3, sequences=1, references=2, run=24,
     kinds={"effects": 0.5, "both": 0.5}, sources={"conversation": 1.0}, conversations=4, random=0, seconds=4.0,
 )  # fmt: skip
 HEADS = Heads(lambda: PEOPLE)

@@ -11,9 +11,8 @@ from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.face import Derivatives, Frames, KeptFace, Person
+from softdeca.surrogate.corpus.face import Derivatives, Frames, Heads, KeptFace, Person
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import NAMES, ParameterSet, draw
 from softdeca.surrogate.corpus.people import OfSpace, people_from_text
 from softdeca.surrogate.corpus.plan import CorpusPlan
@@ -25,8 +24,7 @@ from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_metho
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, remainder
 from softdeca.surrogate.networks.modal_faces import LessonFace, LessonFaces
-from softdeca.surrogate.networks.modal_start import draw_network
-from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, train_modal
+from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, draw_network, train_modal
 from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining
 from softdeca.surrogate.networks.tables import Tables, compress, expand, find_first_order, mix_effects, mix_responses
 from softdeca.surrogate.networks.trainer import Trainer, to_tensors
@@ -40,7 +38,7 @@ SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
 N = len(SPACE.mean.vertices)
 PLAN = CorpusPlan(
-    identities=20, groups=4, frames=5, sequences=0, references=0, parameter_responses=0.0,
+    identities=20, groups=4, frames=5, sequences=0, references=0,
     kinds={"effects": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 NETWORK = ModalConfig(
@@ -192,7 +190,7 @@ def divide(faces, split="train"):
 def lessons(faces):
     """Of tables and of the remainder, begun, with tables of all vertices."""
     data = divide(faces)
-    network = draw_network(data, NETWORK, data.training[:20], np.random.default_rng(0))
+    network = draw_network(data, replace(CONFIG, sampled=20), np.random.default_rng(0))
     of_tables = TableLesson(data, network, TableTraining(vertices=20), 0, "cpu", lambda *_: None)
     trainer = Trainer(of_tables, CONFIG.tables.schedule(CONFIG))
     trainer.run(3)
@@ -337,6 +335,18 @@ def test_weights_outside_their_range_are_clipped_and_counted(surrogate):
     with pytest.warns(UserWarning, match="1 of 52 weights outside"):
         found = baked.target_weights(np.r_[1.5, np.full(51, 0.5)])
     assert np.array_equal(found, baked.target_weights(np.r_[1.0, np.full(51, 0.5)]))
+
+
+def test_weights_that_are_damaged_or_old_are_named(weights, tmp_path):
+    path = tmp_path / "modal.safetensors"
+    weights.save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-300])
+    with pytest.raises(InputError, match="damaged, their content does not match"):
+        Weights.load(path)
+    path.write_bytes(whole.replace(b'format\\": 6', b'format\\": 5', 1))
+    with pytest.raises(InputError, match="of format 5, this version reads 6; train them anew"):
+        Weights.load(path)
 
 
 def test_a_code_and_a_skin_of_two_people_are_refused():

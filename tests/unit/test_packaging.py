@@ -50,8 +50,8 @@ def test_light_imports_load_no_heavy_package(module):
 
 
 def test_no_modules_import_one_another():
-    """Imports inside functions count, too; those for type checkers alone do not."""
-    graph = grimp.build_graph(*(f"softdeca.{name}" for name in PORTIONS), exclude_type_checking_imports=True)
+    """Imports inside functions count, too, and those for type checkers alone."""
+    graph = grimp.build_graph(*(f"softdeca.{name}" for name in PORTIONS))
     modules = sorted(graph.modules)
     number = {module: k for k, module in enumerate(modules)}
     pairs = [(number[m], number[n]) for m in modules for n in graph.find_modules_directly_imported_by(m)]

@@ -12,8 +12,8 @@ from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_skin
+from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.heads import Heads
 from softdeca.surrogate.corpus.mixture import STATIC, select_static
 from softdeca.surrogate.corpus.people import people_from_text
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
@@ -102,7 +102,7 @@ def test_each_expression_has_one_strength():
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
     plan = CorpusPlan(
-        identities=4, groups=3, frames=3, sequences=0, references=0, parameter_responses=0.0, varying=0.3,
+        identities=4, groups=3, frames=3, sequences=0, references=0, varying=0.3,
         kinds={"materials": 0.3, "single": 0.7}, sources={"hard": 1.0}, conversations=0, random=0, hard=3, seconds=2.0,
     )  # fmt: skip
     corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), plan, PEOPLE)
@@ -129,7 +129,7 @@ def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces)
 def test_a_corpus_keeps_how_bones_carry_and_a_face_without_a_head_is_refused_by_name(faces):
     scaled = next(face for k in range(len(faces)) if (face := faces.face(k)).carried.any())
     np.testing.assert_allclose(scaled.carried, scaled.live.carried, atol=0.02)
-    for heads in (None, Heads.from_corpus(faces.folder)):
+    for heads in (None, Corpus.open(faces.folder).heads()):
         with pytest.raises(InputError, match="a head .*is needed, but .*(nobody fits it|made from Python)"):
             _ = replace(scaled, heads=heads).live
         with pytest.raises(InputError, match="a head .*is needed"):

@@ -16,7 +16,6 @@ from ....lhm.base.mesh import Floats
 from ....reference import Face, Parameters, Prepared, facial_scene, prepare
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
-from ....surrogate.corpus.mixture import FEW
 from ....surrogate.methods import PD
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
@@ -33,7 +32,7 @@ CHECKED_EVERY = 12
 """Frames of the sequence between two that are compared with a tight run."""
 KINDS = {
     "default p": (),
-    "the corpus' p at random": FEW,
+    "the corpus' p at random": ("soft_stiffness", "target_stiffness", "gravity"),
     "every p at random": tuple(info.name for info in Parameters.infos()),
 }
 """Which parameters are drawn, each over its whole range; the others are default."""

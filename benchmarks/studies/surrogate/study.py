@@ -18,8 +18,7 @@ from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
 from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
 from ....surrogate.motion import evaluate_motion, evaluate_played
-from ....surrogate.networks.forms import MODAL, has_tables
-from ....surrogate.networks.weights import TrainingNote
+from ....surrogate.networks.weights import MODAL, TrainingNote, has_tables
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
 from ...harness.study import Column, Row, Study, Task, Values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import secrets
 from collections.abc import Iterator
@@ -73,3 +74,18 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """
     with replaced(path) as temporary:
         temporary.write_bytes(content)
+
+
+UNSEALED = "0" * 64
+"""Stands for a file's checksum while that is computed."""
+
+
+def seal(content: bytes) -> bytes:
+    """Put the SHA-256 of a whole file in the place of UNSEALED, which it holds once."""
+    return content.replace(UNSEALED.encode(), hashlib.sha256(content).hexdigest().encode(), 1)
+
+
+def is_sealed(content: bytes, checksum: str) -> bool:
+    """Whether `checksum`, which a file holds, is what `seal` gave it."""
+    unsealed = content.replace(checksum.encode(), UNSEALED.encode(), 1)
+    return len(checksum) == len(UNSEALED) and hashlib.sha256(unsealed).hexdigest() == checksum
