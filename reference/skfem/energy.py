@@ -18,9 +18,8 @@ from .. import terms
 from ..scene import Scene
 from .barrier import Barrier
 from .discretisation import Discretisation
-from .gaps import Gaps
 from .solids import Tissue, Treatment, project_spd
-from .surfaces import Bends, Membranes
+from .surfaces import Membranes
 
 
 class Part(Protocol):
@@ -130,10 +129,8 @@ PARTS: dict[type[terms.Term], type[Part]] = {
     terms.Gravity: DeadLoads,
     terms.Traction: DeadLoads,
     terms.SurfaceStrain: Membranes,
-    terms.Bending: Bends,
     terms.Target: Springs,
     terms.Contact: Barrier,
-    terms.Gaps: Gaps,
 }
 """The class that models each term that has an energy."""
 TERMS = (*PARTS, terms.Fixed, terms.RigidBody)

@@ -94,8 +94,8 @@ def prepare(scene: Scene, *, element: str = "P1", policy: SkfemPolicy = POLICY) 
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 
     Quadratic tets have nodes on their edges too. Their start is the mean of the ends'; a node is held, or part of a
-    body, where all of a boundary face is; loads and membranes are those of quadratic faces. Targets and
-    bending act on vertices alone. `policy` has the constants.
+    body, where all of a boundary face is; loads and membranes are those of quadratic faces. `policy` has
+    the constants.
 
     Raises SceneError for a term or an element that this solver does not model.
     """

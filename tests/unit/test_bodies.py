@@ -67,8 +67,9 @@ WAYS_OF_JAWS = [
 def test_a_body_stays_rigid_and_a_sequence_goes_on(spheres, solver, options, subdivisions, scale):
     """In a few iterations of Newton; a body's other size is taken without preparing anew, from rest or an answer."""
     head = spheres(subdivisions)
-    scene = jaw_scene(head, *curved(head), scale=scale)
-    before = scene if solver == "projective" else jaw_scene(head, *curved(head))  # whose matrix has the body's shape
+    bent = [] if solver == "skfem" else curved(head)
+    scene = jaw_scene(head, *bent, scale=scale)
+    before = scene if solver == "projective" else jaw_scene(head, *bent)  # whose matrix has the body's shape
     prepared = prepare_by(solver, before, **options)
     answer = prepared.solve(scene, tolerance=1e-11)
     assert answer.converged and (answer.iterations <= 15 or solver == "projective")

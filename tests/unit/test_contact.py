@@ -33,14 +33,14 @@ def bar(cells, size, origin, *, kept=None):
     return X[used] + origin, tets.reshape(-1, 4)
 
 
-def solve_with_pairs(scene, solver):
+def solve_with_pairs(scene):
     """PD's answer; its frozen pairs, a start a little beside the answer, and what finite elements answer to them."""
-    pytest.importorskip("ipctk" if solver == "skfem" else "dolfinx")
+    pytest.importorskip("dolfinx")
     prepared = prepare(scene)
     by_pd = prepared.solve(tolerance=1e-10)
     frozen = prepared.freeze_contact(by_pd.positions)
     start = by_pd.positions + np.random.default_rng(0).normal(scale=1e-5, size=scene.vertices.shape)
-    solution = solve(frozen, solver=solver, start=start, tolerance=1e-8)
+    solution = solve(frozen, solver="fenicsx", start=start, tolerance=1e-8)
     assert solution.converged, solution.reason
     return by_pd, frozen, start, solution
 

@@ -65,14 +65,14 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "laws on the same tets": ([*TWO_LAWS, terms.Strain(1.0), terms.Volume(5.0, tets=SOME)], 0.03, SOLVERS[1:]),
     "SurfaceStrain": ([terms.SurfaceStrain(SKIN, 2.0, growth=1.3)], 0.3, SOLVERS),
     "SurfaceStrain of another rest": ([MEMBRANE], 0.3, SOLVERS),
-    "Bending": ([BENDING], 0.3, SOLVERS),
-    "Bending of another rest": ([terms.Bending(SKIN, 1.0, rest=OTHER_SHAPE)], 0.3, SOLVERS),
+    "Bending": ([BENDING], 0.3, SOLVERS[:2]),
+    "Bending of another rest": ([terms.Bending(SKIN, 1.0, rest=OTHER_SHAPE)], 0.3, SOLVERS[:2]),
     "Target and loads": ([PULL, EVERYWHERE, *LOADS], 1.0, SOLVERS),
     "bodies": ([*PD[1:], *OVERLAPPING, MEMBRANE, PULL, *BODIES], 0.2, SOLVERS),
     "held": ([terms.Strain(5.0), PULL, terms.Fixed([3, 4], components=1), terms.Fixed([7, 8])], 0.3, ("projective",)),
-    "all": ([*PD, SOFT, MEMBRANE, terms.Bending(TOP, 0.3), PULL, SPREAD, EVERYWHERE, *LOADS], 0.02, SOLVERS[1:]),
+    "all but bending": ([*PD, SOFT, MEMBRANE, PULL, SPREAD, EVERYWHERE, *LOADS], 0.02, SOLVERS[1:]),
 }
-QUADRATIC = ("all of projective dynamics, overlapping", "laws on the same tets", "bodies", "all")
+QUADRATIC = ("all of projective dynamics, overlapping", "laws on the same tets", "bodies", "all but bending")
 CASES = [
     (name, *way)
     for name, (_, _, solvers) in ENERGIES.items()
@@ -230,8 +230,9 @@ CLOSED_FORMS = {  # terms, motion, energy
 }
 
 
-@pytest.mark.parametrize("way", WAYS, ids=" ".join)
-@pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.parametrize(
+    ("name", "way"), [(name, way) for name in CLOSED_FORMS for way in WAYS if (name, way[0]) != ("Bending", "skfem")]
+)
 def test_closed_forms(name, way):
     parts, motion, expected = CLOSED_FORMS[name]
     assert energy_of(way, parts, motion) == pytest.approx(expected, rel=1e-12, abs=1e-12)
@@ -298,7 +299,7 @@ def areas(points, triangles):
     return np.linalg.norm(np.cross(*sides), axis=1) / 2
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVERS[:2])
 @pytest.mark.parametrize("cells", [(20, 6), (40, 12)])
 def test_rolling_a_flat_sheet_and_unrolling_a_cylinder(solver, cells):
     """The Laplacian of a cylinder's positions is its curvature 1/r, so E = k/2 area / r², up to (h/r)²/12 of it."""
@@ -312,7 +313,7 @@ def test_rolling_a_flat_sheet_and_unrolling_a_cylinder(solver, cells):
     assert energy_of(way, [towards], lambda x: x, (points, tets)) == pytest.approx(unrolling, rel=error)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVERS[:2])
 def test_a_dent_costs_twice_the_curvature(solver):
     """A shallow cap of a sphere: |Δx| = 2/r, and the other way round, 4/r off."""
     (points, tets), triangles, inner = sheet_of((24, 24))
@@ -323,7 +324,7 @@ def test_a_dent_costs_twice_the_curvature(solver):
     assert found == pytest.approx(dent, rel=0.02)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVERS[:2])
 def test_bending_stiffness_is_the_mean_over_triangles_and_terms_add_up(solver):
     """All inner vertices of this grid are alike but for the stiffness; a triangle counts a third at each corner."""
     mesh, triangles, inner = sheet_of((6, 4))

@@ -28,7 +28,6 @@ def pulled_block(*more):
             terms.Strain(0.5),
             terms.Volume(np.linspace(5.0, 9.0, len(TETS)), 1.1),
             terms.SurfaceStrain(skin, np.linspace(1.0, 2.0, len(skin)), growth=1.1, rest=X * [1.0, 1.1, 0.9]),
-            terms.Bending(meshes.triangles_at(X, TETS, 1, 1.0), 0.3),
             terms.Target(HIGH, X[HIGH] + [0.2, 0.3, 0.1], 0.7),
             terms.Fixed(LOW),
             terms.Gravity((0.2, -1.0, 3.0), density=np.linspace(0.1, 0.2, len(TETS))),
