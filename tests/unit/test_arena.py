@@ -1,4 +1,4 @@
-"""The arena: a solver's file from the page alone, rows of solvers that fail, refuse or are absent, and the claims."""
+"""The arena: a solver's file from the page alone, rows of solvers that fail, refuse or are absent."""
 
 import json
 import textwrap
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness.study import Row
-from softdeca.benchmarks.studies.arena import claims, contest, problems
+from softdeca.benchmarks.studies.arena import contest, problems
 from softdeca.benchmarks.studies.arena.conformance import conform
 from softdeca.benchmarks.studies.arena.laws import LAWS, PlainStable
 from softdeca.benchmarks.studies.arena.solvers import NAMES
@@ -119,7 +119,7 @@ def test_our_solvers_meet_fenicsx_and_the_study_writes_its_page(small, tmp_path,
     json.dumps([row.values for row in rows], allow_nan=False)
     assert "small block" in study.words(rows) and study.gates(rows) == []
     tables = study.tables(rows)
-    assert len(tables[0].rows) == len(rows) and len(tables[-1].rows) == len(claims.CLAIMS)
+    assert len(tables[0].rows) == len(rows)
     assert all("<svg" in picture for picture in study.pictures(rows).values())
 
 

@@ -16,7 +16,6 @@ from ....reference.added import NotModelledError, added_solvers
 from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, SKFEM
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from . import problems
-from .claims import judge_all
 from .contest import (
     ACCURACIES,
     ANSWER,
@@ -180,15 +179,12 @@ class Arena(Study):
         return "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate times to accuracies, who leaves the answer, series of moduli, the spread, and claims."""
+        """Tabulate times to accuracies, who leaves the answer, series of moduli, and the spread."""
         biases = [
             (row.case, row.values["solver"], row.values["setting"], row.values["max_mm"], row.values["solve_s"])
             for row in rows
             if row.values["start"] == ANSWER and (row.values["max_mm"] or 0.0) > ACCURACIES[HUNDREDTH]
         ]
-        judged = [
-            (claim.words, claim.source, verdict, figure) for claim, verdict, figure in judge_all(_without_seeds(rows))
-        ]  # fmt: skip
         return [
             tabulate_times(rows),
             Table("Started at the answer, these left it by more than 0.01 mm",
@@ -197,7 +193,6 @@ class Arena(Study):
             tabulate_best(rows, "The face of an expression", FACES),
             tabulate_series(rows),
             tabulate_spread(rows),
-            Table("Claims, as these problems have them", ["claim", "source", "verdict", "figures"], judged),
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:

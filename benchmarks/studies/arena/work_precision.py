@@ -32,7 +32,6 @@ from ....surrogate.methods import (
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, Stopwatch, distances, largest_distance, repeat_work
 from ..person import OfPerson
-from .claims import faster, find_time
 from .contest import (
     ACCURACIES,
     HUNDREDTH,
@@ -51,7 +50,7 @@ from .curves import Panel, plot_curves
 from .laws import RIGID
 from .problems import Problem, pull_handles
 from .solvers import libigl_arap
-from .summaries import tabulate_times, tabulate_work
+from .summaries import find_best, find_time, tabulate_times, tabulate_work
 
 FACE, ARAP = "the face's energy (Eq. 15)", "ARAP's energy, same tets"
 BY_ENERGY: Mapping[str, Sequence[str]] = {
@@ -253,13 +252,16 @@ def measure_lead(rows: Sequence[Row], rival: str, *, prepared: bool) -> float | 
 
     An accuracy that the rival never reaches is won if we reach it. None if we alone miss one, and without rows.
     """
-    ratios = [
-        ratio
-        for index in range(TENTH, len(ACCURACIES))
-        for ratio in faster(PD, rival, index, prepared=prepared)(rows).values()
-    ]
-    reached = [ratio for ratio in ratios if ratio is not None]
-    return max(reached) if reached and len(reached) == len(ratios) else None
+    ratios = []
+    for index in range(TENTH, len(ACCURACIES)):
+        ours, theirs = (find_best(rows, solver, index, prepared=prepared) for solver in (PD, rival))
+        for case in ours.keys() & theirs.keys():
+            seconds, its = ours[case], theirs[case]
+            if seconds is not None:
+                ratios.append(0.0 if its is None else seconds / its)
+            elif its is not None:
+                return None
+    return max(ratios, default=None)
 
 
 def name_case(text: str, energy: str) -> str:
