@@ -77,7 +77,6 @@ KEPT: Mapping[str, Kept] = {
     "arena": Kept("arena", {"whole": True, "seeds": 5}),
     "contact": Kept("contact"),
     "dial": Kept("dial", {"faces": 4, "external": f"ict:{ICT}"}, files=(ICT,)),
-    "dynamics": Kept("dynamics"),
     "face-benchmark": Kept("face-benchmark"),
     "hard": Kept("hard"),
     "heads": Kept("heads", {"count": 200}),

@@ -8,7 +8,6 @@ import numpy as np
 from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.face.problems import body_of
-from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
@@ -76,14 +75,6 @@ class SphereWorkPrecision(OfSphere, WorkPrecision):
     def tasks(self):
         # No network knows spheres.
         return [task for task in super().tasks() if task.method not in READY]
-
-
-@dataclass(frozen=True)
-class SphereDynamics(OfSphere, Dynamics):
-    def person(self, level=None, seed=None):
-        of = sphere(1)
-        front = of.head.skin.vertices[:, 2] > 0
-        return replace(of, head=replace(of.head, regions={"face": front, "lips": front}))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
     "Is the fast simulator right?": {
         "agreement": "agreement.study:Agreement",
         "verification": "verification:Verification",
-        "dynamics": "agreement.dynamics:Dynamics",
         "contact": "agreement.contact:Contact",
     },
     "Where is it wrong?": {

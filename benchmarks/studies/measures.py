@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Scene, Solution, prepare, solve, terms
+from ...reference import Scene, Solution, apply_law, prepare, solve, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
 from ..harness.processes import held_megabytes, peak_megabytes, reset_peak
@@ -236,7 +236,7 @@ def measure_megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how)
     return peak_megabytes() - before
 
 
-def load_kernels(**how) -> None:
+def load_kernels(law: str = PD_ENERGY, **how) -> None:
     """Solve a scene of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
     vertices = np.vstack([np.zeros(3), np.eye(3)])
     ids = np.arange(4)
@@ -246,7 +246,7 @@ def load_kernels(**how) -> None:
         terms.SurfaceStrain(np.array([[1, 2, 3]]), 1.0),
         terms.Target(ids, 1.1 * vertices, 1.0),
     )
-    prepare(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), **how).solve()
+    prepare(apply_law(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), law), **how).solve()
 
 
 LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0

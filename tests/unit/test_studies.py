@@ -2,16 +2,19 @@
 
 import json
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import run
-from softdeca.benchmarks.studies import verification
 from softdeca.benchmarks.studies.agreement.material import Material
+from softdeca.benchmarks.studies.arena.problems import Problem
+from softdeca.benchmarks.studies.motions import MOTIONS, run_motion
 from softdeca.benchmarks.studies.verification import compare_felupe
-from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
+from softdeca.reference import Parameters, facial_scene, terms
 
 pytestmark = pytest.mark.usefixtures("measured_here")
 
@@ -26,7 +29,6 @@ CHEAP = {
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
-    "SphereDynamics": {"frames": 8},
     "SphereRanks": {"level": 1, "processes": ("1", "2"), "rounds": 1, "repeats": 1},
     "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1},
 }
@@ -72,7 +74,18 @@ def test_felupe_finds_what_fenicsx_finds(sphere_head):
     pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
     skin = sphere_head.skin.vertices
     scene = facial_scene(sphere_head, Parameters(), skin * [1.02, 1.0, 1.0], bones="prescribed", without=("skin",))
-    outcome = compare_felupe(apply_law(scene, "neo-Hookean"))
+    (bones,), full, everywhere = scene.of(terms.Fixed), np.ones(len(scene.tets)), np.arange(len(scene.vertices))
+    springs = scene.of(terms.Target)
+    outcome = compare_felupe(
+        Problem(scene.vertices, scene.tets, bones.vertices, bones.values, springs, 3.0 * full, 9.0 * full, everywhere)
+    )
     assert outcome.passed and outcome.error < 1e-8 and outcome.value > 1.0
-    with pytest.raises(SceneError, match="Strain is not modelled"):
-        verification.solve_by_felupe(scene)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_motions_are_those_of_fem(spheres, name):
+    pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
+    head = spheres(1)
+    front = head.skin.vertices[:, 2] > 0
+    outcome = run_motion(name, replace(head, regions={"face": front, "lips": front}))
+    assert outcome.passed and outcome.value > 0.01

@@ -136,7 +136,7 @@ class Unknowns(OfPerson):
         """Measure what a solve costs."""
         mesh, method = self.meshes[task.case], METHODS[task.method]
         level, layers, element = mesh
-        load_kernels(solver=method.solver, **({} if task.method == PD else {"element": element}))
+        load_kernels(method.law, solver=method.solver, **({} if task.method == PD else {"element": element}))
         coarser: list[Mesh] = []
         if task.method != PD and element == "P1" and MESHES[mesh] > MESHES[DEFAULT_MESH]:
             coarser = [DEFAULT_MESH]
