@@ -13,6 +13,7 @@ from typing import Any
 
 import meshio
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ...lhm.base.files.atomic import replaced
 from ...lhm.base.mesh import Floats
@@ -22,8 +23,6 @@ from ...reference.materials.material import lame
 from . import score
 from .problems import BONES, GROWTH, MESHES, POISSON, PROBLEMS, YOUNG, Body, describe_measures
 
-MSH = MESHES[:2]
-"""Meshes that are written for gmsh too; the fine one would double the archive."""
 LAW = "psi = mu/2 (tr(F^T F) - 3) - mu ln J + lambda/2 (ln J)^2 per volume at rest, J = det F"
 POINT_ARRAYS = {
     "held": "1 where a point is held, else 0",
@@ -57,8 +56,6 @@ def write_archive(
     }
     for body, name in zip(bodies, MESHES, strict=True):
         files[f"meshes/{name}.vtu"] = _as_vtu(body)
-        if name in MSH:
-            files[f"meshes/{name}.msh"] = _as_msh(body)
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in files.items())
     with replaced(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, content in {**files, score.CHECKSUMS: sums.encode()}.items():
@@ -118,93 +115,9 @@ def describe(bodies: Sequence[Body], limits: Mapping[str, Mapping[str, Any]], co
 
 def write_card(description: Mapping[str, Any]) -> str:
     """Write the card: what is asked, the answers with their bands, how to score, licence and citation."""
-    meshes = [
-        f"| {name} | {facts['points']:,} | {facts['tets']:,} | {facts['held']:,} |"
-        for name, facts in description["meshes"].items()
-    ]
-    layers = [
-        f"| {each['name']} | {each['layer']} | {each['young_kPa']:g} | {each['poisson']:g} | {each['mu_kPa']:.6g} | "
-        f"{each['lambda_kPa']:.6g} |"
-        for each in description["law"]["layers"]
-    ]
-    arrays = [
-        f"- `{name}`: {text}" for name, text in (description["point_arrays"] | description["cell_arrays"]).items()
-    ]
-    problems = [f"- **{name}**: {problem['text']}" for name, problem in description["problems"].items()]
-    answers = []
-    for name, problem in description["problems"].items():
-        for quantity, asked in problem["quantities"].items():
-            size = float(np.linalg.norm(asked["value"]))
-            answers.append(f"| {name} | {quantity} [{asked['unit']}] | {size:.4g} | {asked['band']:.2g} |")
-    return CARD.format(
-        meshes="\n".join(meshes),
-        layers="\n".join(layers),
-        arrays="\n".join(arrays),
-        problems="\n".join(problems),
-        answers="\n".join(answers),
-        law=description["law"]["energy"],
-        growth=GROWTH,
-        commit=description["commit"],
-        version=description["version"],
-    )
-
-
-CARD = """# The open face benchmark, version {version}
-
-A human head as a problem of finite elements: meshes, materials, loads, and converged answers with their bands.
-Units are mm, mN, kPa and kg. x points to the head's left, y up, z to the front.
-
-{problems}
-
-## Meshes
-
-All are the same body. Each finer mesh splits every tet into eight, and has the points of the coarser one first.
-
-| mesh | points | tets | held points |
-|---|---|---|---|
-{meshes}
-
-`meshes/*.vtu` have these arrays; `.msh` (gmsh 2.2) have the layers as physical groups 1 and 2:
-
-{arrays}
-
-Elements of higher order hold all of a triangle of the boundary whose corners are held; between them the displacement is
-linear. `benchmark.json` has the cheek's traction and triangles, body force and every number of this page.
-
-## Material
-
-{law}
-
-| layer | number | E [kPa] | nu | mu [kPa] | lambda [kPa] |
-|---|---|---|---|---|---|
-{layers}
-
-In the problem growth, soft tissue has the energy {growth} psi(F {growth}^(-1/3)) per volume of the mesh.
-
-## Converged answers
-
-Of vectors the lengths; `benchmark.json` has the components. Skin figures are over the coarse mesh's points of the
-outer surface. A stress is von Mises' equivalent of Cauchy's stress, averaged over the coarse tets of `patches` by their
-volume at rest. A force is the sum of the reactions, by which held points hold the tissue, times the bone's weights.
-
-| problem | quantity | converged | band +- |
-|---|---|---|---|
-{answers}
-
-## Score an answer
-
-    python score.py my-jaw.vtu
-
-It needs numpy and meshio. The file (.vtu, .vtk, .msh of gmsh, or .xdmf) has the points and tets of one of the meshes,
-in their order, and on the points `displacement` [mm]. `reaction` [mN] on the points and `cauchy` [kPa] on the tets
-(nine components, or xx yy zz xy yz xz) are scored if they are there. The verdict is that of the displacement.
-`SHA256SUMS` has the files' checksums.
-
-## Licence and citation
-
-CC0 1.0: the head is cut from MakeHuman's data, which are CC0, and so are meshes and answers. `score.py` is MIT.
-Cite: the softdeca authors, "The open face benchmark", version {version}, made by softdeca at commit {commit}.
-"""
+    folder = FileSystemLoader(Path(__file__).parent)
+    pages = Environment(loader=folder, trim_blocks=True, undefined=StrictUndefined, keep_trailing_newline=True)
+    return pages.get_template("card.md").render(**description, norm=np.linalg.norm)
 
 
 def _as_vtu(body: Body) -> bytes:
@@ -217,19 +130,10 @@ def _as_vtu(body: Body) -> bytes:
         body.scene("cheek").loads(),
         *(body.shares[bone] for bone in BONES),
     )
-    layer = [body.layer.astype(np.int8)]
-    return _write(body, ".vtu", "vtu", dict(zip(POINT_ARRAYS, values, strict=True)), {"layer": layer})
-
-
-def _as_msh(body: Body) -> bytes:
-    group = [body.layer.astype(np.int32) + 1]
-    return _write(body, ".msh", "gmsh22", {}, {"gmsh:physical": group, "gmsh:geometrical": group})
-
-
-def _write(body: Body, suffix: str, kind: str, points: dict, cells: dict) -> bytes:
+    points, cells = dict(zip(POINT_ARRAYS, values, strict=True)), {"layer": [body.layer.astype(np.int8)]}
     mesh = meshio.Mesh(body.vertices, [("tetra", body.tets.astype(np.int32))], point_data=points, cell_data=cells)
-    with tempfile.NamedTemporaryFile(suffix=suffix) as file:
-        mesh.write(file.name, file_format=kind)
+    with tempfile.NamedTemporaryFile(suffix=".vtu") as file:
+        mesh.write(file.name, file_format="vtu")
         return Path(file.name).read_bytes()
 
 

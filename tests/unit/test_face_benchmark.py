@@ -107,22 +107,18 @@ def test_a_stopped_export_goes_on_and_solves_nothing_twice(study, exported):
     export(folder / "again.zip", study, folder / "rows")
     assert (folder / "rows" / "rows.jsonl").read_bytes() == before
     names = [set(zipfile.ZipFile(folder / name).namelist()) for name in ("benchmark.zip", "again.zip")]
-    meshes = {"meshes/coarse.vtu", "meshes/coarse.msh", "meshes/medium.vtu", "meshes/medium.msh", "meshes/fine.vtu"}
+    meshes = {"meshes/coarse.vtu", "meshes/medium.vtu", "meshes/fine.vtu"}
     texts = {"README.md", "score.py", "benchmark.json", "SHA256SUMS"}
     assert names[0] == names[1] == meshes | texts | {"answers.npz"}
 
 
 def test_the_archive_says_what_is_asked(archive, study, tmp_path):
     with zipfile.ZipFile(archive.path) as file:
-        card, msh = file.read("README.md").decode(), file.read("meshes/coarse.msh")
-        vtu = file.read("meshes/medium.vtu")
+        card, vtu = file.read("README.md").decode(), file.read("meshes/medium.vtu")
     assert all(word in card for word in ("CC0", "Cite", "kPa", "score.py my-jaw.vtu", *PROBLEMS))
-    for name, content in (("coarse.msh", msh), ("medium.vtu", vtu)):
-        (tmp_path / name).write_bytes(content)
-    gmsh = scorer.read_mesh(tmp_path / "coarse.msh")
-    coarse, medium, _ = study.bodies()
-    assert np.array_equal(gmsh.points, coarse.vertices) and np.array_equal(gmsh.cells[0].data, coarse.tets)
-    assert np.array_equal(gmsh.cell_data["gmsh:physical"][0], coarse.layer + 1)
+    assert "{" not in card and "| gravity | skin, mean [mm] |" in card
+    (tmp_path / "medium.vtu").write_bytes(vtu)
+    _, medium, _ = study.bodies()
     mesh = scorer.read_mesh(tmp_path / "medium.vtu")
     assert np.array_equal(mesh.point_data["held"] > 0, np.isin(np.arange(len(mesh.points)), medium.held_vertices))
     assert np.array_equal(mesh.point_data["force_gravity_mN"], medium.scene("gravity").loads())
@@ -223,7 +219,7 @@ def test_no_single_point_may_be_far_off(archive, judged, study):
     assert judged(moved).verdict == "wrong"
 
 
-@pytest.mark.parametrize("suffix", [".vtk", ".xdmf", ".msh"])
+@pytest.mark.parametrize("suffix", [".vtu", ".msh"])
 def test_other_kinds_of_files_are_read(archive, judged, suffix):
     stress = [np.ones((216, 9 if suffix == ".msh" else 6))]
     score = judged(archive.arrays["jaw.converged"].astype(np.float32), problem="jaw", suffix=suffix, cauchy=stress)
@@ -238,14 +234,14 @@ def test_turned_corners_and_cells_beside_the_tets_are_accepted(archive, judged, 
     assert score.verdict == "right" and "stress" in " ".join(each.name for each in score.compared)
 
 
-@pytest.mark.parametrize("name", ["../other.h5:/data0", "/etc/passwd:/", "&#47;etc&#47;passwd:/", "linked.h5:/data0"])
-def test_an_answer_opens_no_file_of_another_folder(archive, judged, tmp_path, name):
-    judged(archive.arrays["gravity.converged"], suffix=".xdmf")
-    (tmp_path / "linked.h5").symlink_to("/etc/passwd")
-    file = tmp_path / "gravity.xdmf"
-    file.write_text(file.read_text().replace("gravity.h5:/data0", name))
-    with pytest.raises(scorer.AnswerError, match="expected a plain HDF5 file beside it"):
-        scorer.score(file, archive)
+@pytest.mark.parametrize("changed", ["benchmark.json", "answers.npz", "meshes/coarse.vtu"])
+def test_an_archive_is_what_its_checksums_say(archive, judged, tmp_path, changed):
+    judged(archive.arrays["gravity.converged"])
+    with zipfile.ZipFile(archive.path) as file, zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
+        for name in file.namelist():
+            other.writestr(name, file.read(name) + b" " * (name == changed))
+    with pytest.raises(scorer.AnswerError, match=f"{changed}: its checksum differs"):
+        scorer.score(tmp_path / "gravity.vtu", scorer.Archive(tmp_path / "other.zip"))
 
 
 @pytest.mark.parametrize("fault", FAULTS)
