@@ -9,7 +9,7 @@ import numpy as np
 
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.limits import Bound
-from ....lhm.base.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.head.head import LayeredHead
 from ....reference import Face, Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
@@ -90,9 +90,6 @@ class Contact(OfPerson):
         Column("moved_max_mm", "max [mm]"),
         Column("apart_mean_mm", "PD to barrier, mean [mm]"),
         Column("apart_max_mm", "max [mm]"),
-        Column("where", "where"),
-        Column("force_pd_mn", "contact force by PD [mN]"),
-        Column("force_barrier_mn", "by the barrier [mN]"),
         Column("iterations_pd", "PD's iterations", cost=True),
         Column("iterations_free", "without contact", cost=True),
         Column("iterations_barrier", "Newton's iterations", cost=True),
@@ -101,13 +98,11 @@ class Contact(OfPerson):
     note = (
         "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
         "keeps surfaces apart on its way from rest; scikit-fem minimises the energy with ipctk's barrier from rest on. "
-        f"Means are over vertices that contact moves by more than {MOVES:g} mm. The force is half the sum of "
-        "what each vertex is pushed with, the remainder of the energy's gradient without contact. Hard frames are of "
-        "the whole face, from rest; their time is that of the processor, prepared, the second of two solves."
+        f"Means are over vertices that contact moves by more than {MOVES:g} mm. Hard frames are of the whole face, "
+        "from rest; their time is that of the processor, prepared, the second of two solves."
     )
 
     version = 2
-
     poses: tuple[str, ...] = option(tuple(POSES), f"one of {', '.join(POSES)}; repeat for several", name="--pose")
     frames: int = option(43, "hard frames that PD solves with contact and without, 43 at most", bound=FRAMES)
 
@@ -147,9 +142,7 @@ class Contact(OfPerson):
             targets = head.skin.vertices + share * (shape - head.skin.vertices)
             return facial_scene(head, Parameters(), targets, region=near, contact=regions)
 
-        by_barrier = solve_by_barrier(scene_at)
-        values = compare_contact(scene_at(1.0), by_barrier)
-        return values | {"where": _name_place(head, values["worst_vertex"])}
+        return compare_contact(scene_at(1.0), solve_by_barrier(scene_at))
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that PD has converged and nothing crosses, that the barrier is solved, and that PD is near it."""
@@ -170,8 +163,7 @@ class Contact(OfPerson):
         """Tell how far the codes are apart in each pose."""
         sentences = [
             f"{row.case}: contact moves the skin by {row.values['moved_mean_mm']:.2f} mm on average, PD and the "
-            f"barrier are {row.values['apart_mean_mm']:.3f} mm apart, and push with "
-            f"{row.values['force_pd_mn']:.0f} and {row.values['force_barrier_mn']:.0f} mN"
+            f"barrier are {row.values['apart_mean_mm']:.3f} mm apart"
             + ("." if row.values["done"] else f"; {' and '.join(row.values['reasons'])}.")
             for row in rows
             if row.method == BOTH
@@ -179,10 +171,8 @@ class Contact(OfPerson):
         frames = [row.values for row in rows if row.method == PD]
         if frames:
             touching = [values for values in frames if values["pairs"]] or frames
-            left, crossing = (
-                sum(not values["done"] for values in frames),
-                sum(values["crossings"] > 0 for values in frames),
-            )
+            left = sum(not values["done"] for values in frames)
+            crossing = sum(values["crossings"] > 0 for values in frames)
             sentences.append(
                 f"Of {len(frames)} hard frames {sum(values['crossings_free'] > 0 for values in frames)} cross without "
                 f"contact; with it {crossing} cross and {left} have not converged. It moves a vertex by "
@@ -216,7 +206,6 @@ def measure_frame(face: Face, skin: Floats) -> dict:
         "overlap_mm": overlap,
         "crossings": len(TriangleTree(touching.positions, contact.triangles).self_crossings()),
         "moved_max_mm": float(moved.max()),
-        "force_pd_mn": touching.detail["contact_force"],
         "iterations_pd": touching.iterations,
         "iterations_free": free.iterations,
         "times": times[1] / times[0],
@@ -234,7 +223,7 @@ def solve_by_barrier(scene_at: Callable[[float], Scene]) -> Solution:
 def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
     """Solve a scene by PD with and without its Contact, and compare the barrier's answer with both.
 
-    Figures are over the vertices of the surface in contact; "worst_vertex" is where the codes are farthest apart.
+    Figures are over the vertices of the surface in contact.
     """
     (contact,) = scene.of(terms.Contact)
     without = replace(scene, terms=tuple(term for term in scene.terms if term is not contact))
@@ -243,35 +232,19 @@ def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
     motion = distances(by_barrier.positions, free.positions)[ids]
     apart = distances(by_barrier.positions, by_pd.positions)[ids]
     counts = motion > MOVES
-    forces = [measure_pushes(without, ids, each.positions) for each in (by_pd, by_barrier)]
     return {
         "done": by_pd.converged and by_barrier.converged and free.converged,
         "reasons": [str(by_pd.reason), str(by_barrier.reason)],
-        "tets": len(scene.tets),
         "overlap_mm": TriangleTree(free.positions, contact.triangles).measure_overlap()[1],
         "crossings": int(by_pd.detail["contact_crossings"]),
         "moved_mean_mm": float(motion[counts].mean()),
         "moved_max_mm": float(motion.max()),
-        "vertices_moved": int(counts.sum()),
         "apart_mean_mm": float(apart[counts].mean()),
         "apart_max_mm": float(apart.max()),
-        "worst_vertex": int(ids[apart.argmax()]),
-        "force_pd_mn": float(0.5 * forces[0].sum()),
-        "force_barrier_mn": float(0.5 * forces[1].sum()),
         "iterations_pd": by_pd.iterations,
         "iterations_free": free.iterations,
         "iterations_barrier": by_barrier.iterations,
     }
-
-
-def measure_pushes(without: Scene, ids: Ints, positions: Floats) -> Floats:
-    """Measure the force [mN], shape (k,), that keeps each vertex `ids` where it is, in a scene without contact.
-
-    Components that the scene holds itself do not count.
-    """
-    held = replace(without, terms=(*without.terms, terms.Fixed(ids, positions[ids])))
-    reactions = solve(held, start=positions, max_iterations=0).reactions[ids]
-    return np.linalg.norm(np.where(without.dirichlet()[0][ids], 0.0, reactions), axis=1)
 
 
 def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:
@@ -280,10 +253,3 @@ def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:
     for _ in range(AROUND):
         inside[triangles[inside[triangles].any(axis=1)]] = True
     return inside
-
-
-def _name_place(head: LayeredHead, vertex: int) -> str:
-    """Name the region of a vertex, the smallest that it is of."""
-    place = vertex % len(head.bone)
-    named = [name for name, mask in head.regions.items() if mask[place]]
-    return min(named, key=lambda name: int(head.regions[name].sum())) if named else "beside"
