@@ -11,27 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...animation.plots import subplots, to_svg, widen_axis
-from ...surrogate.methods import (
-    BLENDSHAPES,
-    CARRIED,
-    DERIVATIVES,
-    DIAL,
-    FENICSX,
-    FENICSX_NEO_HOOKEAN,
-    METHODS,
-    NETWORK,
-    NETWORK_AND_DERIVATIVES,
-    PD,
-    SETTLED,
-)
+from ...surrogate import methods as m
 from .study import Row
 
 ASKED = (
     "SoftDECA simulates a face once, and a network then predicts the simulated face in every frame. This report asks "
     "three questions. Is the fast simulator right? How far is the network from it? What does each method cost?"
 )
-SOLVERS = (PD, FENICSX, FENICSX_NEO_HOOKEAN)
-SHOWN = (*SOLVERS, NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
+SOLVERS = (m.PD, m.FENICSX, m.FENICSX_NEO_HOOKEAN)
+SHOWN = (*SOLVERS, m.NETWORK, m.NETWORK_AND_DERIVATIVES, m.DERIVATIVES, m.SETTLED, m.CARRIED, m.BLENDSHAPES)
 ACCURACY = 0.01
 """[mm] to which solvers are timed."""
 FACE_ENERGY = "Eq. 15"
@@ -115,12 +103,12 @@ def write_sentences(rows: Rows) -> list[str]:
 def _tell_losses(rows: Rows) -> str:
     lost, compared = [], 0
     for kind, scores in _collect_scores(rows).items():
-        rivals = {name: scores[name]["mean"] for name in (SETTLED, CARRIED) if name in scores}
-        if kind == OVERALL or NETWORK not in scores or not rivals:
+        rivals = {name: scores[name]["mean"] for name in (m.SETTLED, m.CARRIED) if name in scores}
+        if kind == OVERALL or m.NETWORK not in scores or not rivals:
             continue
         compared += 1
         rival = min(rivals, key=lambda name: rivals[name])
-        if rivals[rival] <= (mine := scores[NETWORK]["mean"]):
+        if rivals[rival] <= (mine := scores[m.NETWORK]["mean"]):
             lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
     for effect, (rival, share, own) in find_lost_effects(rows.get("split", ())).items():
         lost.append(f"{effect} ({rival} leaves {100 * share:.0f} % of the motion, network {100 * own:.0f} %)")
@@ -138,7 +126,7 @@ def find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]
         own, settled, carried = (
             float(np.mean([values[key] for values in records])) for key in ("share", "share_settled", "share_carried")
         )
-        rival, share = (SETTLED, settled) if settled <= carried else (CARRIED, carried)
+        rival, share = (m.SETTLED, settled) if settled <= carried else (m.CARRIED, carried)
         if share <= own:
             lost[effect] = rival, share, own
     return lost
@@ -146,15 +134,15 @@ def find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]
 
 def _tell_overall(rows: Rows) -> str:
     scores = _collect_scores(rows).get(OVERALL, {})
-    if not {NETWORK, SETTLED} <= scores.keys():
+    if not {m.NETWORK, m.SETTLED} <= scores.keys():
         return ""
     people = rows["surrogate"][0].values.get("people")
     whom = f"{people} people" if people else "people"
     errors = {name: score["mean"] for name, score in scores.items() if name in SHOWN}
     best = min(errors, key=lambda name: errors[name])
     return (
-        f"On {whom} it has not seen, the network errs by {errors[NETWORK]:.3f} mm on average and the simple rival "
-        f"{SETTLED} by {errors[SETTLED]:.3f} mm; {best} is best with {errors[best]:.3f} mm."
+        f"On {whom} it has not seen, the network errs by {errors[m.NETWORK]:.3f} mm on average and the simple rival "
+        f"{m.SETTLED} by {errors[m.SETTLED]:.3f} mm; {best} is best with {errors[best]:.3f} mm."
     )
 
 
@@ -165,7 +153,7 @@ def select_comparisons(rows: Iterable[Row], method: str, truth: str, over: str) 
 
 
 def _tell_agreement(rows: Rows) -> str:
-    apart = [line["max"] for line in select_comparisons(rows.get("agreement", ()), PD, FENICSX, ALL_VERTICES)]
+    apart = [line["max"] for line in select_comparisons(rows.get("agreement", ()), m.PD, m.FENICSX, ALL_VERTICES)]
     if not apart:
         return ""
     return (
@@ -176,7 +164,9 @@ def _tell_agreement(rows: Rows) -> str:
 
 def _tell_law(rows: Rows) -> str:
     compared = rows.get("agreement", ())
-    skin, everything = (select_comparisons(compared, FENICSX_NEO_HOOKEAN, PD, over) for over in (SKIN, ALL_VERTICES))
+    skin, everything = (
+        select_comparisons(compared, m.FENICSX_NEO_HOOKEAN, m.PD, over) for over in (SKIN, ALL_VERTICES)
+    )
     if not skin:
         return ""
     return (
@@ -188,15 +178,15 @@ def _tell_law(rows: Rows) -> str:
 
 def _tell_costs(points: Mapping[str, Point]) -> str:
     """Say which solver to pick for a frame, and which method for many frames of a face."""
-    solvers = sorted((name for name in (PD, FENICSX) if name in points), key=lambda name: points[name].each)
+    solvers = sorted((name for name in (m.PD, m.FENICSX) if name in points), key=lambda name: points[name].each)
     sentences = []
     if len(solvers) > 1:
         best, other = ((name, _format_seconds(points[name].each)) for name in solvers)
         sentences.append(
             f"For a frame to {ACCURACY:g} mm pick {best[0]}, which takes {best[1]}; {other[0]} takes {other[1]}."
         )
-    if solvers and NETWORK in points:
-        first, each, error = points[NETWORK].first, points[NETWORK].each, points[NETWORK].error
+    if solvers and m.NETWORK in points:
+        first, each, error = points[m.NETWORK].first, points[m.NETWORK].each, points[m.NETWORK].error
         sentences.append(
             f"For many frames of a face pick the network: {_format_seconds(each)} each after "
             f"{_format_seconds(first)}, at {error:.3f} mm."
@@ -218,7 +208,7 @@ def draw_figure(rows: Rows) -> str:
         return ""
     drawn, axis = subplots(figsize=(12, 4.4))
     for name, point in points.items():
-        colour, mark = METHODS[name].colour, METHODS[name].mark
+        colour, mark = m.METHODS[name].colour, m.METHODS[name].mark
         axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
         axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
         axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)
@@ -226,10 +216,12 @@ def draw_figure(rows: Rows) -> str:
         name = row.values["solver"]
         if name in points and name in SOLVERS and FACE_ENERGY in row.values["law"]:
             seconds = np.median(row.values["set_up_s"]) + np.array(row.values["seconds"])
-            axis.plot(seconds, row.values["error_mm"], color=METHODS[name].colour, lw=0.8, ls=":")
+            axis.plot(seconds, row.values["error_mm"], color=m.METHODS[name].colour, lw=0.8, ls=":")
     errors = [point.error for point in points.values()]
     if dial := _collect_dial(rows):
-        axis.plot(*zip(*dial, strict=True), f"{METHODS[DIAL].mark}-", color=METHODS[DIAL].colour, ms=5, label=DIAL)
+        axis.plot(
+            *zip(*dial, strict=True), f"{m.METHODS[m.DIAL].mark}-", color=m.METHODS[m.DIAL].colour, ms=5, label=m.DIAL
+        )
         errors += [error for _, error in dial]
     axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="mean error [mm]")
     widen_axis(axis, errors)

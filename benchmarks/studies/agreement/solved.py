@@ -14,15 +14,7 @@ from ....lhm.base.mesh import Floats
 from ....reference import Face, Scene, SettledFace, Solution, prepare, projective, settle, solve, terms
 from ....reference.face.facial import FaceLaw, apply_law
 from ....surrogate import Surrogate
-from ....surrogate.methods import (
-    FENICSX,
-    FENICSX_NEO_HOOKEAN,
-    PD,
-    PD_PLAIN,
-    SKFEM,
-    SKFEM_NEO_HOOKEAN,
-    ready_methods,
-)
+from ....surrogate import methods as m
 from ....surrogate.ruler import measure
 from ...harness.first_screen import ALL_VERTICES, SKIN
 from ..cases import Case
@@ -51,12 +43,12 @@ PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
 ROUNDING = 1e-12
 """A rise of the energy by at most this share of it is rounding."""
 TRUTHS: Mapping[str, str] = {
-    PD: FENICSX,
-    PD_PLAIN: PD,
-    FENICSX: PD,
-    SKFEM: FENICSX,
-    FENICSX_NEO_HOOKEAN: PD,
-    SKFEM_NEO_HOOKEAN: FENICSX_NEO_HOOKEAN,
+    m.PD: m.FENICSX,
+    m.PD_PLAIN: m.PD,
+    m.FENICSX: m.PD,
+    m.SKFEM: m.FENICSX,
+    m.FENICSX_NEO_HOOKEAN: m.PD,
+    m.SKFEM_NEO_HOOKEAN: m.FENICSX_NEO_HOOKEAN,
 }
 """Solvers, and the one that each is compared with."""
 
@@ -115,12 +107,12 @@ class SolvedCase:
         """Return a solver's answer, by its label in TRUTHS."""
         if solver not in self._answers:
             solve_case = {
-                PD: self._solve_by_pd,
-                PD_PLAIN: self._solve_by_plain_pd,
-                FENICSX: self._solve_by_fenicsx,
-                SKFEM: self._solve_by_skfem,
-                FENICSX_NEO_HOOKEAN: self._solve_by_law,
-                SKFEM_NEO_HOOKEAN: self._solve_law_by_skfem,
+                m.PD: self._solve_by_pd,
+                m.PD_PLAIN: self._solve_by_plain_pd,
+                m.FENICSX: self._solve_by_fenicsx,
+                m.SKFEM: self._solve_by_skfem,
+                m.FENICSX_NEO_HOOKEAN: self._solve_by_law,
+                m.SKFEM_NEO_HOOKEAN: self._solve_law_by_skfem,
             }[solver]
             self._answers[solver] = solve_case()
         return self._answers[solver]
@@ -147,7 +139,7 @@ class SolvedCase:
         return Answer(solution, scene, settled, self._skin(settled, solution), "settled", trace=trace)
 
     def _solve_by_plain_pd(self) -> Answer:
-        pd = self.answer(PD)
+        pd = self.answer(m.PD)
         solution, trace = trace_solve(
             prepare(pd.scene, method="plain"),
             pd.solution.positions,
@@ -159,7 +151,7 @@ class SolvedCase:
 
     def _solve_by_fenicsx(self) -> Answer:
         settled, scene = self._set_scene(PD_ENERGY, "fenicsx")
-        by_pd, begun, another = self.answer(PD).solution.positions, "settled", None
+        by_pd, begun, another = self.answer(m.PD).solution.positions, "settled", None
         if self.case.contact:
             frozen = projective.prepare(scene).freeze_contact(by_pd)
             solution = solve(frozen, solver="fenicsx", start=by_pd, tolerance=WARM)
@@ -173,7 +165,7 @@ class SolvedCase:
         return Answer(solution, scene, settled, self._skin(settled, solution), begun, another)
 
     def _solve_by_skfem(self) -> Answer:
-        fenicsx = self.answer(FENICSX)
+        fenicsx = self.answer(m.FENICSX)
         rough = solve(fenicsx.scene, tolerance=ROUGH).positions
         solution = solve(fenicsx.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
         skin = self._skin(fenicsx.settled, solution)
@@ -181,14 +173,14 @@ class SolvedCase:
 
     def _solve_by_law(self) -> Answer:
         settled, scene = self._set_scene(NEO_HOOKEAN, "fenicsx")
-        by_pd, start, begun = self.answer(PD).solution, find_start(settled, scene), "settled"
+        by_pd, start, begun = self.answer(m.PD).solution, find_start(settled, scene), "settled"
         if by_pd.volume_ratio.min() > 0.0:  # where a tet is inverted the law is infinite
             start, begun = by_pd.positions, "PD's answer"
         solution = solve(scene, solver="fenicsx", tolerance=WARM, start=start)
         return Answer(solution, scene, settled, self._skin(settled, solution), begun)
 
     def _solve_law_by_skfem(self) -> Answer:
-        law, by_pd = self.answer(FENICSX_NEO_HOOKEAN), self.answer(PD).solution
+        law, by_pd = self.answer(m.FENICSX_NEO_HOOKEAN), self.answer(m.PD).solution
         start = by_pd.positions if by_pd.volume_ratio.min() > 0.0 else law.solution.positions
         solution = solve(law.scene, solver="skfem", tolerance=WARM, start=start)
         return Answer(solution, law.scene, law.settled, self._skin(law.settled, solution), law.start)
@@ -207,7 +199,7 @@ class SolvedCase:
 
         Such a start inverts tets.
         """
-        head, pd = self.person.head, self.answer(PD)
+        head, pd = self.person.head, self.answer(m.PD)
         assert pd.settled is not None
         targets = head.wrap_targets(pd.settled.targets(self.shape))
         return prepare(pd.scene).solve(
@@ -222,7 +214,7 @@ class SolvedCase:
         """
         if self.case.scene is not None:
             return {}
-        methods = ready_methods(self.network, beyond="clamp")
+        methods = m.ready_methods(self.network, beyond="clamp")
         weights = self.case.weights
         return {name: method.bind(self.face).frame(weights).astype(np.float64) for name, method in methods.items()}
 
@@ -261,15 +253,15 @@ class SolvedCase:
         }
         if answer.trace is not None:
             record["to_001_mm"] = answer.trace.iterations_to(ACCURACY)
-        if solver == PD_PLAIN:
+        if solver == m.PD_PLAIN:
             record["done"] = record["to_001_mm"] is not None
-        if solver == FENICSX:
+        if solver == m.FENICSX:
             record["another_minimum_mm"] = answer.another
         return record
 
     def tell_face(self) -> dict:
         """Say what PD's answer is: volumes, whether it is the only one, how near lips come, what an effect changes."""
-        pd, head = self.answer(PD), self.person.head
+        pd, head = self.answer(m.PD), self.person.head
         solution, soft = pd.solution, slice(0, len(head.soft.tets))
         volumes = pd.scene.volumes[soft]
         record: dict[str, Any] = {
@@ -279,7 +271,7 @@ class SolvedCase:
         if self.case.contact:
             (contact,) = pd.scene.of(terms.Contact)
             assert self.without is not None
-            free = self.without.answer(PD).solution
+            free = self.without.answer(m.PD).solution
             for when, each in (("before", free), ("after", solution)):
                 pairs, depth = TriangleTree(each.positions, contact.triangles).measure_overlap()
                 record |= {f"crossings_{when}": pairs, f"overlap_{when}_mm": depth}
@@ -295,13 +287,13 @@ class SolvedCase:
             ]
             record["lips_mm"] = [float(np.median(gaps)), float(np.percentile(gaps, 95)), float(gaps.max())]
         if self.without is not None:
-            change = distances(pd.skin, self.without.answer(PD).skin)
+            change = distances(pd.skin, self.without.answer(m.PD).skin)
             record |= {"change_mean_mm": float(change.mean()), "change_max_mm": float(change.max())}
         return record
 
     def compare_inside(self) -> dict:
         """Compare PD's answer with the law's inside; see `compare_insides`."""
-        pd, law = self.answer(PD), self.answer(FENICSX_NEO_HOOKEAN)
+        pd, law = self.answer(m.PD), self.answer(m.FENICSX_NEO_HOOKEAN)
         settled = None if pd.settled is None or law.settled is None else (pd.settled, law.settled)
         both = (PD_ENERGY, pd.scene, pd.solution), (NEO_HOOKEAN, law.scene, law.solution)
         return compare_insides(self.person.head, *both, settled=settled)

@@ -18,19 +18,7 @@ from ....lhm.base.option import option
 from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Parameters
 from ....surrogate import Surrogate
-from ....surrogate.methods import (
-    BLENDSHAPES,
-    DERIVATIVES,
-    FENICSX,
-    FENICSX_NEO_HOOKEAN,
-    NETWORK,
-    PD,
-    PD_PLAIN,
-    SETTLED,
-    SKFEM,
-    SKFEM_NEO_HOOKEAN,
-    ready_methods,
-)
+from ....surrogate import methods as m
 from ...harness.first_screen import ALL_VERTICES, SKIN, select_comparisons
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..cases import CASES, Case, get_case
@@ -41,8 +29,8 @@ from .pictures import draw_case
 from .solved import ROUNDING, TRUTHS, SolvedCase
 
 HEAD, FIT, TURNED, BESIDE = "the head", "fit and gates", "the head in 3D", "side by side"
-ALL_SOLVERS = (FENICSX, PD, PD_PLAIN, SKFEM, FENICSX_NEO_HOOKEAN, SKFEM_NEO_HOOKEAN)
-FEWER_SOLVERS = (FENICSX, PD, FENICSX_NEO_HOOKEAN)
+ALL_SOLVERS = (m.FENICSX, m.PD, m.PD_PLAIN, m.SKFEM, m.FENICSX_NEO_HOOKEAN, m.SKFEM_NEO_HOOKEAN)
+FEWER_SOLVERS = (m.FENICSX, m.PD, m.FENICSX_NEO_HOOKEAN)
 """Of effects and of scenes without targets; scikit-fem and plain PD are checked on the others."""
 CUT = "soft tissue (yellow) and muscle (red) cut open; the skin wrap; the skull wrap: cranium white, mandible blue"
 VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
@@ -102,7 +90,7 @@ class Agreement(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """List the head, and each case by each method; InputError for an unknown space, case or expression."""
         self.check()
-        rivals = tuple(ready_methods(self.network()))
+        rivals = tuple(m.ready_methods(self.network()))
         tasks = [Task(case.name, method) for case in self._chosen for method in list_methods(case, rivals)]
         return [Task(HEAD, FIT), *tasks, Task(TURNED, BESIDE)]
 
@@ -129,24 +117,24 @@ class Agreement(OfPerson):
         if method == BESIDE:
             return draw_case(solved)
         if method not in TRUTHS:
-            laws = () if solved.case.contact else (FENICSX_NEO_HOOKEAN,)
-            return {"compared": [line for truth in (PD, *laws) for line in solved.compare(method, truth)]}
+            laws = () if solved.case.contact else (m.FENICSX_NEO_HOOKEAN,)
+            return {"compared": [line for truth in (m.PD, *laws) for line in solved.compare(method, truth)]}
         compared = solved.compare(method, TRUTHS[method])
         about = {"shown": solved.case.shown, "without_targets": solved.case.scene is not None}
         record = about | solved.tell_solve(method) | {"compared": compared}
-        if method == PD:
+        if method == m.PD:
             return record | solved.tell_face()
-        return record | {"inside": solved.compare_inside()} if method == FENICSX_NEO_HOOKEAN else record
+        return record | {"inside": solved.compare_inside()} if method == m.FENICSX_NEO_HOOKEAN else record
 
     def _draw_page(self) -> bytes:
         """The head in 3D: rigs by network, and the answers to the expressions at default p."""
         at_rest, network = self.person().face(Parameters()), self.network()
-        rigs = [] if network is None else [Rig.baked(NETWORK, network.bind_face(at_rest))]
+        rigs = [] if network is None else [Rig.baked(m.NETWORK, network.bind_face(at_rest))]
         poses = []
         for case in self._chosen:
             if case.is_plain and case.expression:
                 solved = solve_case(self, case.name)
-                skins = {solver: solved.answer(solver).skin for solver in (PD, FENICSX_NEO_HOOKEAN)}
+                skins = {solver: solved.answer(solver).skin for solver in (m.PD, m.FENICSX_NEO_HOOKEAN)}
                 poses.append(Pose(case.name, case.weights, skins))
         title = f"the head ({self.person().space.name})"
         return render_face_page(title, VIEW_WORDS, at_rest, rigs, poses).encode()
@@ -167,15 +155,15 @@ class Agreement(OfPerson):
         """
         gates = []
         for what, method, bound in (
-            ("PD to FEniCSx, same energy, each settled by itself", PD, 1e-6),
-            ("scikit-fem to FEniCSx, PD's energy", SKFEM, 1e-8),
-            ("scikit-fem to FEniCSx, neo-Hookean", SKFEM_NEO_HOOKEAN, 1e-8),
+            ("PD to FEniCSx, same energy, each settled by itself", m.PD, 1e-6),
+            ("scikit-fem to FEniCSx, PD's energy", m.SKFEM, 1e-8),
+            ("scikit-fem to FEniCSx, neo-Hookean", m.SKFEM_NEO_HOOKEAN, 1e-8),
         ):
             lines = select_comparisons(rows, method, TRUTHS[method], ALL_VERTICES)
             if lines:
                 worst = max(line["relative"] for line in lines)
                 gates.append(at_most(f"{what}, of the largest displacement", worst, bound))
-        faces = [row.values for row in rows if row.method == PD]
+        faces = [row.values for row in rows if row.method == m.PD]
         if faces:
             least = min(values["least_ratio"] for values in faces)
             gates.append(above("smallest volume ratio of a tet over all cases (none inverted)", least, 0.0))
@@ -186,13 +174,13 @@ class Agreement(OfPerson):
         if away:
             what = "largest distance of an effect's answer to PD's from another start [mm]"
             gates.append(at_most(what, max(away), NEAR_ACCURACY))
-        unfinished = sum(not row.values.get("done", True) for row in rows if row.method != PD_PLAIN)
+        unfinished = sum(not row.values.get("done", True) for row in rows if row.method != m.PD_PLAIN)
         gates.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
-        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PD_PLAIN)}
+        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (m.PD, m.PD_PLAIN)}
         pairs = [
-            (counts[case, PD], slow)
+            (counts[case, m.PD], slow)
             for (case, solver), slow in counts.items()
-            if solver == PD_PLAIN and (case, PD) in counts
+            if solver == m.PD_PLAIN and (case, m.PD) in counts
         ]
         if pairs:
             # None where one does not come to 0.01 mm.
@@ -205,7 +193,7 @@ class Agreement(OfPerson):
     def words(self, rows: Sequence[Row]) -> str:
         """Tell whether the answers are one, what another law changes, what methods leave, and which effect is most."""
         sentences = []
-        same = [line["relative"] for line in select_comparisons(rows, PD, FENICSX, ALL_VERTICES)]
+        same = [line["relative"] for line in select_comparisons(rows, m.PD, m.FENICSX, ALL_VERTICES)]
         if same:
             sentences.append(
                 "Projective dynamics and FEniCSx find the same minimiser of the same energy to "
@@ -225,26 +213,28 @@ class Agreement(OfPerson):
         to_pd = {
             (row.case, row.method): line["mean"]
             for row in rows
-            for line in select_comparisons([row], row.method, PD, SKIN)
+            for line in select_comparisons([row], row.method, m.PD, SKIN)
         }
         lost = [
             case
             for case, method in to_pd
-            if method == NETWORK and to_pd.get((case, SETTLED), np.inf) <= to_pd[case, NETWORK]
+            if method == m.NETWORK and to_pd.get((case, m.SETTLED), np.inf) <= to_pd[case, m.NETWORK]
         ]
         if lost:
-            sentences.append(f"The network loses to {SETTLED} on {', '.join(lost)}.")
+            sentences.append(f"The network loses to {m.SETTLED} on {', '.join(lost)}.")
         for free, where in ((False, "where targets hold it"), (True, "where none does")):
             chosen = [row for row in rows if row.values.get("without_targets") is free]
-            skin = select_comparisons(chosen, FENICSX_NEO_HOOKEAN, PD, SKIN)
+            skin = select_comparisons(chosen, m.FENICSX_NEO_HOOKEAN, m.PD, SKIN)
             if skin:
-                most = max(line["max"] for line in select_comparisons(chosen, FENICSX_NEO_HOOKEAN, PD, ALL_VERTICES))
+                most = max(
+                    line["max"] for line in select_comparisons(chosen, m.FENICSX_NEO_HOOKEAN, m.PD, ALL_VERTICES)
+                )
                 sentences.append(
                     f"A neo-Hookean law moves the skin by at most {max(line['mean'] for line in skin):.3f} mm on "
                     f"average {where}, and any vertex by at most {most:.2f} mm."
                 )
-        for method in (NETWORK, DERIVATIVES, SETTLED, BLENDSHAPES):
-            means = [line["mean"] for line in select_comparisons(rows, method, PD, SKIN)]
+        for method in (m.NETWORK, m.DERIVATIVES, m.SETTLED, m.BLENDSHAPES):
+            means = [line["mean"] for line in select_comparisons(rows, method, m.PD, SKIN)]
             if means:
                 sentences.append(f"The skin by {method} is at most {max(means):.3f} mm from PD's on average.")
         changes = {row.case: row.values["change_max_mm"] for row in rows if "change_max_mm" in row.values}
@@ -260,7 +250,7 @@ class Agreement(OfPerson):
         """Tabulate the head's gates, what effects do, what PD's answers are, each method, and what the law changes."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
         tables = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
-        faces = [{"case": row.case, **row.values} for row in rows if row.method == PD]
+        faces = [{"case": row.case, **row.values} for row in rows if row.method == m.PD]
         effects = [values for values in faces if "change_max_mm" in values]
         if effects:
             tables.append(Table.of("What each effect does", EFFECT_TITLES, effects, EFFECT_NOTE))
@@ -272,13 +262,13 @@ class Agreement(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw distances, a line per case: means, and of the law the largest of all vertices too."""
         marks = {
-            (PD, FENICSX, ALL_VERTICES, "mean"): "PD to FEniCSx, same energy",
-            (SKFEM, FENICSX, ALL_VERTICES, "mean"): "scikit-fem to FEniCSx, same energy",
-            (FENICSX_NEO_HOOKEAN, PD, SKIN, "mean"): "neo-Hookean law to PD, skin",
-            (FENICSX_NEO_HOOKEAN, PD, ALL_VERTICES, "max"): "the same, all vertices, largest",
-            (NETWORK, PD, SKIN, "mean"): "network to PD, skin",
-            (SETTLED, PD, SKIN, "mean"): "settled + blendshapes to PD, skin",
-            (BLENDSHAPES, PD, SKIN, "mean"): "blendshapes to PD, skin",
+            (m.PD, m.FENICSX, ALL_VERTICES, "mean"): "PD to FEniCSx, same energy",
+            (m.SKFEM, m.FENICSX, ALL_VERTICES, "mean"): "scikit-fem to FEniCSx, same energy",
+            (m.FENICSX_NEO_HOOKEAN, m.PD, SKIN, "mean"): "neo-Hookean law to PD, skin",
+            (m.FENICSX_NEO_HOOKEAN, m.PD, ALL_VERTICES, "max"): "the same, all vertices, largest",
+            (m.NETWORK, m.PD, SKIN, "mean"): "network to PD, skin",
+            (m.SETTLED, m.PD, SKIN, "mean"): "settled + blendshapes to PD, skin",
+            (m.BLENDSHAPES, m.PD, SKIN, "mean"): "blendshapes to PD, skin",
         }
         cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
         shown = {
@@ -332,7 +322,7 @@ FACE_TITLES = {
 def list_methods(case: Case, rivals: Sequence[str]) -> Sequence[str]:
     """List the labels of a case's rows: solvers, `rivals` where targets hold the skin, and its pictures last."""
     if case.contact:
-        solvers: Sequence[str] = (PD, FENICSX)
+        solvers: Sequence[str] = (m.PD, m.FENICSX)
     else:
         solvers = ALL_SOLVERS if case.is_plain else FEWER_SOLVERS
     return (*solvers, *(rivals if case.scene is None else ()), BESIDE)
@@ -354,11 +344,11 @@ def _spread(lips: Sequence[float] | None) -> dict[str, float]:
 def _tabulate_methods(rows: Sequence[Row]) -> list[Table]:
     """Each method beside PD's skin and beside the law's, by case."""
     titles = ["case", "method"]
-    for truth in (PD, FENICSX_NEO_HOOKEAN):
+    for truth in (m.PD, m.FENICSX_NEO_HOOKEAN):
         titles += [f"to {truth}: mean [mm]", "max [mm]", "share"]
     cells = []
     for row in rows:
-        beside = [select_comparisons([row], row.method, truth, SKIN) for truth in (PD, FENICSX_NEO_HOOKEAN)]
+        beside = [select_comparisons([row], row.method, truth, SKIN) for truth in (m.PD, m.FENICSX_NEO_HOOKEAN)]
         if any(beside):
             figures = [line[0].get(key) if line else None for line in beside for key in ("mean", "max", "share")]
             cells.append((row.case, row.method, *figures))

@@ -17,18 +17,7 @@ from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import NotModelledError, added_laws, added_solvers
-from ....surrogate.methods import (
-    BLENDSHAPES,
-    FENICSX,
-    FENICSX_P2,
-    LIBIGL_ARAP,
-    METHODS,
-    PD,
-    PD_ANDERSON,
-    PD_PLAIN,
-    READY,
-    SKFEM,
-)
+from ....surrogate import methods as m
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, Stopwatch, distances, largest_distance, repeat_work
 from ..person import OfPerson
@@ -54,14 +43,14 @@ from .summaries import find_best, find_time, tabulate_times, tabulate_work
 
 FACE, ARAP = "the face's energy (Eq. 15)", "ARAP's energy, same tets"
 BY_ENERGY: Mapping[str, Sequence[str]] = {
-    FACE: (PD, PD_PLAIN, PD_ANDERSON, FENICSX, FENICSX_P2, SKFEM),
-    ARAP: (PD, PD_PLAIN, PD_ANDERSON, FENICSX, LIBIGL_ARAP),
+    FACE: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, m.FENICSX_P2, m.SKFEM),
+    ARAP: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, m.LIBIGL_ARAP),
 }
-SLOW = (FENICSX_P2, SKFEM)
+SLOW = (m.FENICSX_P2, m.SKFEM)
 """Left out unless they are asked for: a minute a solve."""
-ENDLESS = (PD_PLAIN, LIBIGL_ARAP)
+ENDLESS = (m.PD_PLAIN, m.LIBIGL_ARAP)
 """These end by the arena's budget: local and global steps need thousands for the last digits."""
-RIVALS = ((FACE, PD_PLAIN), (FACE, FENICSX), (ARAP, FENICSX), (ARAP, LIBIGL_ARAP))
+RIVALS = ((FACE, m.PD_PLAIN), (FACE, m.FENICSX), (ARAP, m.FENICSX), (ARAP, m.LIBIGL_ARAP))
 """Whom L-BFGS is to be ahead of, on which energy."""
 
 
@@ -117,16 +106,14 @@ class WorkPrecision(OfPerson):
     slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:
-        """List each expression and energy by each method; InputError for none, and for no repeat."""
+        """List each expression and energy by each method; InputError for one that cannot be read."""
         self.check(self.expressions)
-        if not self.expressions or self.repeats < 1:
-            raise InputError(f"expressions: {len(self.expressions)}, repeats: {self.repeats}; expected 1 or more")
-        laws: dict[str, Sequence[str]] = {name_law_energy(law): (FENICSX, SKFEM) for law in added_laws()}
+        laws: dict[str, Sequence[str]] = {name_law_energy(law): (m.FENICSX, m.SKFEM) for law in added_laws()}
         return [
             Task(name_case(text, energy), label)
             for text in self.expressions
             for energy, solvers in {**BY_ENERGY, **laws}.items()
-            for label in (*solvers, *added_solvers(), *(READY if energy == FACE else ()))
+            for label in (*solvers, *added_solvers(), *(m.READY if energy == FACE else ()))
             if self.slow or label not in SLOW
         ]
 
@@ -136,11 +123,11 @@ class WorkPrecision(OfPerson):
         cases = {name_case(text, energy): (text, energy) for text, energy in product(self.expressions, energies)}
         posed = _pose(self, *cases[task.case])
         about = {"solver": task.method, "setting": OWN_SETTING, "start": REST, "law": posed.energy}
-        return about | (self._bind(posed, task.method) if task.method in READY else self._solve(posed, task.method))
+        return about | (self._bind(posed, task.method) if task.method in m.READY else self._solve(posed, task.method))
 
     def _solve(self, posed: Posed, label: str) -> dict[str, Any]:
         budget = find_budget(len(posed.scene.tets)) if label in ENDLESS else np.inf
-        if label == LIBIGL_ARAP:
+        if label == m.LIBIGL_ARAP:
             assert posed.handles is not None
             arrays, (settings,) = posed.handles.arrays(), libigl_arap.SETTINGS.values()
 
@@ -162,7 +149,7 @@ class WorkPrecision(OfPerson):
         person = self.person()
         weights = expressions.parse_weights(posed.text)
         answer = person.head.skin_after(person.shape(posed.text), posed.answer[: len(person.head.bone)])
-        method = METHODS[label]
+        method = m.METHODS[label]
         try:
             method.bind(person.face(Parameters()))  # not counted, like the first solve
         except InputError as refusal:
@@ -177,7 +164,7 @@ class WorkPrecision(OfPerson):
             times.append(watch.lap()[1])
         error = largest_distance(skin, answer)
         return {
-            "set_up_s": [0.0 if label == BLENDSHAPES else bind],
+            "set_up_s": [0.0 if label == m.BLENDSHAPES else bind],
             "solve_s": times,
             "repeats": len(times),
             "seconds": [float(np.median(times))],
@@ -194,13 +181,13 @@ class WorkPrecision(OfPerson):
             if not any(row.values["solver"] == rival for row in runs):
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
-                name = f"time of {PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
+                name = f"time of {m.PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
                 gates.append(at_most(name, measure_lead(runs, rival, prepared=prepared), 1.0, answer=False))
         newton = [
-            row.values["max_mm"] for row in rows if row.values["solver"] == FENICSX and row.values["law"] in BY_ENERGY
+            row.values["max_mm"] for row in rows if row.values["solver"] == m.FENICSX and row.values["law"] in BY_ENERGY
         ]
         if newton:
-            gates.append(at_most(f"{PD} to {FENICSX}, both tight [mm]", max(newton), ACCURACY))
+            gates.append(at_most(f"{m.PD} to {m.FENICSX}, both tight [mm]", max(newton), ACCURACY))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -208,7 +195,7 @@ class WorkPrecision(OfPerson):
         solved: dict[str, list[float | None]] = {}
         rigs: dict[str, list[Values]] = {}
         for row in _select(rows, FACE):
-            if row.values["solver"] in READY:
+            if row.values["solver"] in m.READY:
                 rigs.setdefault(row.values["solver"], []).append(row.values)
             else:
                 times = solved.setdefault(row.values["solver"], [])
@@ -230,7 +217,7 @@ class WorkPrecision(OfPerson):
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate times and iterations to accuracies."""
-        solved = [row for row in rows if row.values["solver"] not in READY]
+        solved = [row for row in rows if row.values["solver"] not in m.READY]
         return [tabulate_times(solved), tabulate_work(solved)] if solved else []
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
@@ -240,7 +227,7 @@ class WorkPrecision(OfPerson):
             records = [row.values for row in _select(rows, energy)]
             panels.append(Panel(energy, records))
             if energy == FACE:
-                panels.append(Panel(energy, [values for values in records if values["solver"] not in READY], "work"))
+                panels.append(Panel(energy, [values for values in records if values["solver"] not in m.READY], "work"))
         if not panels:
             return {}
         figure = plot_curves(panels, floor=1e-7)  # [mm], below which the tight runs' own error shows
@@ -254,7 +241,7 @@ def measure_lead(rows: Sequence[Row], rival: str, *, prepared: bool) -> float | 
     """
     ratios = []
     for index in range(TENTH, len(ACCURACIES)):
-        ours, theirs = (find_best(rows, solver, index, prepared=prepared) for solver in (PD, rival))
+        ours, theirs = (find_best(rows, solver, index, prepared=prepared) for solver in (m.PD, rival))
         for case in ours.keys() & theirs.keys():
             seconds, its = ours[case], theirs[case]
             if seconds is not None:
@@ -299,10 +286,10 @@ def _find_answer(posed: Posed, label: str, how: Mapping[str, Any]) -> tuple[Floa
     A face that folds has several minima: projective dynamics answers for the one that linear finite elements found.
     """
     answer = posed.answer
-    if label not in (FENICSX, FENICSX_P2, SKFEM) or posed.energy not in BY_ENERGY:
+    if label not in (m.FENICSX, m.FENICSX_P2, m.SKFEM) or posed.energy not in BY_ENERGY:
         return answer, {}
     own = prepare(posed.scene, **how).solve(tolerance=TIGHT).positions
-    if label == FENICSX_P2:
+    if label == m.FENICSX_P2:
         return own, {"element_mm": largest_distance(own, answer)}
     if largest_distance(own, answer) > ACCURACY:
         answer = prepare(posed.scene, solver="projective").solve(tolerance=TIGHT, start=own).positions

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Face, Parameters, smallest_facial_scene
@@ -85,8 +85,6 @@ class Minimal(OfPerson):
         """List each scene whole, with a piece more or less, and smallest."""
         self.check(self.expressions)
         check_known("effect", self.effects, EFFECTS)
-        if not self.within > 0.0:
-            raise InputError(f"within: must be above 0 mm, got {self.within}")
         methods = (WHOLE, *LEFT_OUT, *ADDED, SMALLEST)
         heavy = {name for name in self.effects if EFFECTS[name].added_gravity.any()}
         pairs = [(case, method) for case in (*self.expressions, *self.effects) for method in methods]

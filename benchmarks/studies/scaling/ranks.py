@@ -62,8 +62,6 @@ class Ranks(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """List an energy of the head each; InputError for options out of range."""
         self.check([self.expression])
-        if self.rounds < 1 or self.repeats < 1:
-            raise InputError(f"rounds: {self.rounds}, repeats: {self.repeats}; expected 1 or more")
         return [Task(case, f"{', '.join(map(str, self.counts))} processes") for case in (NEO_HOOKEAN, PD_ENERGY)]
 
     def measure(self, task: Task) -> Values:

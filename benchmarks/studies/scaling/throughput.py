@@ -11,7 +11,6 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
-from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....reference import Face, Parameters, Prepared, facial_scene, prepare
 from ....reference.face.sequence import TOLERANCE
@@ -74,8 +73,6 @@ class Throughput(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """List each kind of cold frames, the sequence, the memory."""
         self.check()
-        if self.frames < CHECKED_EVERY + 1 or self.people < 1:
-            raise InputError(f"frames: {self.frames}, expected 13 or more; people: {self.people}, expected 1 or more")
         cold = [Task(COLD, kind) for kind in KINDS]
         return [*cold, Task(SEQUENCE, PD), Task(WORKER, PD)]
 

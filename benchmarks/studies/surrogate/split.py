@@ -21,17 +21,7 @@ from ....reference import Face, Parameters, Scene
 from ....reference.face.facial import apply_law
 from ....reference.face.settle import SettledFace, neutral_scene
 from ....surrogate import Surrogate
-from ....surrogate.methods import (
-    CARRIED,
-    DERIVATIVES,
-    FENICSX,
-    FENICSX_NEO_HOOKEAN,
-    METHODS,
-    NETWORK,
-    PD,
-    PD_FIRST_ORDER,
-    SETTLED,
-)
+from ....surrogate import methods as m
 from ...harness.first_screen import find_lost_effects
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..agreement.solved import SolvedCase
@@ -51,9 +41,14 @@ PARTS = {
     "law": "PD's energy - neo-Hookean",
     "mesh": "linear tets - quadratic tets",
 }
-RIVALS = {"carried": CARRIED, "settled": SETTLED}
+RIVALS = {"carried": m.CARRIED, "settled": m.SETTLED}
 """Rivals without learning: blendshapes moved with the bones that p scales, or with the simulated neutral face."""
-SHARE_KEYS = {"share": NETWORK, "share_carried": CARRIED, "share_settled": SETTLED, "share_derivatives": DERIVATIVES}
+SHARE_KEYS = {
+    "share": m.NETWORK,
+    "share_carried": m.CARRIED,
+    "share_settled": m.SETTLED,
+    "share_derivatives": m.DERIVATIVES,
+}
 """Keys of shares, and the methods that they are of."""
 COARSE = 1
 """Level of the template at which the part of the mesh is measured for every row."""
@@ -91,7 +86,7 @@ class Split(OfPerson):
         Column("share", "network's share of |T - carried(S)|"),
         Column("share_carried", f"share of {RIVALS['carried']}"),
         Column("share_settled", f"share of {RIVALS['settled']}"),
-        Column("share_derivatives", f"share of {DERIVATIVES}"),
+        Column("share_derivatives", f"share of {m.DERIVATIVES}"),
         Column("fenicsx", "check: PD - FEniCSx, same energy, max [mm]"),
     )
     note = (
@@ -127,15 +122,15 @@ class Split(OfPerson):
         if task.method.endswith(FINE):
             return self._measure_refined(task.case, task.method.removesuffix(FINE))
         solved = _solve(self, task.case, task.method, self.level)
-        pd, skins = solved.answer(PD), solved.skins
-        for label in (PD, FENICSX, FENICSX_NEO_HOOKEAN):
+        pd, skins = solved.answer(m.PD), solved.skins
+        for label in (m.PD, m.FENICSX, m.FENICSX_NEO_HOOKEAN):
             if not solved.answer(label).converged:
                 raise SoftdecaError(f"{label}: {solved.answer(label).solution.reason}")
-        trained = METHODS[PD_FIRST_ORDER].bind(solved.face).frame(solved.case.weights).astype(np.float64)
-        law = solved.answer(FENICSX_NEO_HOOKEAN).skin
+        trained = m.METHODS[m.PD_FIRST_ORDER].bind(solved.face).frame(solved.case.weights).astype(np.float64)
+        law = solved.answer(m.FENICSX_NEO_HOOKEAN).skin
         linear_coarse, quadratic_coarse = _solve_both(self, task.case, COARSE, task.method)
-        network, carried = skins[NETWORK], solved.shape + solved.face.carried
-        shares = {key: solved.compare(label, PD)[-1]["share"] for key, label in SHARE_KEYS.items()}
+        network, carried = skins[m.NETWORK], solved.shape + solved.face.carried
+        shares = {key: solved.compare(label, m.PD)[-1]["share"] for key, label in SHARE_KEYS.items()}
         return {
             "moved": float(distances(pd.skin, carried).mean()),
             "network": _measure_mean(network, trained),
@@ -144,7 +139,7 @@ class Split(OfPerson):
             "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
             "total": _measure_mean(network, law),
             **shares,
-            "fenicsx": float(np.abs(pd.solution.positions - solved.answer(FENICSX).solution.positions).max()),
+            "fenicsx": float(np.abs(pd.solution.positions - solved.answer(m.FENICSX).solution.positions).max()),
         }
 
     def _measure_refined(self, effect: str, text: str) -> Values:
@@ -271,7 +266,7 @@ def _solve(study: Split, effect: str, text: str, level: int) -> SolvedCase:
 def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
     """Skins [mm] of an expression by the law with linear and with quadratic tets, each on its own settled face."""
     solved = _solve(study, effect, text, level)
-    linear = solved.answer(FENICSX_NEO_HOOKEAN)
+    linear = solved.answer(m.FENICSX_NEO_HOOKEAN)
     assert linear.settled is not None
     law, weights = linear.settled.law, solved.case.weights
     quadratic = solved.face.settled_as(_settle_by_quadratic_tets(solved.face, linear.settled))
