@@ -41,7 +41,7 @@ from .written_file import FOLDER
     "--share",
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=1.0,
-    help="share of the people to learn from, the first ones; for `evaluate --curve`",
+    help="share of the people to learn from, the first ones",
 )
 @click.option("--partial", is_flag=True, help="accept an incomplete corpus")
 def train(

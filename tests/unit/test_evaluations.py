@@ -1,12 +1,10 @@
 """Methods on sequences, and against FEniCSx: what a small corpus of spheres with both gives."""
 
-import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.surrogate.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Heads
@@ -15,10 +13,9 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import by_frame, evaluate, measure_frames
+from softdeca.surrogate.evaluate import by_frame, measure_frames
 from softdeca.surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, METHODS, Method, use_network
 from softdeca.surrogate.motion import STILL, evaluate_motion, evaluate_played
-from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.rigs.inertia import Looseness
 from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials
 
@@ -132,17 +129,3 @@ def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus,
     frames.clear()
     with pytest.raises(InputError, match="no frame with an answer of FEniCSx has derivatives"):
         score_by_fenicsx(tested)
-
-
-def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
-    begun = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 40.0},), {})
-    note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 60.0},), {}, before=asdict(begun))
-    score = evaluate([METHODS[DERIVATIVES]], CorpusTrials(corpus, heads=HEADS).static())[0]
-    found = compute_breakeven(corpus, note, score)
-    assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
-    assert found.frames == pytest.approx(
-        (found.corpus + 100.0) / (found.simulated_frame - 1e-3 * score.frame_ms), rel=1e-9
-    )
-    assert np.isfinite(found.faces)
-    shutil.copy(corpus / "corpus.json", tmp_path)
-    assert compute_breakeven(tmp_path, note, score) is None

@@ -10,28 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ....animation.plots import plot_costs, subplots, to_svg
+from ....animation.plots import plot_costs, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....lhm.base.progress import silent
 from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
-from ....surrogate.methods import NETWORK, SNP, Method, ready_methods
+from ....surrogate.methods import NETWORK, SNP, Method
 from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.networks.weights import MODAL, TrainingNote, has_tables
 from ....surrogate.ruler import MOVES
-from ....surrogate.trials import SIMULATED, SIMULATOR, static_trials
+from ....surrogate.trials import SIMULATED, SIMULATOR
 from ...harness.study import Column, Row, Study, Task, Values
-from .breakeven import Breakeven, compute_breakeven
 from .frames import draw_worst_frames
 from .gates import describe_defeats, make_gates
-from .methods import Contest, list_learners, load_network, open_contest, parse_people
+from .methods import Contest, list_learners, open_contest, parse_people
 
-SEEN = 24
-"""Training faces, of people that all networks of a curve know, on which each is tried, too."""
-CURVE = "over the number of faces"
-UNSEEN, LEARNED = "people that it has not seen", "people that it has learned from"
-"""Kinds of frames of CURVE."""
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
 
@@ -79,7 +73,6 @@ class SurrogateOnCorpus(Study):
     partial: bool = option(False, "take the people that an incomplete corpus has")
     rivals: bool = option(False, "also rivals that learn from its training people: minutes")
     external: str = option("", "another corpus to score, such as external:ict:FILE")
-    curve: tuple[str, ...] = option((), "weights of `train --share`: errors over faces trained on", name="--curve")
 
     def tasks(self) -> Sequence[Task]:
         """List each question by each method; InputError for no corpus, weights of another mesh, bad options."""
@@ -90,27 +83,22 @@ class SurrogateOnCorpus(Study):
         question = self._ask()[task.case]
         scores = question.score(question.contest, task.method)
         contest = self._open(self.corpus, self.people)
-        network = load_network(Path(task.method)) if task.case == CURVE else contest.network
         values: Values = {
             "rows": [asdict(score) for score in scores],
             "people": len(np.unique(contest.tested.faces.groups[:, 0])),
-            "trained_on": asdict(network.weights.note),
+            "trained_on": asdict(contest.network.weights.note),
         }
         if task == Task(self._name_corpus(), NETWORK):
-            return {**values, **self._describe(contest, scores[0])}
+            return {**values, **self._describe(contest)}
         return values
 
-    def _describe(self, contest: Contest, network: Score) -> Values:
-        """Tell what the corpus is, after how many frames training has paid, and draw the worst frames."""
-        tested, corpus = contest.tested, contest.tested.corpus
-        paid = None
-        if tested.split is not None:
-            paid = compute_breakeven(tested.folder, contest.network.weights.note, network)
+    def _describe(self, contest: Contest) -> Values:
+        """Tell what the corpus is, and draw the worst frames."""
+        corpus = contest.tested.corpus
         strips = enumerate(draw_worst_frames(contest, silent), start=1)
         return {
             "corpus": {name: corpus.said[name] for name in OWNER}
             | {"seed": corpus.plan.seed, "made_with": dict(corpus.made_with)},
-            "breakeven": None if paid is None else asdict(paid),
             **{f"worst frame of the {number}. worst face": strip for number, strip in strips},
         }
 
@@ -123,7 +111,7 @@ class SurrogateOnCorpus(Study):
         return make_gates(scores, has_derivatives=has_derivatives)
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell first where the network loses, then share and cost of each, and when training has paid."""
+        """Tell first where the network loses, then share and cost of each."""
         scores = _read_scores(rows)
         sentences = [
             f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _describe_cost(score)
@@ -134,30 +122,15 @@ class SurrogateOnCorpus(Study):
             return ""
         people, trainings = rows[0].values["people"], _read_note(rows[0]).trainings
         frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
-        paid = [row.values["breakeven"] for row in rows if row.values.get("breakeven")]
         return describe_defeats(scores).replace("\n", " ") + (
             f"{people} people that training has not seen ({frames:,} static frames and the derivatives of {faces:,} "
             f"faces). Share left of the motion that bones alone do not explain: {'; '.join(sentences)}."
-        ) + (f" {Breakeven(**paid[0]).sentence}" if paid else "")  # fmt: skip
+        )
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw mean error against the cost before the first frame, and per frame; and over the number of faces."""
+        """Draw mean error against the cost before the first frame, and per frame."""
         known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
-        pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
-        grown = {_read_note(row).all_faces: row for row in rows if row.case == CURVE}
-        if grown:
-            figure, axis = subplots(figsize=(6, 3.4))
-            faces = sorted(grown)
-            for kind, line in ((UNSEEN, "o-"), (LEARNED, "s--")):
-                scored = [score for count in faces for score in _read_scores([grown[count]]) if score.kind == kind]
-                if scored:
-                    axis.plot(faces, [100.0 * score.share for score in scored], line, label=kind)
-            axis.set(xlabel="faces in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0, None))
-            axis.set_xticks(faces, [f"{count:,}" for count in faces])
-            axis.minorticks_off()
-            axis.legend()
-            pictures["Error over the number of faces trained on."] = to_svg(figure)
-        return pictures
+        return {"Error against cost.": to_svg(plot_costs(known))} if known else {}
 
     def _name_corpus(self) -> str:
         """Name the corpus as rows do: by its folder, or, where that is only digests, by what it is for."""
@@ -169,7 +142,7 @@ class SurrogateOnCorpus(Study):
         return open_contest(Path(corpus), parse_people(people), weights, self.partial)
 
     def _ask(self) -> dict[str, Question]:
-        """Questions by case: static frames, sequences and FEniCSx' answers of the corpus, another corpus, the curve."""
+        """Questions by case: static frames, sequences and FEniCSx' answers of the corpus, another corpus."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
         contest, corpus = self._open(self.corpus, self.people), self._name_corpus()
@@ -186,33 +159,7 @@ class SurrogateOnCorpus(Study):
             asked[case] = Question(other, score_external, tuple(other.methods))
             if other.has_motion:
                 asked[f"{case}, in motion"] = Question(other, score_external_motion, tuple(other.methods))
-        if self.curve:
-            if len({load_network(Path(path)).weights.note.all_faces for path in self.curve}) < 2:
-                raise InputError("curve: two weights at least, trained on different numbers of faces")
-            asked[CURVE] = Question(contest, self._score_curve, self.curve)
         return asked
-
-    def _score_curve(self, contest: Contest, path: str) -> list[Score]:
-        """Score a network of the curve on unseen people, and on people from whom all of the curve have learned.
-
-        These are none where all people of the corpus are tested. Where the share of seen people stays far below that
-        of unseen ones, more people help; where both are level, another form would.
-        """
-        network, tested = load_network(Path(path)), contest.tested
-        method = ready_methods(network)[NETWORK]
-        network.weights.check_mesh(tested.corpus.mean)
-        name = f"network of {network.weights.note.all_faces:,} faces"
-        scores = [replace(evaluate([method], tested.static())[0], method=name, kind=UNSEEN)]
-        if tested.split is None:
-            return scores
-        training, notes = tested.training, [load_network(Path(other)).weights.note for other in self.curve]
-        fewest = min(notes, key=lambda note: note.people)
-        people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
-        learned = np.setdiff1d(people, [number for note in notes for number in note.held])
-        rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
-        seen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
-        of_seen = evaluate([method], static_trials(training, seen))[0]
-        return [*scores, replace(of_seen, method=name, kind=LEARNED)]
 
 
 @dataclass(frozen=True, eq=False)
