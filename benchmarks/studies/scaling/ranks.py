@@ -57,7 +57,13 @@ class Ranks(OfPerson):
     @property
     def counts(self) -> tuple[int, ...]:
         """Counts of processes; InputError for other than 1 and others."""
-        return parse_counts(self.processes)
+        wanted = f"processes: expected 1 and others, got {', '.join(self.processes) or 'none'}"
+        if not all(text.isdecimal() for text in self.processes):
+            raise InputError(wanted)
+        counts = tuple(map(int, self.processes))
+        if not counts or counts[0] != 1 or min(counts) < 1:
+            raise InputError(wanted)
+        return counts
 
     def tasks(self) -> Sequence[Task]:
         """List an energy of the head each; InputError for options out of range."""
@@ -148,14 +154,3 @@ def _time(work: Callable):
     begin = time.perf_counter()
     result = work()
     return time.perf_counter() - begin, result
-
-
-def parse_counts(texts: Sequence[str]) -> tuple[int, ...]:
-    """Counts of processes; InputError for other than 1 and others."""
-    wanted = f"processes: expected 1 and others, got {', '.join(texts) or 'none'}"
-    if not all(text.isdecimal() for text in texts):
-        raise InputError(wanted)
-    counts = tuple(map(int, texts))
-    if not counts or counts[0] != 1 or min(counts) < 1:
-        raise InputError(wanted)
-    return counts
