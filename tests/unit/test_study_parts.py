@@ -1,17 +1,10 @@
-"""What the studies are made of: limits, traces, swings, cuts and volumes, on small spheres."""
-
-from dataclasses import replace
+"""What the studies are made of: limits, traces, cuts and volumes, on small spheres."""
 
 import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies.agreement.contact import (
-    measure_pushes,
-)
-from softdeca.benchmarks.studies.agreement.dynamics import RELEASED, SHAKEN, Dynamics, let_go, shake
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
-from softdeca.benchmarks.studies.agreement.release import Release, swing
 from softdeca.benchmarks.studies.arena.contest import run_outside, summarise
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
@@ -32,28 +25,10 @@ from softdeca.benchmarks.studies.mesh.study import (
 )
 from softdeca.benchmarks.studies.scaling.unknowns import count_nodes
 from softdeca.lhm import check_head, fit_head, identities, load_template
-from softdeca.reference import Face, Parameters, Scene, facial_scene, prepare, solve, terms
+from softdeca.reference import Parameters, Scene, facial_scene, prepare, terms
 from softdeca.reference.problems import meshes
 
-from .test_contact import two_bars
-
 pytestmark = pytest.mark.usefixtures("measured_here")
-
-
-def pressed(share):
-    """Two bars, of which one is pushed on the other by a share of the whole way."""
-    scene, _, _ = two_bars(thickness=0.05)
-    ends = scene.terms[2]
-    values = scene.vertices[ends.vertices] + share * (ends.values - scene.vertices[ends.vertices])
-    return replace(scene, terms=tuple(replace(ends, values=values) if term is ends else term for term in scene.terms))
-
-
-def test_without_contact_nothing_is_pushed():
-    scene = pressed(1.0)
-    without = replace(scene, terms=scene.terms[:-1])
-    free = solve(without, tolerance=1e-10)
-    ids = np.unique(scene.of(terms.Contact)[0].triangles)
-    assert measure_pushes(without, ids, free.positions).max() < 1e-6
 
 
 def test_a_cut_box_has_the_area_of_its_side():
@@ -145,49 +120,6 @@ def test_counts_are_the_solvers(element):
     scene = Scene(np.vstack([X, [[9.0, 9.0, 9.0]]]), tets, [])  # a vertex in no tet is no unknown
     order = Numbering(scene, 1 if element == "P1" else 2)
     assert count_nodes(scene, element) == len(order.X)
-
-
-def test_a_swing_is_found_by_its_frequency_and_damping():
-    t = np.arange(30) / 60
-    for frequency, damping in ((4.0, 0.3), (9.0, 0.05), (2.5, 0.0)):
-        omega = 2 * np.pi * frequency
-        wave = 3 * np.exp(-damping * omega * t) * np.cos(omega * np.sqrt(1 - damping**2) * t - 0.4)
-        found = swing(t, wave)
-        assert (found.frequency, found.damping) == (
-            pytest.approx(frequency, rel=1e-6),
-            pytest.approx(damping, abs=1e-6),
-        )
-        assert found.misfit < 1e-6
-
-
-def test_a_swing_of_few_values_is_not_taken_for_a_faster_one():
-    """At 60 values a second 3.88 Hz and 56.2 Hz are the same; implicit Euler damps the former by 0.200."""
-    left = np.array([1.0, 0.85, 0.594, 0.288, -0.016, -0.271, -0.447, -0.53, -0.52])
-    found = swing(np.arange(9) / 60, left)
-    assert found.frequency == pytest.approx(3.88, abs=0.01) and found.damping == pytest.approx(0.2, abs=0.01)
-
-
-def rows_of(release, frames):
-    found = {RELEASED: let_go(release, frames), SHAKEN: shake(release, frames)}
-    return [Row(case, "all marches", "done", "", values, 1.0, None, 0.0, "") for case, values in found.items()]
-
-
-def test_what_the_study_shows_on_a_small_sphere(spheres):
-    """4 Hz at 60 frames per second: implicit Euler damps by 0.200 and swings 0.97 times as fast, by the closed form."""
-    pytest.importorskip("dolfinx")
-    head = spheres(1)
-    at = int(np.argmax(head.skin.vertices[:, 2] - np.abs(head.skin.vertices[:, 1] + 30.0)))
-    rows, study = rows_of(Release(Face(head, choices={"bones": "prescribed"}), at), 10), Dynamics()
-    assert [gate["what"] for gate in study.gates(rows) if not gate["passed"]] == []
-    found = {row["name"]: row for row in rows[0].values["rows"]}
-    # The springs' share of all stiffness is nearly one; the tissue's raises the frequency a little.
-    assert found["Eq. 9, p's frequency and damping"]["damping"] == pytest.approx(0.3, abs=0.01)
-    euler, exact = found["FEM, implicit Euler"], found["FEM, Newmark, 4 per frame"]
-    assert euler["damping"] == pytest.approx(0.2, abs=0.01)
-    assert euler["frequency"] / exact["frequency"] == pytest.approx(0.97, abs=0.01)
-    assert exact["frequency"] == pytest.approx(4.0, abs=0.2) and abs(exact["damping"]) < 5e-3
-    assert "FEM, implicit Euler: " in study.words(rows)
-    assert "<svg" in next(iter(study.pictures(rows).values()))
 
 
 @pytest.fixture(scope="module")
