@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from .solution import Reason, Solution
 SOLVERS = ("projective", "fenicsx", "skfem")
 HOUSE_LAWS = ("PD", "Strain + Volume", *(law.__name__ for law in LAWS))
 """Names that studies have for laws of their own."""
-STREAMS = ("stdout", "stderr")
 TOLERANCE = 1e-11
 """The relative gradient norm that problems are solved to."""
 
@@ -73,8 +70,7 @@ def add_file(path: Path | str):
     """Run a Python file, which adds laws (`add_law`), solvers (`add_solver`) or studies; once, if asked twice.
 
     Its classes are those of a module "softdeca_added_" and the file's name, also in processes that a study starts.
-    Raises InputError for a file that is missing, has the name of another one, raises anything itself, or closes its
-    streams.
+    Raises InputError for a file that is missing, has the name of another one, or raises anything itself.
     """
     path = Path(path).resolve()
     name = f"softdeca_added_{path.stem}"
@@ -89,36 +85,13 @@ def add_file(path: Path | str):
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with _keep_streams():
-            spec.loader.exec_module(module)
+        spec.loader.exec_module(module)
     except BaseException as error:
         sys.modules.pop(name, None)
         if isinstance(error, KeyboardInterrupt):
             raise
         raise InputError(f"{path}: {type(error).__name__}: {error}") from error
     _files[name] = path
-
-
-@contextmanager
-def _keep_streams() -> Iterator[None]:
-    """Give stdout and stderr back as they were after a file is run; InputError where it has closed one."""
-    streams = []
-    for number, name in enumerate(STREAMS, 1):
-        with suppress(OSError):  # it is closed already
-            streams.append((name, getattr(sys, name), number, os.dup(number)))
-    closed = []
-    try:
-        yield
-    finally:
-        for name, stream, number, kept in streams:
-            os.dup2(kept, number)
-            os.close(kept)
-            if stream is not None and stream.closed:
-                closed.append(name)
-                stream = open(number, "w", closefd=False)  # noqa: SIM115
-            setattr(sys, name, stream)
-    if closed:
-        raise InputError(f"it closes {' and '.join(closed)}")
 
 
 def added_files() -> tuple[Path, ...]:
@@ -129,9 +102,9 @@ def added_files() -> tuple[Path, ...]:
 def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems: tuple[Problem, ...] = ()):
     """Let studies have a law of Lamé's moduli mu and lmbda [kPa] at rest.
 
-    Verification has its `problems` beside those that every law has, hard cases start it on linear and quadratic tets,
-    and work-precision has a face of it. Raises InputError for a name that is taken, for what is no EnergyLaw of these
-    moduli at rest, and for one whose formula is no energy of them (`materials.consistency`).
+    Verification has its `problems`, and work-precision has a face of it. Raises InputError for a name that is taken,
+    for what is no EnergyLaw of these moduli at rest, and for one whose formula is no energy of them
+    (`materials.consistency`).
     """
     if name in _laws:
         raise InputError(f"law {name!r} was added already")

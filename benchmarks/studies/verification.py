@@ -148,7 +148,7 @@ class Hard(Study):
     def _list_ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
         return {
             Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
-            for case in (*problems.HARD, *problems.added_hard_cases())
+            for case in problems.HARD
             for solver, element in case.ways
         }
 

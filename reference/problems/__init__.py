@@ -6,12 +6,7 @@ incompressibility, H7 crushed and released, H11 time steps of any length,
 H14 loads without a stable equilibrium.
 """
 
-import functools
-from collections.abc import Callable
-
 from ..added import added_laws
-from ..materials import EnergyLaw, lame
-from ..terms import Hyperelastic
 from . import (
     bars,
     cook,
@@ -27,7 +22,6 @@ from . import (
 )
 from .problem import HardCase, HardOutcome, Outcome, Problem, run, run_hard
 
-ROUNDING = {"fenicsx": 1e-10, "skfem": 1e-10}
 PUBLISHED = (cook, published, incompressible, twisted_beam)
 ALL: tuple[Problem, ...] = (
     *rigid.PROBLEMS,
@@ -47,23 +41,8 @@ HARD: tuple[HardCase, ...] = (
 
 
 def added_problems() -> tuple[Problem, ...]:
-    """The problems of laws that files have added: their own, and those that only need a law."""
-    return tuple(
-        problem for name, law in added_laws().items() for problem in (*law.problems, *_problems_of(name, law.of_moduli))
-    )
-
-
-@functools.cache
-def _problems_of(name: str, of_moduli: Callable[[float, float], EnergyLaw]) -> tuple[Problem, ...]:
-    energies = (Hyperelastic(of_moduli(rigid.MU, 4.0 * rigid.MU)),)
-    moved = rigid.problems_of(name, energies, ROUNDING, least_energy=1e-13)
-    return (*moved, *homogeneous.problems_of(name, of_moduli(*lame(homogeneous.YOUNG, homogeneous.POISSON))))
-
-
-def added_hard_cases() -> tuple[HardCase, ...]:
-    """The hard cases of laws that files have added, of H1's moduli."""
-    moduli = lame(recovery.YOUNG, recovery.POISSON)
-    return tuple(case for name, law in added_laws().items() for case in recovery.cases_of(name, law.of_moduli(*moduli)))
+    """The problems of laws that files have added."""
+    return tuple(problem for law in added_laws().values() for problem in law.problems)
 
 
 __all__ = [
@@ -74,7 +53,6 @@ __all__ = [
     "HardOutcome",
     "Outcome",
     "Problem",
-    "added_hard_cases",
     "added_problems",
     "manufactured",
     "meshes",

@@ -4,23 +4,20 @@ A row is posed with the stretch held and the free stretch sought, and with the n
 stretch sought. Under a compressive dead load the strain energy buckles (its Hessian at the homogeneous state is
 indefinite), so there the energy of the held state stands for the stress, which is its derivative.
 Corotated and St. Venant-Kirchhoff have closed forms. The values of the others solve one equation for the free stretch
-(tests/verification/test_closed_forms.py). Mooney-Rivlin's formulas are for an incompressible body: they stand beside a
-nearly incompressible one, with the error that its compressibility must cause as the bound.
+(tests/verification/test_closed_forms.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..materials import (
     Corotated,
-    EnergyLaw,
     IsochoricNeoHookean,
     MooneyRivlin,
     NeoHookean,
@@ -28,19 +25,15 @@ from ..materials import (
     StVenantKirchhoff,
     Volumetric,
 )
-from ..materials.consistency import invariants
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
 from .meshes import block, triangles_at, unstructured, vertices_at
 from .problem import Attempt, HardCase, Problem, energy
-from .rigid import held_boundary, near
 
 CELLS = 3
 LIMIT = 1.2
 YOUNG, POISSON = 1.0, 0.45
-C1, C2 = 0.3, 0.1
-BULK = 1e4 * 2 * (C1 + C2)
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,6 @@ STABLE = (Hyperelastic(StableNeoHookean.from_young(YOUNG, POISSON)),)
 QUADRATIC = (Hyperelastic(IsochoricNeoHookean.from_young(YOUNG, POISSON)),)
 LOGARITHMIC = (Hyperelastic(IsochoricNeoHookean.from_young(YOUNG, POISSON, Volumetric.LOGARITHMIC)),)
 POLYNOMIAL = (Hyperelastic(MooneyRivlin(C10=0.1, C01=0.05, kappa=10 / 3, C20=0.02)),)
-RIVLIN = (Hyperelastic(MooneyRivlin(C10=C1, C01=C2, kappa=BULK)),)
 
 NEO_HOOKEAN_ROWS = (
     Row("NeoHookean nu=.45, uniaxial", NEO_HOOKEAN, 1, 0.5, 1.3508697467, -1.0861028086),
@@ -129,48 +121,6 @@ SOLVED_ROWS = (
     Row("MooneyRivlin with C20, equibiaxial", POLYNOMIAL, 2, 1.5, 0.5148229027, 0.6114224614),
     Row("MooneyRivlin with C20, pure shear", POLYNOMIAL, 1, 1.5, 0.7153319328, 0.3787427959, confined=1),
 )
-RIVLIN_SOURCE = "Rivlin 1948, incompressible; the bound is the error of kappa = 1e4 mu"
-
-
-def rivlin(stretch: float, loaded: int, confined: int = 0) -> Row:
-    """P = 2 (C1 + C2/l) (l - l⁻²) along one axis, 2 (C1 + C2 l²) (l - l⁻⁵) along two; 2 (C1 + C2) (l - l⁻³)."""
-    s = stretch
-    if loaded == 2:
-        return Row("MooneyRivlin, equibiaxial", RIVLIN, 2, s, s**-2, 2 * (C1 + C2 * s**2) * (s - s**-5))
-    if confined:
-        return Row("MooneyRivlin, pure shear", RIVLIN, 1, s, 1 / s, 2 * (C1 + C2) * (s - s**-3), confined=1)
-    return Row("MooneyRivlin, uniaxial", RIVLIN, 1, s, s**-0.5, 2 * (C1 + C2 / s) * (s - s**-2))
-
-
-RIVLIN_ROWS = (rivlin(1.5, 1), rivlin(2.0, 1), rivlin(1.5, 2), rivlin(1.5, 1, 1), rivlin(2.0, 1, 1))
-
-
-def mean_stress(row: Row) -> float:
-    """A third of the trace of Cauchy's stress [kPa] of an incompressible Mooney-Rivlin body."""
-    l3 = row.free_stretch
-    confined = row.confined * (2 * C1 * (1 - l3**2) - 2 * C2 * (1 - l3**-2))
-    return (row.loaded * row.stretch * row.stress + confined) / 3
-
-
-def free_stretch_error(row: Row) -> float:
-    """Relative error of the free stretch to first order in 1 / kappa.
-
-    kappa/2 (J - 1)² makes J - 1 = mean stress / kappa; the free axes share it, as the other stretches are held.
-    """
-    return mean_stress(row) / BULK / (3 - row.loaded - row.confined)
-
-
-def stretch_error(row: Row) -> float:
-    """Relative error of the stretch under load, to first order in 1 / kappa.
-
-    Where the stretch is held, the energy is lower by (mean stress)² / (2 kappa), and its derivative by the stretch is
-    `loaded` times P; so P is lower by e = mean stress · (mean stress)' / (kappa · loaded), which a stretch greater by
-    e / P' makes good.
-    """
-    h = 1e-5
-    high, low = (rivlin(row.stretch + d, row.loaded, row.confined) for d in (h, -h))
-    e = mean_stress(row) * (mean_stress(high) - mean_stress(low)) / (2 * h) / (BULK * row.loaded)
-    return e / ((high.stress - low.stress) / (2 * h)) / row.stretch
 
 
 def rollers(X: Floats) -> list[Term]:
@@ -259,75 +209,10 @@ def _problems() -> list[Problem]:
     crushed = YOUNG / 2 * (CRUSHED_ROW.stretch - 1) ** 2
     problems.append(free_stretch(CRUSHED_ROW, TEN_DIGITS, "closed form"))
     problems.append(held_energy(CRUSHED_ROW, TEN_DIGITS, crushed, "closed form"))
-    for row in RIVLIN_ROWS:
-        # Terms of second order are smaller by the relative change of volume, 1e-4.
-        held_bounds, load_bounds = (
-            dict.fromkeys(TEN_DIGITS, 1.001 * error(row)) for error in (free_stretch_error, stretch_error)
-        )
-        problems.append(free_stretch(row, held_bounds, RIVLIN_SOURCE))
-        problems.append(loaded_stretch(row, load_bounds, source=RIVLIN_SOURCE))
     return problems
 
 
 PROBLEMS = tuple(_problems())
-
-BY_PSI = "differences of the law's own psi"
-EIGHT_DIGITS = {"fenicsx": 1e-8, "skfem": 1e-8}
-SHEAR = 0.4
-
-
-def _psi(law: EnergyLaw, stretches: Sequence[float]) -> float:
-    return float(law.energy(invariants(np.array([stretches], dtype=np.float64))[0])[0])
-
-
-def _slope(value: Callable[[float], float], at: float, step: float = 1e-4) -> float:
-    ahead, behind, further, before = (value(at + k * step) for k in (1.0, -1.0, 2.0, -2.0))
-    return (8.0 * (ahead - behind) - (further - before)) / (12.0 * step)
-
-
-def solve_row(label: str, law: EnergyLaw, stretch: float, loaded: int, confined: int = 0) -> Row:
-    """Find the free stretch and the nominal stress of a law from its psi alone."""
-
-    def psi(held: float, free: float) -> float:
-        return _psi(law, [held] * loaded + [1.0] * confined + [free] * (3 - loaded - confined))
-
-    near = minimize_scalar(lambda free: psi(stretch, free), bounds=(0.5, 2.0), method="bounded").x
-    free = brentq(lambda t: _slope(lambda u: psi(stretch, u), t), near - 1e-3, near + 1e-3, xtol=1e-14)
-    return Row(
-        label, (Hyperelastic(law),), loaded, stretch, free, _slope(lambda s: psi(s, free), stretch) / loaded, confined
-    )
-
-
-def problems_of(name: str, law: EnergyLaw) -> list[Problem]:
-    """Pose stretches along one axis and two, and shear, for a law whose psi alone gives the values."""
-    rows = [
-        solve_row(f"{name}, uniaxial", law, 1.3, 1),
-        solve_row(f"{name}, equibiaxial", law, 1.2, 2),
-        solve_row(f"{name}, pure shear", law, 1.3, 1, confined=1),
-    ]
-    crushed = solve_row(f"{name}, uniaxial", law, 0.8, 1)
-    problems = [
-        *(make(row, EIGHT_DIGITS, source=BY_PSI) for row in rows for make in (free_stretch, loaded_stretch)),
-        free_stretch(crushed, EIGHT_DIGITS, BY_PSI),
-        held_energy(crushed, EIGHT_DIGITS, _psi(law, [crushed.stretch] + 2 * [crushed.free_stretch]), BY_PSI),
-    ]
-
-    def shear(amount: float) -> Floats:
-        return np.eye(3) + amount * np.outer([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-
-    def psi(amount: float) -> float:
-        return _psi(law, np.linalg.svd(shear(amount), compute_uv=False).tolist())
-
-    A = shear(SHEAR)
-    for what, quantity, value in (
-        ("energy", energy, psi(SHEAR)),
-        ("shear stress", lambda _, solution: solution.first_piola[:, 0, 1].mean(), _slope(psi, SHEAR)),
-    ):
-        scene = partial(held_boundary, (Hyperelastic(law),), A)
-        label = f"{name}, simple shear {SHEAR:g}: {what}"
-        problems.append(Problem(label, BY_PSI, scene, quantity, value, EIGHT_DIGITS, near(A)))
-    return problems
-
 
 TOLERANCE = 1e-7
 """Rounding of F in the worst sliver leaves no more of the gradient."""

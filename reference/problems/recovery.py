@@ -1,25 +1,23 @@
 """H1, H2, H3, H7: a block that was scattered, flattened, turned inside out or crushed must come back to rest.
 
 Projective dynamics' block is free, of 10³ cells, E = 1e4 and nu = .45. Newton's, of the corotated law and 4³ cells,
-stands on its base: of the laws here it alone is known to lead back from anywhere. A law that a file has added must
-refuse a start with inverted tets where its energy is infinite; where it is finite, it may have other equilibria.
+stands on its base: of the laws here it alone is known to lead back from anywhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ...lhm.base.geometry.warp import rigid_motion
 from ...lhm.base.mesh import Floats
-from ..materials import Corotated, EnergyLaw, lame
+from ..materials import Corotated, lame
 from ..materials.material import Isotropic
 from ..scene import Scene
 from ..solution import Solution
-from ..terms import Fixed, Gravity, Hyperelastic, Strain, Volume
+from ..terms import Fixed, Hyperelastic, Strain, Volume
 from .meshes import block, vertices_at
 from .problem import Attempt, HardCase
 
@@ -111,42 +109,6 @@ def _cases() -> list[HardCase]:
         for share in CRUSHED:
             name = f"crushed by {100 * share:g} % and released, {label}"
             cases.append(HardCase(name, "H7", CRITERION, partial(crush_error, pose, share), 1e-6, solvers))
-    return cases
-
-
-def distance_to_fenicsx(law: EnergyLaw, attempt: Attempt) -> float:
-    """The largest distance [mm] from FEniCSx' answer of a block of 1 mm that its weight bends sideways."""
-    scene = standing_block(law, 3)
-    weight = Gravity(np.array([YOUNG / 20, 0.0, 0.0]), density=1.0)
-    bent = replace(scene, terms=(*scene.terms, weight))
-    answers = [way.solve(way.prepare(bent)).positions for way in (attempt, Attempt("fenicsx"))]
-    return float(np.linalg.norm(answers[0] - answers[1], axis=1).max())
-
-
-def cases_of(name: str, law: EnergyLaw) -> list[HardCase]:
-    """The cases of a law that a file has added: FEniCSx from hard starts, and scikit-fem against FEniCSx."""
-    pose = partial(standing_block, law, 3)
-    right = ("passed", "missed") if law.finite_inverted else ("NOT_FINITE",)
-    cases = [
-        HardCase(
-            f"{label}, {name}",
-            source,
-            CRITERION,
-            partial(start_error, pose, start),
-            1e-6,
-            ("fenicsx",),
-            ("P1", "P2"),
-            right,
-        )
-        for label, (source, start) in STARTS.items()
-        if source != "H1" or label.endswith("seed 0")
-    ]
-    crush = partial(crush_error, pose, CRUSHED[0])
-    cases.append(HardCase(f"crushed by 50 % and released, {name}", "H7", CRITERION, crush, 1e-6, ("fenicsx",)))
-    bend = partial(distance_to_fenicsx, law)
-    cases.append(
-        HardCase(f"block bent by its weight, {name}", "two codes", "within 1e-6 of FEniCSx", bend, 1e-6, ("skfem",))
-    )
     return cases
 
 

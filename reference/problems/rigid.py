@@ -79,10 +79,8 @@ def problems_of(
     label: str,
     energies: tuple[Term, ...],
     bounds: dict[str, float],
-    *,
-    least_energy: float = 1e-14,
 ) -> list[Problem]:
-    """Pose the patch and rotations by ANGLES [degrees] for energies; no energy may be above the least one."""
+    """Pose the patch and rotations by ANGLES [degrees] for energies."""
     problems = [
         Problem(
             f"patch, {label}",
@@ -98,7 +96,7 @@ def problems_of(
         R = Rotation.from_rotvec(np.radians(angle) * AXIS).as_matrix()
         for name, quantity, limits in (
             ("positions", deviation(R), bounds),
-            ("energy", relative_energy, dict.fromkeys(bounds, least_energy)),
+            ("energy", relative_energy, dict.fromkeys(bounds, 1e-14)),
             ("stress", relative_stress, dict.fromkeys(bounds, 1e-10)),
         ):
             problems.append(

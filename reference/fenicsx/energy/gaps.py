@@ -1,11 +1,7 @@
-"""Contact of known pairs: the distance of their nearest points, its gradient and Hessian, all exact.
+"""Contact of known pairs: the distance of their nearest points and its gradient, exact; the Hessian by differences.
 
-The gap g(θ) = Σ w_j(θ) x_j of points on both sides is least at θ, the free parameters of the corner, edge or face that
-the nearest point lies on. With f = ½ |g|², whose w_j are linear in each parameter, the Hessian of least f is
-
-    f_xx - f_xθ f_θθ⁻¹ f_θx,  f_xj xk = w_j w_k I,  f_θθ = G Gᵀ,  f_xj θi = w_j,i g + w_j G_i,  G_i = Σ w_j,i x_j,
-
-and the distance's, d = √(2 f), follows from it.
+The gap is Σ w_j x_j of points on both sides. Where it is least, the distance's derivative by x_j is w_j times the
+gap's direction.
 """
 
 from __future__ import annotations
@@ -23,7 +19,11 @@ from .assembly import add_forces
 from .nodal import NodalEnergy
 
 INSIDE = 1e-9
-"""A parameter nearer to the end of its range is held there."""
+"""Edges whose squared sine is below it count as parallel."""
+DIFFERENCE = 1e-6
+"""Of a corner, for differences [mm]."""
+TINY = 1e-12
+"""A distance [mm] below which the way between two points is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,58 +53,52 @@ class Distances(NodalEnergy):
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        return 0.5 * float(self.stiffness @ np.maximum(self.offset - self._measure(x)[1], 0.0) ** 2)
+        distance, _ = self._measure(self.gaps.find_corners(x[self.nodes]))
+        return 0.5 * float(self.stiffness @ np.maximum(self.offset - distance, 0.0) ** 2)
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
-        _, distance, weights, gap, _ = self._measure(x)
-        push = -self.stiffness * np.maximum(self.offset - distance, 0.0) / distance
-        forces = push[:, None, None] * weights[:, :, None] * gap[:, None, :]
+        forces = self._push(self.gaps.find_corners(x[self.nodes]))
         add_forces(self.nodes, self.gaps.spread_forces(forces), into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
-        """See NodalEnergy."""
-        corners, distance, weights, gap, slopes = self._measure(x)
-        m = len(distance)
-        along = np.einsum("mij,mjc->mic", slopes, corners)  # G
-        mixed = slopes[..., None] * gap[:, None, None, :] + weights[:, None, :, None] * along[:, :, None, :]
-        mixed = mixed.reshape(m, slopes.shape[1], 12)
-        inverse = np.linalg.pinv(along @ along.transpose(0, 2, 1), hermitian=True)
-        squares = np.einsum("mj,mk,ab->mjakb", weights, weights, np.eye(3)).reshape(m, 12, 12)
-        of_half_square = squares - mixed.transpose(0, 2, 1) @ inverse @ mixed
-        slope = (weights[:, :, None] * gap[:, None, :]).reshape(m, 12) / distance[:, None]
-        outer = slope[:, :, None] * slope[:, None, :]
-        of_distance = (of_half_square - outer) / distance[:, None, None]
-        depth = np.maximum(self.offset - distance, 0.0)[:, None, None]
-        local = self.stiffness[:, None, None] * ((depth > 0.0) * outer - depth * of_distance)
+        """See NodalEnergy; by central differences of the forces."""
+        corners = self.gaps.find_corners(x[self.nodes])
+        local = np.empty((len(corners), 12, 12))
+        for column, step in enumerate(DIFFERENCE * np.eye(12).reshape(12, 4, 3)):
+            change = self._push(corners + step) - self._push(corners - step)
+            local[:, :, column] = change.reshape(-1, 12) / (2.0 * DIFFERENCE)
+        local = 0.5 * (local + local.transpose(0, 2, 1))
         if kept < 1.0:
             values, vectors = np.linalg.eigh(local)
             local = (vectors * np.maximum(values, kept * values)[:, None, :]) @ vectors.transpose(0, 2, 1)
         k = self.nodes.shape[1]
-        return self.gaps.spread_hessians(local).reshape(m, k, 3, k, 3).transpose(0, 1, 3, 2, 4)
+        return self.gaps.spread_hessians(local).reshape(len(local), k, 3, k, 3).transpose(0, 1, 3, 2, 4)
 
-    def _measure(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return corners (m, 4, 3), distances (m,), weights (m, 4), gaps (m, 3) and slopes (m, 2, 4).
+    def _push(self, corners: Floats) -> Floats:
+        """Return the energy's gradient [mN] by corners, both (m, 4, 3)."""
+        distance, slope = self._measure(corners)
+        return (-self.stiffness * np.maximum(self.offset - distance, 0.0))[:, None, None] * slope
 
-        The slopes are the weights' by the free parameters.
-        """
-        corners = self.gaps.find_corners(x[self.nodes])
-        weights, slopes = np.zeros((len(corners), 4)), np.zeros((len(corners), 2, 4))
+    def _measure(self, corners: Floats) -> tuple[Floats, Floats]:
+        """Return distances (m,) of corners (m, 4, 3), and their derivatives by these (m, 4, 3)."""
+        weights = np.zeros((len(corners), 4))
         between = self.gaps.between_edges
         for mask, find in ((between, _between_edges), (~between, _on_triangle)):
-            weights[mask], slopes[mask] = find(corners[mask])
+            weights[mask] = find(corners[mask])
         gap = np.einsum("mj,mjc->mc", weights, corners)
-        return corners, np.linalg.norm(gap, axis=1), weights, gap, slopes
+        distance = np.linalg.norm(gap, axis=1)
+        normal = gap / np.maximum(distance, TINY)[:, None]
+        return distance, weights[:, :, None] * normal[:, None, :]
 
 
-def _choose_least(corners: Floats, weights: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-    """Choose of several points (ways, m, 4), each with its slopes (ways, m, 2, 4), the nearest one."""
+def _choose_least(corners: Floats, weights: Floats) -> Floats:
+    """Choose of several points (ways, m, 4) the nearest one."""
     squares = np.sum(np.einsum("pmj,mjc->pmc", weights, corners) ** 2, axis=2)
-    best = squares.argmin(axis=0), np.arange(len(corners))
-    return weights[best], slopes[best]
+    return weights[squares.argmin(axis=0), np.arange(len(corners))]
 
 
-def _between_edges(corners: Floats) -> tuple[Floats, Floats]:
+def _between_edges(corners: Floats) -> Floats:
     """Find the nearest points of edges: inside both, or with one parameter at an end and the other where it is best."""
     p, u = corners[:, 0], corners[:, 1] - corners[:, 0]
     q, v = corners[:, 2], corners[:, 3] - corners[:, 2]
@@ -119,14 +113,10 @@ def _between_edges(corners: Floats) -> tuple[Floats, Floats]:
         places.append((np.full(len(p), end), np.clip((vr + end * uv) / vv, 0.0, 1.0)))
         places.append((np.clip((end * uv - ur) / uu, 0.0, 1.0), np.full(len(p), end)))
     s, t = np.moveaxis(np.array(places), 0, 1)
-    weights = np.stack([1 - s, s, t - 1, -t], axis=-1)
-    slopes = np.zeros((*s.shape, 2, 4))
-    slopes[..., 0, :2] = np.where(_is_free(s)[..., None], [-1.0, 1.0], 0.0)
-    slopes[..., 1, 2:] = np.where(_is_free(t)[..., None], [1.0, -1.0], 0.0)
-    return _choose_least(corners, weights, slopes)
+    return _choose_least(corners, np.stack([1 - s, s, t - 1, -t], axis=-1))
 
 
-def _on_triangle(corners: Floats) -> tuple[Floats, Floats]:
+def _on_triangle(corners: Floats) -> Floats:
     """Find a triangle's point nearest to a vertex: inside, or on one of its sides."""
     p, (a, b, c) = corners[:, 0], corners[:, 1:].transpose(1, 0, 2)
     u, v, r = b - a, c - a, p - a
@@ -136,25 +126,11 @@ def _on_triangle(corners: Floats) -> tuple[Floats, Floats]:
         s, t = (vv * ur - uv * vr) / det, (uu * vr - uv * ur) / det
     inside = (det > 0) & (s >= 0) & (t >= 0) & (s + t <= 1)
     shares = [np.stack([1 - s - t, s, t], axis=1)]
-    slopes = [np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         begin, way = corners[:, 1 + i], corners[:, 1 + j] - corners[:, 1 + i]
         along = np.clip(np.einsum("mc,mc->m", p - begin, way) / np.einsum("mc,mc->m", way, way), 0.0, 1.0)
         on_side = np.zeros((len(p), 3))
         on_side[:, i], on_side[:, j] = 1 - along, along
-        slope = np.zeros((2, 4))
-        slope[0, 1 + i], slope[0, 1 + j] = 1.0, -1.0
         shares.append(on_side)
-        slopes.append(slope)
     shares[0] = np.where(inside[:, None], shares[0], shares[1])
-    weights = np.concatenate([np.ones((4, len(p), 1)), -np.array(shares)], axis=2)
-    of_ways = np.repeat(np.array(slopes)[:, None], len(p), axis=1)
-    of_ways[0, ~inside] = of_ways[1, ~inside]
-    at_end = (np.array(shares) > 1.0 - INSIDE).any(axis=2)
-    of_ways[at_end] = 0.0
-    return _choose_least(corners, weights, of_ways)
-
-
-def _is_free(parameter: Floats) -> np.ndarray:
-    """Whether parameters lie inside their range, from 0 to 1."""
-    return (parameter > INSIDE) & (parameter < 1.0 - INSIDE)
+    return _choose_least(corners, np.concatenate([np.ones((4, len(p), 1)), -np.array(shares)], axis=2))
