@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from ..lhm.base.limits import BAKED_TARGETS
-from ..lhm.expressions import Take
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .options import FILE, LEVEL, argument, count_range, make_command, option
+from .options import FILE, LEVEL, argument, make_command, option
 from .take_options import DETAIL, HeadChoice, load_take
 from .terminal import show_progress
 from .written_file import FOLDER
@@ -62,8 +59,7 @@ class Animate:
 
     Writes OUT/take.vtkhdf (or .glb, or .usd), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error,
     certain and seconds of each frame. Morph targets of glb and usd have ARKit's names where derivatives alone make all
-    frames. With --targets it also writes OUT/rig.glb: the rig's own morph targets and the take's weights of them. Exit
-    status 1 if a frame is not within the accuracy; those are listed.
+    frames. Exit status 1 if a frame is not within the accuracy; those are listed.
     """
 
     take: str = argument("TAKE", type=str)
@@ -89,26 +85,30 @@ class Animate:
     bones: str = option("rigid", "motion of the mandible", type=click.Choice(["rigid", "prescribed", "soft"]))
     crossing: bool = option(False, "let lids and lips cross: contact costs time where they touch")
     surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
-    targets: int | None = option(
-        None, "also write glTF with this many morph targets, for any take", type=count_range(BAKED_TARGETS)
-    )
     out: Path = option("out/animation", "folder of the results", type=FOLDER)
     json: bool = option(False, "print the result as JSON")
 
     def run(self) -> int:
         """Animate, and say how it went."""
+        from ..animation.animate import Animation
+        from ..animation.animate import animate as run_animation
+        from ..surrogate import Surrogate
+
         self._check()
         which = HeadChoice(self.head, self.identities, self.level)
         take = load_take(self.take, self.fps, self.frames, self.turned)
         parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
-        result = (self._animate_by_rig if self.accuracy is None else self._within)(which, take, parameters)
+        chosen = ("out", "format", "preview", "accuracy", "bones", "dynamic", "turned", "detail")
+        wanted = Animation(contact=not self.crossing, **{name: getattr(self, name) for name in chosen})
+        with show_progress() as progress:
+            result = run_animation(
+                wanted, which.face(parameters, progress), take, Surrogate.load(self.surrogate), progress
+            )
         self._say(result)
         return 1 if result.failed or result.neutral != "CONVERGED" else 0
 
     def _check(self) -> None:
         """UsageError for options that contradict."""
-        if self.targets is not None and (self.dynamic or self.bones != "rigid"):
-            self._refuse("--targets are of static frames; leave out --dynamic and --bones")
         if self.accuracy is None and self.bones != "rigid":
             self._refuse(f"--bones are the simulator's: they need --accuracy, not {NONE!r}")
         if self.accuracy is None and self.crossing:
@@ -116,49 +116,6 @@ class Animate:
 
     def _refuse(self, words: str) -> None:
         raise click.UsageError(words, click.get_current_context())
-
-    @property
-    def _files(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("out", "format", "preview", "dynamic", "turned", "detail")}
-
-    def _within(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
-        """Animate within the accuracy."""
-        from ..animation.animate import AnimateConfig, animate
-        from ..surrogate import Surrogate
-        from ..surrogate.methods import bind_cheaply
-
-        chosen: dict[str, Any] = {"accuracy": self.accuracy, "bones": self.bones, "contact": not self.crossing}
-        config = AnimateConfig(**self._files, **chosen)
-        with show_progress() as progress:
-            face, network = which.face(parameters, progress), Surrogate.load(self.surrogate)
-            result = animate(config, face, take, network, progress)
-            if self.targets is None:
-                return result
-            return self._bake(bind_cheaply(face, network, exact=True, beyond="clamp")[1], take, result)
-
-    def _animate_by_rig(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
-        """Animate by a rig alone."""
-        from ..animation.animate import animate_rig
-        from ..animation.play import Output
-        from ..surrogate import Surrogate
-        from ..surrogate.methods import bind_cheaply
-
-        network = Surrogate.load(self.surrogate)
-        with show_progress() as progress:
-            bind = partial(bind_cheaply, surrogate=network)
-            result, rig = animate_rig(Output(**self._files), which.face(parameters, progress), bind, take, progress)
-            return result if self.targets is None else self._bake(rig, take, result)
-
-    def _bake(self, rig, take: Take, result: AnimateResult) -> AnimateResult:
-        """Write the rig's morph targets besides."""
-        from dataclasses import replace
-
-        from ..animation.play import describe_targets
-
-        path, baked = self.out / "rig.glb", rig.bake(self.targets)
-        baked.write_gltf(path, take)
-        note = describe_targets(path, len(baked.targets), baked.largest_error)
-        return replace(result, files=(*result.files, path), notes=(*result.notes, note))
 
     def _say(self, result: AnimateResult) -> None:
         if self.json:

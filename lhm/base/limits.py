@@ -61,7 +61,6 @@ SHARD_BYTES = Bound("bytes of a shard", 2_000_000_000, "a person of `small` has 
 WEIGHTS_BYTES = Bound("bytes of weights", 1_000_000_000, "the shipped network has 29 MB; weights are held in memory")
 TRAINING_STEPS = Bound("steps", 100_000_000, "a step takes a millisecond or more: a day of work", 1)
 WORKERS = Bound("processes", 256, "each takes 0.2 GB or more, whatever the machine has", 1)
-BAKED_TARGETS = Bound("morph targets", 4_096, "the network has some 150 directions; viewers stop far earlier", 1)
 LEVEL = Bound("as a level", 3, "templates have three", 1)
 STUDIED_PEOPLE = Bound("people of a study", 1_000, "each is minutes of work", 1)
 STUDIED_HEADS = Bound("heads of a study", 100_000, "each is a second of work or more", 1)
