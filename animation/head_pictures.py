@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head.head import LayeredHead
 from ..lhm.template.depths.pairs import MeasuredDepths
 from ..reference import Parameters, facial_scene, solve
-from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, draw_values, draw_views
+from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, load_pyvista, to_polydata
 from .plots import subplots, to_png
 
 FRONT = (0.0, 0.05, 1.0)
 VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
-HALF_TURN = np.array([-1.0, 1.0, -1.0])
+BEHIND = (-0.45, 0.08, -1.0)
+SIZE = 520
 WORST = 300
 LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
 
@@ -59,8 +60,12 @@ def draw_head(
     fine = head.fine_skin if detail else None
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
-        "skin": draw_views(
-            [(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin, fine=fine
+        "skin": draw_strip(
+            [Panel(caption, skin, view=view) for caption, view in VIEWS],
+            size=SIZE,
+            framed=head.skin_wrap.vertices,
+            rest=head.skin,
+            fine=fine,
         ),
         "layers": draw_cut_away(head, positions=positions),
         "sections": draw_sections(head, positions, skin),
@@ -71,6 +76,9 @@ def draw_head(
 
 def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     """The tissue [mm] in the mid-plane, and in the horizontal plane between the lips; the skin as a line."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    pyvista = load_pyvista()
     rest = head.skin_wrap.vertices
     mouth = head.regions.get("lips", np.ones(len(rest), bool))
     wrap = positions[: len(rest)]
@@ -90,10 +98,14 @@ def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     )
     for axis, (normal, place, shown, title, x_label, y_label) in zip(axes, planes, strict=True):
         for tets, colour, label in ((head.soft.tets, SOFT, "soft tissue"), (head.muscle.tets, MUSCLE, "muscle")):
-            pieces = [piece[:, shown] for piece in _cut_tets(positions, tets, normal, place)]
-            axis.add_collection(_polygons(pieces, colour, label))
-        lines = [piece[:, shown] for piece in _cut_triangles(skin.vertices, skin.triangles, normal, place)]
-        axis.add_collection(_lines(lines))
+            grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: tets}, positions)
+            cut = grid.slice(np.eye(3)[normal], place * np.eye(3)[normal])
+            pieces = [cut.points[face][:, shown] for face in cut.irregular_faces]
+            how = {"facecolor": colour, "edgecolor": "#55443a", "linewidth": 0.25, "label": label}
+            axis.add_collection(PolyCollection(pieces, **how))
+        cut = to_polydata(pyvista, skin.vertices, skin.triangles).slice(np.eye(3)[normal], place * np.eye(3)[normal])
+        lines = cut.points[cut.lines.reshape(-1, 3)[:, 1:]][:, :, shown]
+        axis.add_collection(LineCollection(lines, color="#1f4e79", linewidth=0.9, label="skin"))
         axis.autoscale_view()
         axis.set_aspect("equal")
         axis.set_title(title, fontsize=11)
@@ -102,60 +114,19 @@ def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     return to_png(figure)
 
 
-def _polygons(pieces: Sequence[Floats], colour: str, label: str):
-    from matplotlib.collections import PolyCollection
-
-    return PolyCollection(pieces, facecolor=colour, edgecolor="#55443a", linewidth=0.25, label=label)
-
-
-def _lines(lines: Sequence[Floats]):
-    from matplotlib.collections import LineCollection
-
-    return LineCollection(lines, color="#1f4e79", linewidth=0.9, label="skin")
-
-
-def _cut_tets(vertices: Floats, tets: np.ndarray, normal: int, place: float) -> list[Floats]:
-    """The polygons, shape (3 or 4, 3), in which a plane across an axis cuts tets."""
-    height = vertices[:, normal] - place
-    above = height[tets] > 0
-    pieces = []
-    for tet, up in zip(tets[above.any(1) & ~above.all(1)], above[above.any(1) & ~above.all(1)], strict=True):
-        pairs = [(i, j) for i in tet[up] for j in tet[~up]]
-        # Of two corners on either side the edges come as ac, ad, bc, bd: the polygon runs ac, ad, bd, bc.
-        pairs = [pairs[0], pairs[1], pairs[3], pairs[2]] if len(pairs) == 4 else pairs
-        pieces.append(np.array([_between(vertices, height, i, j) for i, j in pairs]))
-    return pieces
-
-
-def _cut_triangles(vertices: Floats, triangles: np.ndarray, normal: int, place: float) -> list[Floats]:
-    """The segments, shape (2, 3), in which a plane across an axis cuts triangles."""
-    height = vertices[:, normal] - place
-    above = height[triangles] > 0
-    mixed = above.any(1) & ~above.all(1)
-    return [
-        np.array([_between(vertices, height, i, j) for i in triangle[up] for j in triangle[~up]])
-        for triangle, up in zip(triangles[mixed], above[mixed], strict=True)
-    ]
-
-
-def _between(vertices: Floats, height: Floats, i: int, j: int) -> Floats:
-    share = height[i] / (height[i] - height[j])
-    return vertices[i] + share * (vertices[j] - vertices[i])
-
-
 def draw_fit(head: LayeredHead) -> bytes:
     """The skin with its distance to the skin wrap, and the skin wrap with its distance to the skin, as colours [mm]."""
     skin, wrap = head.skin, head.skin_wrap
     there = TriangleTree(skin.vertices, skin.triangles).closest(wrap.vertices)[2]
     back = TriangleTree(wrap.vertices, wrap.triangles).closest(skin.vertices)[2]
-    return draw_values(
-        [
-            ("skin: distance to its wrap", skin, back, FRONT),
-            ("the same from the subject's left", skin, back, SIDE),
-            ("skin wrap: distance to the skin", wrap, there, VIEW),
-        ],
-        title=f"distance [mm]; {LARGEST_GAP:g} and more alike",
-        limits=(0.0, LARGEST_GAP),
+    panels = (
+        ("skin: distance to its wrap", skin, back, FRONT),
+        ("the same from the subject's left", skin, back, SIDE),
+        ("skin wrap: distance to the skin", wrap, there, VIEW),
+    )
+    return draw_strip(
+        [Panel(caption, surface, gap, LARGEST_GAP, view=view) for caption, surface, gap, view in panels],
+        size=SIZE,
     )
 
 
@@ -163,42 +134,39 @@ def draw_quality(head: LayeredHead) -> bytes:
     """Draw the tets of the smallest dihedral angles, on the faded skin wrap, by angle [degrees]."""
     angles = smallest_dihedrals(head.vertices, head.tets)
     worst = np.argsort(angles)[:WORST]
-    points = head.vertices[head.tets[worst]].mean(axis=1)
     directions = (
         (f"the worst {len(worst)} of {len(angles)} tets", FRONT),
         ("from the subject's left", SIDE),
         ("from the subject's right", (-1.0, 0.05, 0.15)),
     )
-    return draw_values(
-        [(text, head.skin_wrap, None, view) for text, view in directions],
-        title="smallest dihedral angle [degrees]",
-        limits=(float(angles[worst[0]]), float(angles[worst[-1]])),
-        points=(points, angles[worst]),
+    how = {
+        "low": float(angles[worst[0]]),
+        "title": "dihedral angle [degrees]",
+        "points": head.vertices[head.tets[worst]].mean(axis=1),
+    }
+    top = float(angles[worst[-1]])
+    return draw_strip(
+        [Panel(caption, head.skin_wrap, angles[worst], top, view=view, **how) for caption, view in directions],
+        size=SIZE,
     )
 
 
 def draw_depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
     """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
     top = float(np.nanquantile(errors, 0.99))
-    return draw_strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turn(skin_wrap), errors, top)])
+    panels = [Panel(caption, skin_wrap, errors, top), Panel("from behind", skin_wrap, errors, top, view=BEHIND)]
+    return draw_strip(panels)
 
 
 def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
     """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
     met = np.where(measured.met, measured.depths, np.nan)
-    top, behind = float(np.nanquantile(met, 0.95)), _turn(skin_wrap)
+    top = float(np.nanquantile(met, 0.95))
     return draw_strip(
         [
             Panel("measured depth", skin_wrap, met, top),
             Panel("predicted depth", skin_wrap, predicted, top),
-            Panel("measured, from behind", behind, met, top),
-            Panel("predicted, from behind", behind, predicted, top),
+            Panel("measured, from behind", skin_wrap, met, top, view=BEHIND),
+            Panel("predicted, from behind", skin_wrap, predicted, top, view=BEHIND),
         ],
     )
-
-
-def _turn(surface: Surface) -> Surface:
-    """The same by half a turn about its vertical axis: panels of a strip share their view."""
-    x = surface.vertices
-    centre = (x.max(axis=0) + x.min(axis=0)) / 2
-    return surface.with_vertices(centre + HALF_TURN * (x - centre))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
 VIEW = (0.45, 0.08, 1.0)
 """From the front, a little from the subject's left; x is the subject's left, y up, z forward."""
-PANELS, VALUES = "panels", "YlOrRd"
-"""Name of the text chunk, and colour map of distances."""
+PANELS, VALUES, WORST = "panels", "YlOrRd", "inferno"
+"""Name of the text chunk, and colour maps of distances and of points, whose least values are dark."""
 SIDE = (1.0, 0.05, 0.15)
 MARGIN = 1.06
 """Height of a picture over that of what it frames."""
@@ -39,9 +39,11 @@ MARGIN = 1.06
 
 @dataclass(frozen=True)
 class Panel:
-    """One view: a surface with a caption, coloured by values [mm], shape (n,), from 0 to `top` where given.
+    """One view: a surface with a caption, coloured by values, shape (n,), from `low` to `top` where given.
 
-    weights (52,) of its expression turn the eyes, where a skin has some.
+    A bar tells the colours and `title`, by default the unit mm. weights (52,) of its expression turn the eyes, where a
+    skin has some. With `points` (k, 3) [mm] the surface is faded, and the values (k,) are theirs. `named` are points
+    (3,) [mm] that are numbered, and listed below by name.
     """
 
     caption: str
@@ -49,6 +51,11 @@ class Panel:
     values: Floats | None = None
     top: float = 1.0
     weights: Floats | None = None
+    view: Sequence[float] | None = None
+    low: float = 0.0
+    title: str = "mm"
+    points: Floats | None = None
+    named: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def load_pyvista():
@@ -110,7 +117,8 @@ def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
 
 def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
-    return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
+    how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12}
+    return how | ({"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"})
 
 
 def light_share(surface: Surface) -> Floats:
@@ -145,16 +153,6 @@ def to_linear_light(colours: Floats | NDArray[np.uint8]) -> Floats:
     return (colours / 255.0) ** 2.2
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A colour bar: a colour map of Matplotlib, the values at its ends, and a title with the unit."""
-
-    cmap: str
-    low: float
-    high: float
-    title: str
-
-
 def frame_view(
     surfaces: Sequence[Floats], view: Sequence[float], framed: Floats | None = None, aspect: float = 1.0
 ) -> tuple[Floats, float]:
@@ -174,19 +172,19 @@ def frame_view(
     return centre, MARGIN * float(max(high - low, np.ptp(x) / aspect))
 
 
-def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), legend: str = "") -> bytes:
+def _sheet(plotter, panels: Sequence[Panel], legend: str = "") -> bytes:
     """Close a plotter of panels side by side; PNG of them with captions above, and bars and a legend below."""
     from PIL import Image, ImageDraw, ImageFont
     from PIL.PngImagePlugin import PngInfo
 
     drawn = Image.fromarray(np.asarray(plotter.screenshot(None, return_img=True)))
     plotter.close()
-    width = drawn.width // len(captions)
+    width = drawn.width // len(panels)
     size = max(12, width // 18)
     font = ImageFont.load_default(size)
-    lines = [_wrap(caption, font.getlength, 0.94 * width) for caption in captions]
+    lines = [_wrap(panel.caption, font.getlength, 0.94 * width) for panel in panels]
     above = max(len(each) for each in lines) * round(1.3 * size) + size // 2
-    below = 3 * size if any(bars) else 0
+    below = 3 * size if any(panel.values is not None for panel in panels) else 0
     listed = legend.splitlines()
     last = (len(listed) + 1) * round(1.3 * size) if listed else 0
     sheet = Image.new("RGB", (drawn.width, above + drawn.height + below + last), "white")
@@ -199,19 +197,19 @@ def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), le
     for column, each in enumerate(lines):
         for k, line in enumerate(each):
             write(line, (column + 0.5) * width, size // 3 + k * round(1.3 * size))
-    for column, bar in enumerate(bars):
-        if bar is not None:
+    for column, panel in enumerate(panels):
+        if panel.values is not None:
             left, top = round((column + 0.1) * width), above + drawn.height + size // 2
-            sheet.paste(_gradient(bar.cmap, round(0.8 * width), round(0.8 * size)), (left, top))
+            sheet.paste(_gradient(_colour_map(panel), round(0.8 * width), round(0.8 * size)), (left, top))
             under = top + size
-            write(f"{bar.low:.3g}", left, under, "lt")
-            write(bar.title, left + 0.4 * width, under)
-            write(f"{bar.high:.3g}", left + 0.8 * width, under, "rt")
+            write(f"{panel.low:.3g}", left, under, "lt")
+            write(panel.title, left + 0.4 * width, under)
+            write(f"{panel.top:.3g}", left + 0.8 * width, under, "rt")
     for k, line in enumerate(listed):
         write(line, size, above + drawn.height + below + k * round(1.3 * size), "lt")
     buffer, notes = io.BytesIO(), PngInfo()
     # A legend of all panels is no part of one.
-    notes.add_text(PANELS, str(1 if legend else len(captions)))
+    notes.add_text(PANELS, str(1 if legend else len(panels)))
     sheet.save(buffer, "PNG", pnginfo=notes)
     return buffer.getvalue()
 
@@ -248,40 +246,80 @@ def draw_strip(
     rest: Surface | None = None,
     fine: FineSkin | None = None,
 ) -> bytes:
-    """Panels side by side at one scale, with a colour bar under each coloured one.
+    """Panels side by side at one scale, with a colour bar under each coloured one; `view` is that of panels without.
 
     The picture frames the points `framed` [mm], shape (k, 3), and the crown, by default all of the surfaces. Hidden
     parts of `rest`, the head at rest, are drawn dark. `fine` draws skins finer.
     """
     pyvista = load_pyvista()
     colours = None if rest is None else shade_skin(rest, fine)
-    window = (size * len(panels), int(size * 1.2))
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(panels)), window_size=window, border=False)
-    plotter.set_background("white", all_renderers=True)
-    centre, height = frame_view([panel.surface.vertices for panel in panels], view, framed, 1.0 / 1.2)
+    plotter = _make_plotter(len(panels), size, round(1.2 * size))
+    surfaces = [panel.surface.vertices for panel in panels]
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         drawn = drawn_surface(panel.surface, fine)
         mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
-        add_eyes_and_teeth(plotter, panel.surface, panel.weights)
-        if panel.values is None:
-            plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True, specular=0.15)
+        if panel.points is not None:
+            plotter.add_mesh(mesh, color=SKIN, opacity=0.25, smooth_shading=True)
+            dots = pyvista.PolyData(np.asarray(panel.points))
+            how = _colour_by(panel) | {"point_size": 9, "render_points_as_spheres": True}
+            plotter.add_mesh(dots, scalars=panel.values, **how)
+        elif panel.values is not None:
+            values = panel.values if fine is None else fine.spread(panel.values)
+            plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **_colour_by(panel))
+        else:
+            plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True)
             if colours is not None:
                 add_back(plotter, drawn)
-        else:
-            how = {"cmap": VALUES, "clim": (0.0, panel.top), "show_scalar_bar": False}
-            values = panel.values if fine is None else fine.spread(panel.values)
-            plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
-        aim_camera(plotter, centre, height, view)
-    bars = [None if panel.values is None else Bar(VALUES, 0.0, panel.top, "mm") for panel in panels]
-    return _sheet(plotter, [panel.caption for panel in panels], bars)
+        if panel.points is None:
+            add_eyes_and_teeth(plotter, panel.surface, panel.weights)
+        seen_from = view if panel.view is None else panel.view
+        _add_numbers(plotter, panel.named, seen_from)
+        aim_camera(plotter, *frame_view(surfaces, seen_from, framed, 1.0 / 1.2), seen_from)
+    legend = "\n".join(f"{number}  {name}" for number, name in enumerate(panels[0].named, start=1))
+    return _sheet(plotter, panels, legend)
+
+
+def _make_plotter(columns: int, width: int, height: int):
+    """A plotter of so many white panels, each of this size [pixels]."""
+    window = (columns * width, height)
+    plotter = load_pyvista().Plotter(off_screen=True, shape=(1, columns), window_size=window, border=False)
+    plotter.set_background("white", all_renderers=True)
+    return plotter
+
+
+def _colour_map(panel: Panel) -> str:
+    return VALUES if panel.points is None else WORST
+
+
+def _colour_by(panel: Panel) -> dict[str, Any]:
+    return {"cmap": _colour_map(panel), "clim": (panel.low, panel.top), "show_scalar_bar": False}
+
+
+def _add_numbers(plotter, named: Mapping[str, Floats], view: Sequence[float]) -> None:
+    """Add points [mm] with their numbers, a little before the surface."""
+    if not named:
+        return
+    places = np.array(list(named.values()), dtype=np.float64).reshape(-1, 3)
+    plotter.add_point_labels(
+        places + 2.0 * np.asarray(view) / np.linalg.norm(view),
+        [str(number) for number in range(1, len(named) + 1)],
+        font_size=14,
+        point_size=9,
+        point_color="#1f4e79",
+        text_color="black",
+        shape_color="white",
+        shape_opacity=0.6,
+        render_points_as_spheres=True,
+        always_visible=True,
+    )
 
 
 def draw_cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
     """The head's left half with its layers open at the mid-plane, beside the skull wrap's labels."""
     pyvista = load_pyvista()
     vertices = head.vertices if positions is None else positions
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
+    plotter = _make_plotter(3, size, size)
     across = head.skin_wrap.vertices[:, 0]
     middle = vertices[head.tets].mean(axis=1)[:, 0] < 0.5 * (across.min() + across.max())
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
@@ -310,109 +348,6 @@ def draw_cut_away(head: LayeredHead, *, positions: Floats | None = None, size: i
             interpolate_before_map=False,
         )
         aim_camera(plotter, *frame_view([vertices], VIEW), VIEW)
-    plotter.set_background("white", all_renderers=True)
     words = ("soft tissue and muscle, cut at the mid-plane", "skin wrap")
-    return _sheet(plotter, [*words, "skull wrap: cranium white, mandible blue, rest free"])
-
-
-def draw_views(
-    panels: Sequence[tuple[str, Surface, Sequence[float]]],
-    *,
-    size: int = 520,
-    framed: Floats | None = None,
-    rest: Surface | None = None,
-    fine: FineSkin | None = None,
-) -> bytes:
-    """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
-
-    `framed`, `rest` and `fine` as in `draw_strip`.
-    """
-    pyvista = load_pyvista()
-    colours = None if rest is None else shade_skin(rest, fine)
-    shape = (1, len(panels))
-    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
-    surfaces = [surface.vertices for _, surface, _ in panels]
-    for column, (_, surface, view) in enumerate(panels):
-        plotter.subplot(0, column)
-        drawn = drawn_surface(surface, fine)
-        mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
-        mesh.point_data.active_normals = drawn.vertex_normals
-        add_eyes_and_teeth(plotter, surface)
-        actor = plotter.add_mesh(mesh, **skin_colours(colours), specular=0.1, specular_power=8, ambient=0.12)
-        if colours is not None:
-            add_back(plotter, drawn)
-        actor.prop.interpolation = "Phong"
-        aim_camera(plotter, *frame_view(surfaces, view, framed), view)
-    plotter.set_background("white", all_renderers=True)
-    return _sheet(plotter, [caption for caption, _, _ in panels])
-
-
-def draw_values(
-    panels: Sequence[tuple[str, Surface, Floats | None, Sequence[float]]],
-    *,
-    title: str,
-    limits: tuple[float, float],
-    points: tuple[Floats, Floats] | None = None,
-    size: int = 520,
-) -> bytes:
-    """Surfaces side by side at one scale, (caption, surface, values (n,) or None, view), each with a colour bar.
-
-    A surface without values is faded, and `points` (k, 3) [mm] with values (k,) are drawn in it, for all panels.
-    """
-    pyvista = load_pyvista()
-    shape = (1, len(panels))
-    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
-    surfaces = [surface.vertices for _, surface, _, _ in panels]
-    bar = Bar(VALUES if points is None else "inferno", *limits, title)
-    how = {"cmap": bar.cmap, "clim": limits, "show_scalar_bar": False}
-    for column, (_, surface, values, view) in enumerate(panels):
-        plotter.subplot(0, column)
-        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
-        if values is not None:
-            plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
-        else:
-            plotter.add_mesh(mesh, color=SKIN, opacity=0.25, smooth_shading=True)
-        if points is not None:
-            dots = pyvista.PolyData(np.asarray(points[0]))
-            plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
-        aim_camera(plotter, *frame_view(surfaces, view), view)
-    plotter.set_background("white", all_renderers=True)
-    return _sheet(plotter, [caption for caption, _, _, _ in panels], [bar] * len(panels))
-
-
-def draw_labelled(
-    surface: Surface,
-    points: Mapping[str, Floats],
-    views: Sequence[tuple[str, Sequence[float]]],
-    *,
-    framed: Floats,
-    size: int = 560,
-) -> bytes:
-    """A surface from several views (caption, direction), with points [mm] by name, numbered.
-
-    The names are listed below; `framed` as in `draw_strip`.
-    """
-    pyvista = load_pyvista()
-    window = (size * len(views), size)
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
-    places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
-    for column, (_, view) in enumerate(views):
-        plotter.subplot(0, column)
-        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
-        plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
-        plotter.add_point_labels(
-            places + 2.0 * np.asarray(view) / np.linalg.norm(view),
-            [str(number) for number in range(1, len(points) + 1)],
-            font_size=14,
-            point_size=9,
-            point_color="#1f4e79",
-            text_color="black",
-            shape_color="white",
-            shape_opacity=0.6,
-            render_points_as_spheres=True,
-            always_visible=True,
-        )
-        aim_camera(plotter, *frame_view([surface.vertices], view, framed), view)
-    plotter.set_background("white", all_renderers=True)
-    legend = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
-    return _sheet(plotter, [caption for caption, _ in views], legend=legend)
+    captions = (*words, "skull wrap: cranium white, mandible blue, rest free")
+    return _sheet(plotter, [Panel(caption, head.skin_wrap) for caption in captions])

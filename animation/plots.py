@@ -5,12 +5,7 @@ from __future__ import annotations
 import io
 import math
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-
-import numpy as np
+from collections.abc import Mapping, Sequence
 
 from ..lhm.base.errors import InputError
 
@@ -22,9 +17,6 @@ STYLE = {
     "legend.fontsize": 8,
     "figure.constrained_layout.use": True,
 }
-NARROW = 3.9
-"""Width [inch] of a figure on a phone, where its letters are as large as those of the page."""
-_narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 
 def draw_learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
@@ -84,31 +76,10 @@ def draw_histograms(panels: Sequence[tuple[str, str, Sequence[float], float | No
 
 
 def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float] = (6.4, 4.8), **more):
-    """A figure and its axes, as pyplot.subplots makes them, in the style that all share; Matplotlib loads here.
-
-    Within `narrow` the figure is as wide as a phone, and its panels stand one below the other.
-    """
+    """A figure and its axes, as pyplot.subplots makes them, in the style that all share; Matplotlib loads here."""
     plt = _pyplot()
     plt.rcParams.update(STYLE)
-    if not _narrow.get():
-        return plt.subplots(rows, columns, figsize=figsize, **more)
-    stacked, tall = rows * columns, max(figsize[1] / rows, 0.6 * NARROW)
-    more.pop("width_ratios", None)
-    figure, axes = plt.subplots(stacked, 1, figsize=(NARROW, stacked * tall), **more)
-    if stacked == 1:
-        return figure, axes
-    shape = (rows, columns) if rows > 1 and columns > 1 or not more.get("squeeze", True) else (stacked,)
-    return figure, np.reshape(axes, shape)
-
-
-@contextmanager
-def narrow_figures() -> Iterator[None]:
-    """Draw figures for a screen of 390 pixels."""
-    token = _narrow.set(True)
-    try:
-        yield
-    finally:
-        _narrow.reset(token)
+    return plt.subplots(rows, columns, figsize=figsize, **more)
 
 
 def widen_axis(axis, values: Sequence[float]) -> None:
@@ -138,8 +109,6 @@ def to_svg(figure) -> str:
     """A figure as SVG text, closed."""
     for axis in figure.axes:
         _space(axis)
-    if _narrow.get():
-        _fold(figure)
     text = _save(figure, "svg").decode()
     return text[text.index("<svg") :]
 
@@ -151,29 +120,6 @@ def _save(figure, kind: str, **more) -> bytes:
     figure.savefig(buffer, format=kind, **more)
     plt.close(figure)
     return buffer.getvalue()
-
-
-def _fold(figure) -> None:
-    """Wrap the words of a narrow figure, and put its legends below."""
-    import textwrap
-
-    def fold(text: str, width: int) -> str:
-        return "\n".join(textwrap.wrap(text, width)) if len(text) > width and "$" not in text else text
-
-    for legend in list(figure.legends):
-        handles, labels = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
-        title = legend.get_title().get_text()
-        legend.remove()
-        columns = 1 if max(map(len, labels), default=0) > 20 else 2
-        figure.legend(handles, labels, loc="outside lower center", ncol=columns, title=fold(title, 40) or None)
-    for axis in figure.axes:
-        axis.set_title(fold(axis.get_title(), 42), fontsize=9)
-        axis.set_xlabel(fold(axis.get_xlabel(), 38))
-        axis.set_ylabel(fold(axis.get_ylabel(), 36))
-        names = [label.get_text() for label in axis.get_yticklabels()]
-        if any(len(name) > 12 and "$" not in name for name in names):
-            axis.set_yticks(axis.get_yticks(), [_chop(name) for name in names], fontsize=7)
-        _thin(axis)
 
 
 def _space(axis) -> None:
@@ -188,22 +134,3 @@ def _space(axis) -> None:
     else:
         axis.xaxis.set_minor_locator(LogLocator(subs=(3.0,)))
         axis.xaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf)))
-
-
-def _thin(axis) -> None:
-    """Leave out upright names under an axis, all but every so many, where they would stand in one another."""
-    labels = axis.get_xticklabels()
-    step = math.ceil(len(labels) / 22)  # upright names that stand under a narrow figure
-    if step > 1 and any(label.get_rotation() == 90 for label in labels):
-        names = [label.get_text() for label in labels[::step]]
-        axis.set_xticks(axis.get_xticks()[::step], names, rotation=90, fontsize=7)
-
-
-def _chop(name: str) -> str:
-    """A name of a row in lines of about 16 letters, broken after a plus or a comma too."""
-    lines = [""]
-    for piece in re.findall(r"[^+, ]+[+, ]*", name):
-        if lines[-1] and len(lines[-1]) + len(piece.rstrip()) > 18:
-            lines.append("")
-        lines[-1] += piece
-    return "\n".join(line.rstrip() for line in lines)

@@ -71,13 +71,12 @@ def render_frames(
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * SIZE / rows * right / np.linalg.norm(right)
     meshes, colours = [], shade_skin(neutral, fine)
-    how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):
         beside = neutral.with_vertices(neutral.vertices + offset)
         drawn = drawn_surface(beside, fine)
         mesh = to_polydata(pyvista, drawn.vertices, drawn.triangles)
         mesh.point_data.active_normals = drawn.vertex_normals
-        actor = plotter.add_mesh(mesh, **skin_colours(colours), **how)
+        actor = plotter.add_mesh(mesh, **skin_colours(colours), reset_camera=False)
         actor.prop.interpolation = "Phong"
         meshes.append((mesh, add_back(plotter, drawn), add_eyes_and_teeth(plotter, beside), offset))
     plotter.reset_camera_clipping_range()

@@ -135,7 +135,7 @@ class Fit:
     def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:
         """Write the landmarks of the scan, or of the template, and their picture."""
         from ..animation.head_pictures import FRONT, SIDE
-        from ..animation.pictures import draw_labelled
+        from ..animation.pictures import Panel, draw_strip
 
         ids = landmark_ids(template.skin, template.parts)
         surface, points = template.skin, {name: template.skin.vertices[vertex] for name, vertex in ids.items()}
@@ -149,9 +149,10 @@ class Fit:
         text = {name: [float(f"{c:.6g}") for c in point] for name, point in zip(points, there, strict=True)}
         write_whole(out, json.dumps(text, indent=1).encode())
         framed = np.vstack([places.min(axis=0) - AROUND, places.max(axis=0) + AROUND])
-        views = [("from the front", FRONT), ("from the subject's left", SIDE)]
+        views = (("from the front", FRONT), ("from the subject's left", SIDE))
+        panels = [Panel(caption, surface, view=view, named=points) for caption, view in views]
         picture = out.with_suffix(".png")
-        write_whole(picture, draw_labelled(surface, points, views, framed=framed))
+        write_whole(picture, draw_strip(panels, size=560, framed=framed))
         progress("head", 1.0)
         for path in (out, picture):
             click.echo(f"wrote {path}")

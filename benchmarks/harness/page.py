@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ...animation.plots import narrow_figures
 from ...lhm.base.provenance import is_dirty
 from .study import Results, Row, Study, Table
 
@@ -42,7 +41,7 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": [(describe_gate(gate), gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
-        "figures": draw_twice(lambda: study.pictures(done)) if done else {},
+        "figures": study.pictures(done) if done else {},
         "pictures": {caption: encode_panels(png) for row in done for caption, png in read_files(row, folder, ".png")},
         "pages": {caption: page.decode() for row in done for caption, page in read_files(row, folder, ".html")},
         "tables": study.tables(done) if done else [],
@@ -60,13 +59,6 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
 def describe_gate(gate: Mapping[str, Any]) -> str:
     """Give a gate's words, with the number of values that it rests on where that is known."""
     return gate["what"] + (f" ({gate['count']} values)" if "count" in gate else "")
-
-
-def draw_twice(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
-    """Draw figures for a wide screen and for a phone, by caption."""
-    wide = draw()
-    with narrow_figures():
-        return {caption: (wide[caption], svg) for caption, svg in draw().items()}
 
 
 def tabulate_rows(study: Study, done: Sequence[Row]) -> Table:

@@ -8,7 +8,6 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
@@ -135,11 +134,9 @@ def write_report(
 
 
 def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
-    """The question, five sentences, one figure for a wide and a narrow screen, and one picture by caption."""
+    """The question, five sentences, one figure, and one picture by caption."""
     rows = {part.results.study: [row for row in part.results.rows if row.done] for part in ordered.values()}
-    wide = first_screen.draw_figure(rows)
-    with narrow_figures():
-        slim = first_screen.draw_figure(rows)
+    figure = first_screen.draw_figure(rows)
     pictures = (
         (caption, png)
         for name in PICTURED
@@ -152,7 +149,7 @@ def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
     return {
         "asked": first_screen.ASKED,
         "sentences": first_screen.write_sentences(rows),
-        "figures": {first_screen.CAPTION: (wide, slim)} if wide else {},
+        "figures": {first_screen.CAPTION: figure} if figure else {},
         "pictures": {caption: encode_panels(png)} if png else {},
     }
 

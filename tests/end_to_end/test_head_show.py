@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.animation.head_pictures import _cut_tets, _cut_triangles, draw_head
+from softdeca.animation.head_pictures import draw_head
 from softdeca.lhm import load_template
 from softdeca.lhm.head.file import save_head
 
@@ -44,15 +44,3 @@ def test_pictures_are_written_and_named(file, tmp_path, command):
 def test_a_head_without_regions_is_shown(sphere_head):
     images = draw_head(sphere_head)
     assert {f"{name}.png" for name in images} == set(PICTURES)
-
-
-def test_sections_have_the_area_and_length_of_the_plane(sphere_head):
-    def area(polygon):
-        a, b = polygon[1:-1] - polygon[0], polygon[2:] - polygon[0]
-        return np.linalg.norm(np.cross(a, b), axis=1).sum() / 2
-
-    place = 3.0
-    total = sum(area(piece) for piece in _cut_tets(sphere_head.vertices, sphere_head.tets, 0, place))
-    assert total == pytest.approx(np.pi * (100.0**2 - 85.0**2), rel=0.03)
-    lines = _cut_triangles(sphere_head.skin.vertices, sphere_head.skin.triangles, 0, place)
-    assert sum(np.linalg.norm(b - a) for a, b in lines) == pytest.approx(2 * np.pi * 100.0, rel=0.02)
