@@ -2,11 +2,8 @@
 
 import os
 import re
-import signal
 import sys
 import warnings
-
-from .streams import open_closed_streams
 
 # One thread is the fastest for the solvers' small blocks; it must be set before a BLAS is loaded.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -20,27 +17,16 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command: see `app.main`. Interrupted while its modules are being loaded it ends in one line too."""
-    open_closed_streams()
+    """Run the command: see `app.main`."""
     warnings.showwarning = _in_one_line
     for name in COUNTS:
         value = os.environ.get(name, "1")
         if not re.fullmatch(r"[1-9]\d{0,5}(,[1-9]\d{0,5})*", value):
             os.environ[name] = "1"
             _in_one_line(f"{name}={value!r}: expected a count of threads; 1 is taken", UserWarning, __file__, 0)
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # elsewhere somebody has decided otherwise, as nohup has
-        # Not by KeyboardInterrupt: inside an import it becomes whatever the module makes of it.
-        signal.signal(signal.SIGINT, _end)
     from .app import main as run
 
-    signal.signal(signal.SIGINT, before)
     run()
-
-
-def _end(*_) -> None:
-    os.write(2, b"softdeca: interrupted\n")
-    os._exit(130)
 
 
 def _in_one_line(message, category, filename, lineno, file=None, line=None) -> None:

@@ -1,5 +1,6 @@
 """The command and how it ends: errors are one line on stderr; exit status 0 means that everything was done."""
 
+import os
 import sys
 
 import click
@@ -19,8 +20,6 @@ from . import (  # noqa: F401  # they give `head` more commands
     view,
 )
 from .head import head
-from .streams import silence_streams
-from .terminal import INTERRUPTED, end_at_ctrl_c
 
 
 @click.group(context_settings={"show_default": True})
@@ -44,56 +43,45 @@ app.add_command(bench.bench)
 
 def main() -> None:
     """Run the command; an error that a user can act on is one line, not a traceback."""
-    with end_at_ctrl_c():
-        sys.exit(_run())
+    sys.exit(_run())
 
 
 def _run() -> int:
     try:
-        try:
-            status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
-            sys.stdout.flush()
-        except BaseException as error:
-            if is_interrupt(error):
-                raise KeyboardInterrupt from None
-            raise
+        status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
+        sys.stdout.flush()
+        return status
     except SoftdecaError as error:
-        status = _fail(str(error))
+        return _fail(str(error))
     except BrokenPipeError:  # as of `| head`, which has read enough
-        silence_streams(1)
-        status = 1
+        _silence_stdout()
+        return 1
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         status = _fail(f"{where}{error.strerror or error}")
-        if not _can_write():
-            silence_streams(1)
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _silence_stdout()
+        return status
     except (RecursionError, MemoryError) as error:
-        status = _fail(f"{type(error).__name__}: input nested too deeply, or too large for this machine's memory")
+        return _fail(f"{type(error).__name__}: input nested too deeply, or too large for this machine's memory")
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "softdeca"
-        status = _fail(f"{error.format_message()} (`{command} --help` says more)", status=error.exit_code)
-    except (KeyboardInterrupt, click.Abort):
+        return _fail(f"{error.format_message()} (`{command} --help` says more)", status=error.exit_code)
+    except BaseException as error:
+        if not (isinstance(error, click.Abort) or is_interrupt(error)):
+            raise
         said = "softdeca: interrupted; what a study, corpus or training has finished is kept for the next run"
-        status = _say(said, INTERRUPTED)
-    return status
+        print(said, file=sys.stderr)
+        return 130  # 128 and the number of SIGINT, as shells have it
 
 
 def _fail(message: str, *, status: int = 1) -> int:
-    return _say(f"softdeca: error: {' '.join(message.split())}", status)
-
-
-def _say(line: str, status: int) -> int:
-    """Print a line on stderr, if it can be written to, and return the status."""
-    try:
-        print(line, file=sys.stderr, flush=True)
-    except OSError:
-        silence_streams(2)
+    print(f"softdeca: error: {' '.join(message.split())}", file=sys.stderr)
     return status
 
 
-def _can_write() -> bool:
-    try:
-        sys.stdout.flush()
-    except OSError:
-        return False
-    return True
+def _silence_stdout() -> None:
+    """Send what is still to be written nowhere: Python's last flush would fail, and tell it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

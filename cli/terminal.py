@@ -1,22 +1,14 @@
-"""What a terminal shows and sends: progress on stderr, and Ctrl-C."""
+"""Progress on stderr."""
 
-import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from ..lhm.base.errors import is_interrupt
 from ..lhm.base.progress import OnProgress
-
-INTERRUPTED = 130
-"""Exit status: 128 and the number of SIGINT, as shells have it."""
 
 
 @contextmanager
@@ -58,44 +50,3 @@ class _Lines:
         self._said[stage] = now
         seconds = now - self._begun[stage]
         print(f"{what}: {100 * min(fraction, 1.0):.0f} % ({seconds:.0f} s)", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def end_at_ctrl_c() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the first Ctrl-C within, and end the process at the second.
-
-    A second KeyboardInterrupt would cut off what cleans up after the first: files stay half-written, and libraries that
-    draw are left between two of their calls, which ended in a crash. A first one inside a callback from C, which cannot
-    pass it on, ends the process, too. Where somebody has decided otherwise about SIGINT, as nohup has, nothing is
-    changed. After a Ctrl-C this stays so until the process ends.
-    """
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-    interrupted = False
-
-    def first(*_) -> None:
-        nonlocal interrupted
-        interrupted = True
-        signal.signal(signal.SIGINT, _end_at_once)
-        raise KeyboardInterrupt
-
-    def end_if_interrupted(swallowed: Any) -> None:
-        if interrupted and swallowed.exc_value is not None and is_interrupt(swallowed.exc_value):
-            _end_at_once()
-        tell(swallowed)
-
-    tell, sys.unraisablehook = sys.unraisablehook, end_if_interrupted
-    signal.signal(signal.SIGINT, first)
-    try:
-        yield
-    finally:
-        sys.unraisablehook = tell
-        if not interrupted:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _end_at_once(*_) -> None:
-    os.write(2, b"softdeca: interrupted; ended at once\n")
-    os._exit(INTERRUPTED)
