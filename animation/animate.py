@@ -124,7 +124,8 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
     progress("settling: neutral face", 1.0)
     bind_seconds = time.perf_counter() - begin
 
-    count, shown = len(take.times), choose_frames(len(take.times), take.rate, wanted.preview)
+    count = len(take.times)
+    shown = range(0) if wanted.preview == "none" else choose_frames(count, take.rate, wanted.preview)
     log: list[dict[str, Any]] = []
     kept: dict[int, Floats32] = {}
     turns = rotations(take.head) if wanted.turned and take.head is not None else None

@@ -99,11 +99,13 @@ def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     for axis, (normal, place, shown, title, x_label, y_label) in zip(axes, planes, strict=True):
         for tets, colour, label in ((head.soft.tets, SOFT, "soft tissue"), (head.muscle.tets, MUSCLE, "muscle")):
             grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: tets}, positions)
-            cut = grid.slice(np.eye(3)[normal], place * np.eye(3)[normal])
+            cut = grid.slice(np.eye(3)[normal], origin=place * np.eye(3)[normal])
             pieces = [cut.points[face][:, shown] for face in cut.irregular_faces]
             how = {"facecolor": colour, "edgecolor": "#55443a", "linewidth": 0.25, "label": label}
             axis.add_collection(PolyCollection(pieces, **how))
-        cut = to_polydata(pyvista, skin.vertices, skin.triangles).slice(np.eye(3)[normal], place * np.eye(3)[normal])
+        cut = to_polydata(pyvista, skin.vertices, skin.triangles).slice(
+            np.eye(3)[normal], origin=place * np.eye(3)[normal]
+        )
         lines = cut.points[cut.lines.reshape(-1, 3)[:, 1:]][:, :, shown]
         axis.add_collection(LineCollection(lines, color="#1f4e79", linewidth=0.9, label="skin"))
         axis.autoscale_view()

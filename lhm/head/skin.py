@@ -64,10 +64,10 @@ def _pieces(edges: Ints) -> int:
 
 
 def check_registrable(skin: Surface) -> Surface:
-    """Check a skin; its largest connected piece over the same vertices, with a warning that counts the others.
+    """Check a skin; its largest connected piece over the same vertices, with a warning that counts the pieces.
 
-    It may be open. Raises MeshError if it is empty, has edges with more than two triangles or neighbours oriented
-    against one another, faces inwards (which is what mirroring leaves), or is not of a head's size.
+    It may be open, and have fins. Raises MeshError if it is empty, has neighbours oriented against one another, faces
+    inwards (which is what mirroring leaves), or is not of a head's size.
     """
     if not len(skin.triangles):
         raise MeshError("skin: it has no triangles")
@@ -76,15 +76,11 @@ def check_registrable(skin: Surface) -> Surface:
     kept = of_triangle == np.bincount(of_triangle, weights=skin.areas, minlength=count).argmax()
     pieces = len(np.unique(of_triangle))
     if pieces > 1:
-        warnings.warn(
-            f"skin: {pieces} separate pieces; the largest is registered, the others are carried along", stacklevel=3
-        )
+        warnings.warn(f"skin: {pieces} separate pieces; the largest is registered", stacklevel=3)
     whole = Surface(skin.vertices, skin.triangles[kept])
-    edges = directed_edges(whole.triangles)
-    unique, _, times = number_edges(whole.triangles)
-    if (times > 2).any():
-        first = unique[times > 2][0].tolist()
-        raise MeshError(f"skin: {(times > 2).sum()} edges have more than two triangles, the first is {first}")
+    _, number, times = number_edges(whole.triangles)
+    ordinary = (times == 2)[number.ravel()]  # at the edge of a fin no way round is right
+    edges = directed_edges(whole.triangles)[ordinary]
     if len(np.unique(edges, axis=0)) != len(edges):
         raise MeshError("skin: neighbouring triangles are oriented against one another")
     _check_size(whole)

@@ -1,4 +1,4 @@
-"""Make one oriented manifold of a mesh as files have them, and say what was changed."""
+"""Make one oriented surface of a mesh as files have them, and say what was changed."""
 
 from __future__ import annotations
 
@@ -30,39 +30,38 @@ class Repaired:
 
 
 def repair_scan(scan: Scan) -> Repaired:
-    """Make the main piece of a scan an oriented manifold, open or closed.
+    """Make the main piece of a scan one oriented surface, open or closed, that closest points can be found on.
 
     In turns: vertices that lie upon one another on open edges (the seams of textures) become one; triangles without
-    area and doubles go; at edges with more than two triangles and at vertices where fans touch the surface is cut;
-    neighbours are turned the same way round, and all of them outwards; of several pieces the main one is kept: the one
-    that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if nothing is left.
+    area and doubles go; neighbours are turned the same way round, and all of them outwards; of several pieces the main
+    one is kept: the one that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if
+    nothing is left.
     """
-    done = Repaired(scan)
-    for step in (_merge, _sound, _manifold, _orient, _one_piece, _outwards):
-        done = step(done)
-    return done
+    notes: list[str] = []
+    for step in (_merge, _sound, _orient, _one_piece, _outwards):
+        scan = step(scan, notes)
+    return Repaired(scan, tuple(notes))
 
 
-def _merge(given: Repaired) -> Repaired:
-    scan = given.scan
+def _merge(scan: Scan, notes: list[str]) -> Scan:
     rim = np.unique(open_edges(scan.triangles))
     if not len(rim):
-        return given
+        return scan
     # Lips that touch at rest may not be sewn together: what moves apart is told apart by the morph targets.
     places = np.hstack([scan.vertices[rim], *(delta[rim] for delta in scan.morphs.values())])
     pairs = cKDTree(places).query_pairs(SAME * max(_extent(scan), 1e-30), output_type="ndarray")
     if not len(pairs):
-        return given
+        return scan
     n = len(scan.vertices)
     joined = coo_matrix((np.ones(len(pairs)), (rim[pairs[:, 0]], rim[pairs[:, 1]])), shape=(n, n))
     _, label = connected_components(joined, directed=False)
     _, first, number = np.unique(label, return_index=True, return_inverse=True)
-    note = f"{n - len(first)} vertices that lie on others at seams were merged with them"
-    return _over(given, first, number.ravel()[scan.triangles], note)
+    notes.append(f"{n - len(first)} vertices that lie on others at seams were merged with them")
+    return _over(scan, first, number.ravel()[scan.triangles])
 
 
-def _sound(given: Repaired) -> Repaired:
-    scan, triangles = given.scan, given.scan.triangles
+def _sound(scan: Scan, notes: list[str]) -> Scan:
+    triangles = scan.triangles
     a, b, c = (scan.vertices[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1) & (area > HAIR * _extent(scan) ** 2)
@@ -70,53 +69,23 @@ def _sound(given: Repaired) -> Repaired:
     single = np.zeros(len(triangles), bool)
     single[once] = True
     kept = distinct & single
-    if kept.all():
-        return given
     if not kept.any():
         raise MeshError("skin: none of its triangles has an area")
-    notes = []
-    if (~distinct).any():
+    if not distinct.all():
         notes.append(f"{(~distinct).sum()} triangles without area were dropped")
-    if (distinct & ~single).any():
-        notes.append(f"{(distinct & ~single).sum()} doubled triangles were dropped")
-    return _with(given, triangles[kept], *notes)
+    if doubles := np.count_nonzero(distinct & ~single):
+        notes.append(f"{doubles} doubled triangles were dropped")
+    return replace(scan, triangles=triangles[kept])
 
 
-def _manifold(given: Repaired) -> Repaired:
-    """Cut at edges of more than two triangles, and where fans of triangles only touch at a vertex."""
-    triangles = given.scan.triangles
-    m = len(triangles)
-    left, right, ends = _neighbours(triangles)
-    # Two corners at a vertex belong together if their triangles share an ordinary edge there.
-    rows, columns = [], []
-    for end in ends.T:
-        rows.append(3 * left + (triangles[left] == end[:, None]).argmax(axis=1))
-        columns.append(3 * right + (triangles[right] == end[:, None]).argmax(axis=1))
-    pairs = (np.concatenate(rows), np.concatenate(columns))
-    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(3 * m, 3 * m))
-    fans, fan = connected_components(graph, directed=False)
-    used = len(np.unique(triangles))
-    if fans == used:
-        return given
-    vertex = np.empty(fans, dtype=np.int64)
-    vertex[fan] = triangles.ravel()
-    crowded = np.count_nonzero(number_edges(triangles)[2] > 2)
-    what = f"{crowded} edges of more than two triangles" if crowded else "vertices where surfaces only touch"
-    order = np.argsort(vertex, kind="stable")
-    place = np.empty(fans, dtype=np.int64)
-    place[order] = np.arange(fans)
-    note = f"the surface was cut at {what} ({fans - used} vertices doubled)"
-    return _over(given, vertex[order], place[fan].reshape(-1, 3), note)
-
-
-def _orient(given: Repaired) -> Repaired:
-    triangles = given.scan.triangles
+def _orient(scan: Scan, notes: list[str]) -> Scan:
+    triangles = scan.triangles
     m = len(triangles)
     left, right, ends = _neighbours(triangles)
     # Neighbours agree if they run through their edge in opposite directions.
     against = _forward(triangles[left], ends) == _forward(triangles[right], ends)
     if not against.any():
-        return given
+        return scan
     graph = coo_matrix((np.where(against, 2.0, 1.0), (left, right)), shape=(m, m)).tocsr()
     graph = graph + graph.T
     _, piece = connected_components(graph, directed=False)
@@ -129,58 +98,43 @@ def _orient(given: Repaired) -> Repaired:
         if turned[members].sum() > 0.5 * members.sum():
             turned[members] = ~turned[members]
     turned_back = np.where(turned[:, None], triangles[:, ::-1], triangles)
-    done = _with(given, turned_back, f"{turned.sum()} triangles were turned the way round of their neighbours")
-    left, right, ends = _neighbours(turned_back)
     if (_forward(turned_back[left], ends) == _forward(turned_back[right], ends)).any():
         raise MeshError("skin: its surface has one side only, like a Moebius strip; it cannot be a head's")
-    return done
+    notes.append(f"{turned.sum()} triangles were turned the way round of their neighbours")
+    return replace(scan, triangles=turned_back)
 
 
-def _one_piece(given: Repaired) -> Repaired:
-    scan = given.scan
+def _one_piece(scan: Scan, notes: list[str]) -> Scan:
     count, part = connected_parts(scan.triangles, len(scan.vertices))
     of_triangle = part[scan.triangles[:, 0]]
     pieces = len(np.unique(of_triangle))
-    if pieces == 1:
-        return given if count == 1 else _keep_used(given)
-    a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
-    weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    how = "largest"
-    if scan.morphs:
+    if pieces > 1:
+        a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
+        weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        how = "largest"
         motion = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
         if motion.any():
             weight, how = weight * motion[scan.triangles].mean(axis=1), "one that the morph targets move most"
-    kept = of_triangle == np.bincount(of_triangle, weights=weight, minlength=count).argmax()
-    note = (
-        f"of {pieces} separate pieces the {how} was kept; {np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?)"
-    )
-    return _keep_used(_with(given, scan.triangles[kept], note + " are left out"))
+        kept = of_triangle == np.bincount(of_triangle, weights=weight, minlength=count).argmax()
+        left_out = f"{np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?) are left out"
+        notes.append(f"of {pieces} separate pieces the {how} was kept; {left_out}")
+        scan = replace(scan, triangles=scan.triangles[kept])
+    used, number = np.unique(scan.triangles, return_inverse=True)
+    return scan if len(used) == len(scan.vertices) else _over(scan, used, number.reshape(-1, 3))
 
 
-def _outwards(given: Repaired) -> Repaired:
-    scan = given.scan
+def _outwards(scan: Scan, notes: list[str]) -> Scan:
     a, b, c = (scan.vertices[scan.triangles[:, k]] - scan.vertices.mean(axis=0) for k in range(3))
     if np.einsum("md,md->", a + b + c, np.cross(b - a, c - a)) >= 0:
-        return given
-    return _with(given, scan.triangles[:, ::-1], "its triangles faced inwards and were turned round")
+        return scan
+    notes.append("its triangles faced inwards and were turned round")
+    return replace(scan, triangles=scan.triangles[:, ::-1])
 
 
-def _keep_used(given: Repaired) -> Repaired:
-    used = np.unique(given.scan.triangles)
-    number = np.full(len(given.scan.vertices), -1)
-    number[used] = np.arange(len(used))
-    return _over(given, used, number[given.scan.triangles])
-
-
-def _with(given: Repaired, triangles: Ints, *notes: str) -> Repaired:
-    return replace(given, scan=replace(given.scan, triangles=triangles), notes=(*given.notes, *notes))
-
-
-def _over(given: Repaired, ids: Ints, triangles: Ints, *notes: str) -> Repaired:
-    """Over the vertices `ids` of the given scan."""
-    scan = given.scan
+def _over(scan: Scan, ids: Ints, triangles: Ints) -> Scan:
+    """A scan over some of its vertices."""
     morphs: Mapping[str, Floats] = {name: delta[ids] for name, delta in scan.morphs.items()}
-    return Repaired(Scan(scan.vertices[ids], triangles, morphs), (*given.notes, *notes))
+    return Scan(scan.vertices[ids], triangles, morphs)
 
 
 def _extent(scan: Scan) -> float:
