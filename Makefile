@@ -25,7 +25,7 @@ check: setup
 	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=off -D suppress_warnings=myst-nb.lexer docs build/docs
 
 check-results: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/softdeca bench check
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) tools/kept.py check
 
 fuzz: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.fuzz --seconds $(SECONDS)

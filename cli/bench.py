@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ..benchmarks.studies import group_studies, list_studies, load_study
 from ..lhm.base.errors import InputError, quote
-from ..lhm.base.progress import describe_duration
 from .options import FILE, argument, as_command, option
 from .study_command import command_of_study, print_results
 from .terminal import show_progress
 from .written_file import FOLDER, ZIP
-
-if TYPE_CHECKING:
-    from ..benchmarks.kept import State
 
 TITLE = "the fast simulator, finite elements and the network"
 """Of a report."""
@@ -74,100 +65,6 @@ class ListStudies:
                 kind = load_study(name)
                 click.echo(f"  {name:<16} {kind.heading or kind.question}")
         return 0
-
-
-@as_command(bench, "keep")
-@dataclass(frozen=True)
-class KeepResults:
-    """Make the kept results of benchmarks/results again, at the commit of this code: what is stale first.
-
-    NAMES are results by name, by default all that are stale or of other code. Each has a process of its own, and is
-    written when it is done, whatever its gates say. An interrupted run resumes: rows lie in out/keep/COMMIT. The tree
-    has to be clean. Exit status 1 if a result could not be made.
-    """
-
-    names: tuple[str, ...] = argument("[NAMES]...", (), type=str)
-    list: bool = option(False, "list what is stale and why, and the time that each took last; make nothing")
-
-    def run(self) -> int:
-        """List, make one here, or make each in a process."""
-        from ..benchmarks import kept
-
-        if self.list:
-            states = [kept.judge(name) for name in self.names or (*kept.KEPT, *kept.SINGLE)]
-            for state in states:
-                click.echo(describe_state(state))
-            stale = [state for state in states if state.stale]
-            cost = describe_duration(kept.estimate_seconds(stale))
-            click.echo(f"{len(stale)} of {len(states)} are stale; they took {cost} last, without corpora")
-            return 0
-        if len(self.names) == 1:
-            with show_progress() as progress:
-                results = kept.keep(self.names[0], Path("out/keep"), progress)
-            click.echo(f"wrote {kept.find_path(self.names[0])}")
-            failed = sum(row.status == "failed" for row in results.rows)
-            missed = sum(not gate["passed"] for gate in results.gates)
-            click.echo(
-                f"{len(results.rows)} rows, {failed} of them failed; {missed} of {len(results.gates)} gates missed"
-            )
-            return 0
-        commit = kept.read_clean_commit()
-        names = self.names or tuple(state.name for state in kept.order_for_keeping(commit))
-        return make_each(names)
-
-
-def make_each(names: Sequence[str]) -> int:
-    """Keep each result in a process of its own, and tell the time; the exit status."""
-    begin, failed = time.monotonic(), []
-    for number, name in enumerate(names, start=1):
-        before = time.monotonic()
-        click.echo(f"{name} ({number} of {len(names)})")
-        if subprocess.run([sys.executable, "-m", "softdeca.cli", "bench", "keep", name], check=False).returncode:
-            failed.append(name)
-        click.echo(f"{name}: {describe_duration(time.monotonic() - before)}")
-    click.echo(
-        f"made {len(names) - len(failed)} of {len(names)} results in {describe_duration(time.monotonic() - begin)}"
-    )
-    if failed:
-        click.echo(f"FAILED {', '.join(failed)}")
-    return 1 if failed else 0
-
-
-def describe_state(state: State) -> str:
-    """Write a line on a kept result: whether it is stale, the time of its rows, and why."""
-    took = "" if state.seconds is None else describe_duration(state.seconds)
-    word = "single" if state.single else "stale" if state.stale else "current"
-    return f"{word:<8} {state.name:<24} {took:>10}  {state.single or ', '.join(state.stale)}".rstrip()
-
-
-@as_command(bench, "check")
-@dataclass(frozen=True)
-class CheckResults:
-    """Measure a cheap part of each kept result anew, and say which are stale, and which answers moved.
-
-    NAMES are results by name, by default all; some ten minutes of one core. Answers are compared, seconds are not.
-    Results without a cheap part are judged by what decides them: digests of people, heads and network, and versions.
-    Exit status 1 if a result is stale or moved.
-    """
-
-    names: tuple[str, ...] = argument("[NAMES]...", (), type=str)
-
-    def run(self) -> int:
-        """Check and print."""
-        from ..benchmarks import kept
-
-        faults = 0
-        for name in self.names or (*kept.KEPT, *kept.SINGLE):
-            with show_progress() as progress:
-                checked = kept.check(name, progress)
-            click.echo(describe_state(checked.state))
-            if checked.unmeasured and not checked.state.single:
-                click.echo(f"         judged by digests alone: {checked.unmeasured}")
-            for line in checked.moved:
-                click.echo(f"MOVED    {line}")
-            faults += not checked.holds
-        click.echo(f"{faults} kept results are stale or moved" if faults else "every kept result holds")
-        return 1 if faults else 0
 
 
 @as_command(bench, "compare")

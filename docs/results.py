@@ -13,6 +13,7 @@ import json
 import math
 import re
 import statistics
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -22,7 +23,6 @@ from typing import Any
 
 from softdeca.benchmarks.harness.page import to_markdown
 from softdeca.benchmarks.harness.report import read_part
-from softdeca.benchmarks.kept import judge
 from softdeca.benchmarks.studies import load_study
 from softdeca.benchmarks.studies.surrogate.gates import ADDED, BOUNDS
 from softdeca.surrogate.methods import (
@@ -35,6 +35,9 @@ from softdeca.surrogate.methods import (
 )
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "tools"))
+import kept  # noqa: E402  # a tool beside the package
+
 RESULTS = ROOT / "benchmarks" / "results"
 README, README_TEMPLATE = ROOT / "README.md", ROOT / "docs" / "readme.in"
 BRACES = re.compile(r"\{\{ (.+?) \}\}")
@@ -293,7 +296,7 @@ def fill_page(text: str, page: str) -> str:
 
 def describe_stale(names: Sequence[str]) -> str:
     """Write a note on those of some results that are stale or stay with their own commit; nothing where none is."""
-    states = [judge(name) for name in names]
+    states = [kept.judge(name) for name in names]
     lines = [
         f"- `{state.name}` is stale: {', '.join(state.stale)}."
         for state in states
@@ -306,7 +309,7 @@ def describe_stale(names: Sequence[str]) -> str:
     ]
     if not lines:
         return ""
-    said = "Some results of this page are older than the code, as `softdeca bench keep --list` says."
+    said = "Some results of this page are older than the code, as `python tools/kept.py list` says."
     return "\n".join([":::{note}", said, "", *lines, ":::"])
 
 

@@ -35,7 +35,7 @@ OVERLAPS = """() => {
 }"""
 OUTSIDE = """() => {
   const width = document.documentElement.clientWidth;
-  const cut = [...document.querySelectorAll("p, li, h1, h2, h3, figcaption, svg, img, iframe, .table, .figure, svg text")]
+  const cut = [...document.querySelectorAll("p, li, h1, h2, h3, figcaption, img, iframe, .table, .figure, svg text")]
     .filter(e => !(e.closest(".table, .figure") && !e.matches(".table, .figure")))
     .filter(e => { const r = e.getBoundingClientRect(); return r.width > 0 && (r.right > width + 1 || r.left < -1); });
   return cut.map(e => e.tagName + " " + e.textContent.trim().slice(0, 60));

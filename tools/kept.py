@@ -1,9 +1,22 @@
-"""The results that benchmarks/results keeps: how each is made again, whether it is stale, and whether it holds."""
+#!/usr/bin/env python3
+"""The results that benchmarks/results keeps: how each is made again, whether it is stale, and whether it holds.
+
+`python tools/kept.py keep [NAMES]` makes results again, by default all that are stale or of other code, stale ones
+first. Each has a process of its own, and is written when it is done, whatever its gates say. An interrupted run
+resumes: rows lie in out/keep/COMMIT. The tree has to be clean. Exit status 1 if a result could not be made. `list` says
+what is stale and why. `check` measures a cheap part of each anew, some ten minutes of one core, and says which answers
+moved; seconds are not compared. Results without a cheap part are judged by what decides them. Exit status 1 if a result
+is stale or moved.
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -11,21 +24,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ..lhm.base import provenance
-from ..lhm.base.errors import InputError, quote
-from ..lhm.base.files.atomic import write_whole
-from ..lhm.base.progress import OnProgress, silent
-from ..surrogate.corpus.folder import Corpus
-from ..surrogate.corpus.people import people_from_text
-from ..surrogate.corpus.plan import PRESETS, CorpusPlan
-from ..surrogate.corpus.schedule import count_processors, make_schedule
-from .harness import Results, run
-from .harness.inputs import find_inputs
-from .harness.results import find_moved, read_results
-from .harness.study import Study
-from .studies import load_study
+from softdeca.benchmarks.harness import Results, run
+from softdeca.benchmarks.harness.inputs import find_inputs
+from softdeca.benchmarks.harness.results import find_moved, read_results
+from softdeca.benchmarks.harness.study import Study
+from softdeca.benchmarks.studies import load_study
+from softdeca.cli.terminal import show_progress
+from softdeca.lhm.base import provenance
+from softdeca.lhm.base.errors import InputError, SoftdecaError, quote
+from softdeca.lhm.base.files.atomic import write_whole
+from softdeca.lhm.base.progress import OnProgress, describe_duration, silent
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.people import people_from_text
+from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
+from softdeca.surrogate.corpus.schedule import count_processors, make_schedule
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 """Folder of other people's heads."""
 ICT = "ict_facekit.npz"
@@ -280,3 +294,76 @@ def _inside(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
+
+
+def describe_state(state: State) -> str:
+    """Write a line on a kept result: whether it is stale, the time of its rows, and why."""
+    took = "" if state.seconds is None else describe_duration(state.seconds)
+    word = "single" if state.single else "stale" if state.stale else "current"
+    return f"{word:<8} {state.name:<24} {took:>10}  {state.single or ', '.join(state.stale)}".rstrip()
+
+
+def list_all(names: Sequence[str]) -> int:
+    """Print what is stale and why, and the time that each took last."""
+    states = [judge(name) for name in names or (*KEPT, *SINGLE)]
+    for state in states:
+        print(describe_state(state))
+    stale = [state for state in states if state.stale]
+    cost = describe_duration(estimate_seconds(stale))
+    print(f"{len(stale)} of {len(states)} are stale; they took {cost} last, without corpora")
+    return 0
+
+
+def keep_all(names: Sequence[str]) -> int:
+    """Keep one result here, or each in a process of its own."""
+    if len(names) == 1:
+        with show_progress() as progress:
+            results = keep(names[0], Path("out/keep"), progress)
+        failed = sum(row.status == "failed" for row in results.rows)
+        missed = sum(not gate["passed"] for gate in results.gates)
+        print(f"{len(results.rows)} rows, {failed} of them failed; {missed} of {len(results.gates)} gates missed")
+        return 0
+    commit = read_clean_commit()
+    failures = []
+    for name in names or [state.name for state in order_for_keeping(commit)]:
+        before = time.monotonic()
+        if subprocess.run([sys.executable, __file__, "keep", name], check=False).returncode:
+            failures.append(name)
+        print(f"{name}: {describe_duration(time.monotonic() - before)}", flush=True)
+    if failures:
+        print(f"FAILED {', '.join(failures)}")
+    return 1 if failures else 0
+
+
+def check_all(names: Sequence[str]) -> int:
+    """Check results, and print which are stale or moved."""
+    faults = 0
+    for name in names or (*KEPT, *SINGLE):
+        with show_progress() as progress:
+            checked = check(name, progress)
+        print(describe_state(checked.state))
+        if checked.unmeasured and not checked.state.single:
+            print(f"         judged by digests alone: {checked.unmeasured}")
+        for line in checked.moved:
+            print(f"MOVED    {line}")
+        faults += not checked.holds
+    print(f"{faults} kept results are stale or moved" if faults else "every kept result holds")
+    return 1 if faults else 0
+
+
+def main() -> int:
+    """Keep, list or check."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = {"keep": keep_all, "list": list_all, "check": check_all}
+    parser.add_argument("command", choices=commands)
+    parser.add_argument("names", nargs="*", metavar="NAMES", help="results by name, default: all")
+    asked = parser.parse_args()
+    try:
+        return commands[asked.command](asked.names)
+    except SoftdecaError as error:
+        print(f"kept: {error}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
