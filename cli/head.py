@@ -21,7 +21,7 @@ from ..lhm.template.depths.depths import DepthRegressor
 from ..lhm.template.file import read_template, save_template
 from ..lhm.template.registration import landmark_ids, read_landmarks
 from ..lhm.template.template import DEFAULT_LEVEL
-from .options import FILE, LEVEL, argument, as_command, option, refuse_given
+from .options import FILE, LEVEL, argument, as_command, option
 from .terminal import show_progress
 from .written_file import ANY, NPZ
 
@@ -60,20 +60,13 @@ class Fit:
         f"unit of --skin: {', '.join(scans.UNITS)}, or its size in millimetres, as 49; default: detected",
         type=str,
         metavar="UNIT",
-        needs="skin",
     )
-    up: str | None = option(
-        None, "axis of --skin that points up; default: detected", type=click.Choice(scans.AXES), needs="skin"
-    )
+    up: str | None = option(None, "axis of --skin that points up; default: detected", type=click.Choice(scans.AXES))
     front: str | None = option(
-        None, "axis of --skin that its face looks along; default: detected", type=click.Choice(scans.AXES), needs="skin"
+        None, "axis of --skin that its face looks along; default: detected", type=click.Choice(scans.AXES)
     )
-    no_repair: bool = option(
-        False, "take the mesh as it is, or refuse it; default: repair it and list the changes", needs="skin"
-    )
-    landmarks: Path | None = option(
-        None, "JSON of named points on --skin, in its own unit or in mm", type=FILE, needs="skin"
-    )
+    no_repair: bool = option(False, "take the mesh as it is, or refuse it; default: repair it and list the changes")
+    landmarks: Path | None = option(None, "JSON of named points on --skin, in its own unit or in mm", type=FILE)
     find_landmarks: Path | None = option(None, "write the landmarks into this JSON file, and fit nothing", type=ANY)
     template: Path | None = option(None, "template from `head template`; default: the space's own", type=FILE)
     level: int | None = option(None, LEVELS, type=LEVEL)
@@ -126,11 +119,6 @@ class Fit:
             raise click.UsageError("--skin and --seed both say which skin; give one", context)
         if self.template is not None and self.level is not None:
             raise click.UsageError("--template has a level; --level is of the space's own", context)
-        if self.find_landmarks is not None:
-            refuse_given(
-                "--find-landmarks writes landmarks of --skin or the mean alone",
-                "landmarks", "seed", "regressor", "out", "json",
-            )  # fmt: skip
 
     def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:
         """Write the landmarks of the scan, or of the template, and their picture."""

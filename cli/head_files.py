@@ -15,7 +15,7 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
 from ..lhm.head.file import load_head
 from .head import head
-from .options import FILE, argument, as_command, option, refuse_given
+from .options import FILE, argument, as_command, option
 from .take_options import DETAIL
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ
@@ -81,8 +81,6 @@ class WriteMesh:
         from ..lhm.head.remesh import remesh
 
         counts = parse_layers(self.layers)
-        if self.size is not None:
-            refuse_given("--size says which tets", "layers")
         meshed = load_head(self.file)
         if self.size is not None:
             meshed = remesh(meshed, self.size)

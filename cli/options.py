@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import click
-from click.core import ParameterSource
 
 from ..lhm.base.limits import Bound
 from ..lhm.base.option import argument, option
@@ -18,19 +17,16 @@ __all__ = [
     "LEVEL",
     "argument",
     "as_command",
-    "check_needs",
     "count_range",
-    "list_given",
     "list_options",
     "make_command",
     "make_option",
     "option",
-    "refuse_given",
 ]
 
 FILE = click.Path(path_type=Path)
 LEVEL = click.IntRange(1, 3)
-_OURS = ("argument", "bound", "name", "needs")
+_OURS = ("argument", "bound", "name")
 """Of a field's metadata, what are no words of click."""
 
 
@@ -65,7 +61,6 @@ def make_command(name: str, kind: type[Request]) -> click.Command:
     """Make the command that a dataclass describes."""
 
     def run(**options: Any) -> int:
-        check_needs(list_options(kind), list_given())
         return kind(**options).run()
 
     params = [make_option(field) for field in list_options(kind)]
@@ -108,28 +103,3 @@ def type_option(field: Field) -> Any:
     """Give the click type of an option's values."""
     bound = field.metadata.get("bound")
     return field.metadata.get("type", type(field.default)) if bound is None else count_range(bound)
-
-
-def list_given() -> set[str]:
-    """Name the parameters that the command line has, whatever their values; one may be as the default is."""
-    context = click.get_current_context()
-    return {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
-
-
-def check_needs(options: Iterable[Field], given: Collection[str]) -> None:
-    """Refuse an option without the one that it needs: nothing would read it. `given` are names of fields."""
-    fields_of = {field.name: field for field in options}
-    for field in fields_of.values():
-        needed = field.metadata.get("needs")
-        if needed and field.name in given and needed not in given:
-            lacking = fields_of[needed].metadata.get("argument", "").strip("[]") or name_option(fields_of[needed])
-            words = f"{name_option(field)} is of {lacking}, which is not given"
-            raise click.UsageError(words, click.get_current_context())
-
-
-def refuse_given(why: str, *names: str) -> None:
-    """Refuse parameters that the command line has, and that nothing reads beside the others."""
-    context = click.get_current_context()
-    for parameter in context.command.params:
-        if parameter.name in names and parameter.name in list_given():
-            raise click.UsageError(f"{why}; leave out {parameter.opts[0]}", context)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..lhm.base.errors import InputError
-from .options import argument, check_needs, list_given, list_options, make_option, option
+from .options import argument, list_options, make_option, option
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -60,7 +60,6 @@ def command_of_study(kind: type[Study], *, out: str = "", named: str = "", judge
     out = out or f"out/{kind.name}"
 
     def run(**values: Any) -> int:
-        check_needs(list_options(kind), list_given())
         asked = RunOptions(**{name: values.pop(name) for name in RUN_OPTIONS if name in values})
         return asked.run_study(make_study(kind, values), asked.out or Path(out), judged=judged)
 

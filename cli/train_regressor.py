@@ -32,7 +32,7 @@ class TrainRegressor:
     folder: Path | None = argument("[DIR]", None, type=FILE)
     prior: int | None = option(None, "number of synthetic pairs instead of DIR  [60]", type=click.IntRange(3, 1000))
     identities: str = option("anny", "identity space: anny or ict:FILE")
-    unit: str = option("mm", "unit of the files in DIR", type=click.Choice(list(MILLIMETRES)), needs="folder")
+    unit: str = option("mm", "unit of the files in DIR", type=click.Choice(list(MILLIMETRES)))
     out: Path = option("out/depth_regressor.npz", "file of the regressor", type=NPZ)
     json: bool = option(False, "print the report as JSON")
 

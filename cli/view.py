@@ -8,7 +8,7 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.limits import PORT
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .options import count_range, refuse_given
+from .options import count_range
 from .take_options import DETAIL, HeadChoice
 from .terminal import show_progress
 from .written_file import HTML
@@ -43,8 +43,6 @@ def view(
     With --out it writes one file, which opens in any browser with WebGL and needs no network. Its sliders move
     expressions alone: by blendshapes, derivatives, and the network if the head has the triangles of its people.
     """
-    if out is not None:
-        refuse_given("--out is no live page", "port")
     which = HeadChoice(head_file, space_name)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     title = which.space.name if head_file is None else head_file.stem

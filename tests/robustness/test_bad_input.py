@@ -35,7 +35,6 @@ def folder(tmp_path_factory, sphere_head):
 SPEECH = "speech:" + "so " * 70_000
 WRONG = [
     ("study --expressions jawOpeen", "unknown ARKit expression 'jawOpeen'; did you mean jawOpen"),
-    ("head fit --unit inch", "--unit is of --skin, which is not given"),
     ("head fit --template t.npz --level 1", "--template has a level"),
     ("head fit --out head.obj", "head.obj: expected a file that ends in .npz"),
     ("head train-regressor empty --prior 8", "give one"),
@@ -47,7 +46,6 @@ WRONG = [
     ("animate /dev/zero", "expected"),
     (f"animate {SPEECH}", "expected"),
     ("corpus generate plan.toml --preset tiny", "both say which plan"),
-    ("head fit --no-repair", "--no-repair is of --skin, which is not given"),
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
     ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
