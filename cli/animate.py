@@ -19,8 +19,7 @@ from .written_file import FOLDER
 if TYPE_CHECKING:
     from ..animation.animate import AnimateResult
 
-TIGHT, NONE = "tight", "none"
-TIGHT_MM = 0.001
+NONE = "none"
 
 
 class Accuracy(click.ParamType):
@@ -32,14 +31,14 @@ class Accuracy(click.ParamType):
         """Return the length, None for "none"."""
         if value is None or isinstance(value, float):
             return value
-        if value in (TIGHT, NONE):
-            return TIGHT_MM if value == TIGHT else None
+        if value == NONE:
+            return None
         try:
             length = float(value)
         except ValueError:
             length = -1.0
         if not 1e-6 <= length <= 100.0:
-            self.fail(f"{value!r}: expected a length from 1e-6 to 100 mm, {TIGHT!r} or {NONE!r}", param, ctx)
+            self.fail(f"{value!r}: expected a length from 1e-6 to 100 mm, or {NONE!r}", param, ctx)
         return length
 
 
@@ -64,7 +63,7 @@ class Animate:
 
     take: str = argument("TAKE", type=str)
     accuracy: float | None = option(
-        "0.05", f"largest mean error of a frame [mm]; '{TIGHT}' is {TIGHT_MM}, '{NONE}' takes the rig alone",
+        "0.05", f"largest mean error of a frame [mm]; '{NONE}' takes the rig alone",
         type=Accuracy(),
     )  # fmt: skip
     head: Path | None = option(None, "head from `head fit`; default: the mean of --identities", type=FILE)

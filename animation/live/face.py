@@ -65,8 +65,8 @@ class FirstAnswer:
         if known.share is not None:
             blended = self._face.blend(change.weights.astype(np.float64))
             motion = np.linalg.norm(skin - blended - known.carried, axis=1)
-            counted = moves if (moves := motion > MOVES).any() else np.ones_like(moves)
-            error, mean = (known.share * motion).astype(np.float32), float(known.share * motion[counted].mean())
+            moving = motion[motion > MOVES] if (motion > MOVES).any() else motion
+            error, mean = (known.share * motion).astype(np.float32), float(known.share * moving.mean())
         seconds = time.perf_counter() - begin
         return Frame(change.number, known.method, skin, error, mean, certain=False, is_last=False, seconds=seconds)
 

@@ -15,19 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.checks import array_of_kind, finite, indices_below, shape
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
 from ..base.files.text import is_plain_file
-from ..base.limits import VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 
 _NEEDED = ("vertices", "faces", "face_part", "part_name", "part_group")
 _EYES, _MANDIBLE = "eyeball", "mandible"
-LARGEST = 1e5
-"""[mm] of a coordinate: whole bodies have 2,000."""
 _MUSCLES = ("expression", "jaw")
 SHIFT = np.array([0.0, 1500.0, 120.0])
 """[mm] from the body's height and depth to about the head's centre."""
@@ -101,19 +97,7 @@ def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[
         raise InputError(f"{path}: not BodyParts3D's data ({error})") from None
 
 
-def _check(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays, each of its shape and range; InputError names one that is not."""
-    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
-    faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
-    names, groups = (array_of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
-    shape("part_name", names, (None,))
-    shape("part_group", groups, (len(names),))
-    part = indices_below("face_part", data["face_part"], len(names), (len(faces),))
-    return {"vertices": vertices, "faces": faces, "face_part": part, "part_name": names, "part_group": groups}
-
-
-def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
-    data = _check(given)
+def _anatomy(data: Mapping[str, np.ndarray]) -> Anatomy:
     names, groups = data["part_name"], data["part_group"]
     lower_case = np.char.lower(names)
 

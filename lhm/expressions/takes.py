@@ -12,10 +12,6 @@ from ..base.mesh import Floats
 from ..identities.arkit import ARKIT
 
 FEW = 5
-LONGEST = 1e6
-"""[s] From a take's first frame to its last: eleven days."""
-TURNED = 1e4
-"""[rad] A head's angle, whose turns are counted: more than a thousand of them."""
 GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
 FASTEST = 10_000.0
@@ -57,10 +53,6 @@ class Take:
             raise InputError(f"take: expected {len(weights)} finite times, got shape {times.shape}")
         if (np.diff(times) <= 0).any():
             raise InputError(f"take: time does not rise at frame {np.flatnonzero(np.diff(times) <= 0)[0] + 1}")
-        if times[-1] - times[0] > LONGEST:
-            raise InputError(
-                f"take: {times[-1] - times[0]:.3g} s from first to last frame, expected at most {LONGEST:g}"
-            )
         check_rate(self.rate)
         arrays = {"weights": weights, "times": times}
         if self.head is not None:
@@ -69,9 +61,6 @@ class Take:
                 raise InputError(
                     f"take: expected finite angles of shape ({len(weights)}, 3), got {arrays['head'].shape}"
                 )
-            farthest = float(np.abs(arrays["head"]).max())
-            if farthest > TURNED:
-                raise InputError(f"take: head turned by {farthest:.3g} rad, expected {TURNED:g} at most")
         for name, values in arrays.items():
             values.flags.writeable = False
             object.__setattr__(self, name, values)

@@ -150,22 +150,24 @@ def _search(
 ) -> tuple[Similarity, float]:
     """The similarity from the template's face to the skin in its file's unit, and its score [mm of the template]."""
     free = [size * POLICY.head / float(np.ptp(used, axis=0).max()) for size in POLICY.busts]
-    best: tuple[float, Similarity] = (np.inf, Similarity(1.0, np.eye(3), np.zeros(3)))
-    tilts = [np.eye(3)]
-    # A unit that is said and in which there is no face may be the wrong one: then the right one can be told.
-    for attempt, sizes in enumerate(([given] if given else free, free)):
-        turns = [turn @ tilt for turn in rotations for tilt in tilts]
+
+    def search(sizes: Sequence[float], turns: Sequence[Floats], done: float) -> tuple[float, Similarity]:
+        best: tuple[float, Similarity] = (np.inf, Similarity(1.0, np.eye(3), np.zeros(3)))
         for number, size in enumerate(sizes):
-            progress("finding the face", (attempt + number / len(sizes)) / 2)
+            progress("finding the face", done + 0.5 * number / len(sizes))
             target = Target(Surface(skin.vertices * size, skin.triangles))
             motion, off = _best(target, used * size, face, turns)
             if off < best[0]:
                 best = off, Similarity(motion.scale / size, motion.rotation, motion.shift / size)
-        if best[0] <= POLICY.worst_score:
-            break
-        tilts = _tilts()
+        return best
+
+    off, motion = search([given] if given else free, rotations, 0.0)
+    if off > POLICY.worst_score:
+        # A unit that is said and in which there is no face may be the wrong one: then the right one can be told.
+        tilted, other = search(free, [turn @ tilt for turn in rotations for tilt in _tilts()], 0.5)
+        off, motion = (tilted, other) if tilted < off else (off, motion)
     progress("finding the face", 1.0)
-    return best[1], best[0]
+    return motion, off
 
 
 def _tilts() -> list[Floats]:

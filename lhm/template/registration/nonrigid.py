@@ -143,7 +143,6 @@ def lay_onto(
         weight[(parts == EYES) | (distance_to(x, x[places.lids]) < policy.lid_zone)] = policy.lids
     ties = vstack([lip_ties(start, places.rim, policy), flap_ties(start, parts, policy)]).tocsr()
     model = SmoothAffine(x, triangles, ties, weight, policy)
-    stiffnesses, limits = policy.stiffnesses, policy.limits
     edges = neighbours(triangles, len(x))
     pockets = (parts == MOUTH) | (parts == EYES)
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < policy.near)
@@ -151,12 +150,11 @@ def lay_onto(
     # Lips that touch see no sky, but have to come to lie between those of the skin.
     lips = distance_to(x, x[places.rim]) < policy.lip_zone
     drawn = (parts == OUTSIDE) & ((visible_sky(start) > policy.seen) | lips)
-    best, fewest = x, -1
-    for stage in range(policy.stages + policy.repairs):
-        repair = stage - policy.stages + 1
-        stiffness, limit = (values[min(stage, policy.stages - 1)] for values in (stiffnesses, limits))
+
+    def lay(x: Floats, stiffness: float, limit: float) -> Floats:
+        """Draw the template to its matches within `limit` [mm], at one stiffness."""
         use_normals = stiffness > policy.normals_above
-        turned = policy.turned * np.sqrt(stiffness / stiffnesses[0]) if use_normals else 0.0
+        turned = policy.turned * np.sqrt(stiffness / policy.stiffnesses[0]) if use_normals else 0.0
         match_weight = policy.early_weight if use_normals else 1.0
         for _ in range(policy.early_steps if use_normals else policy.late_steps):
             normals = start.with_vertices(x).vertex_normals
@@ -164,17 +162,30 @@ def lay_onto(
             goals[drawn], distance, matched = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
             weights[drawn] = matched * tukey_weights(distance, limit) * match_weight
             x = _step(model, goals, weights, marks, stiffness, policy)
-        progress("registering the skin", (stage + 1) / (policy.stages + policy.repairs))
+        return x
+
+    def find_crossings(x: Floats) -> Ints:
+        """Find the corners (k, 6) of the pairs of triangles that cross anew."""
         pairs = TriangleTree(x, triangles).self_crossings().tolist()
-        crossing = triangles[[pair for pair in pairs if tuple(pair) not in crossings_before]].reshape(-1, 6)
-        if repair >= 0 and (fewest < 0 or len(crossing) < fewest):
-            best, fewest = x, len(crossing)
-        if repair >= 0 and not len(crossing):
-            break
+        return triangles[[pair for pair in pairs if tuple(pair) not in crossings_before]].reshape(-1, 6)
+
+    for stage, (stiffness, limit) in enumerate(zip(policy.stiffnesses, policy.limits, strict=True)):
+        x = lay(x, stiffness, limit)
+        progress("registering the skin", (stage + 1) / (policy.stages + policy.repairs))
         if policy.late <= stage < policy.stages - 1:
-            crossing = crossing[near[crossing].any(axis=1)]
-        if stage >= policy.late:
-            drawn = drawn & ~_around(crossing, edges, 1 + max(repair, 0) // 2)
+            crossing = find_crossings(x)
+            drawn = drawn & ~_around(crossing[near[crossing].any(axis=1)], edges, 1)
+    crossing = find_crossings(x)
+    best, fewest = x, len(crossing)
+    for repair in range(policy.repairs):
+        if not len(crossing):
+            break
+        drawn = drawn & ~_around(crossing, edges, 1 + repair // 2)
+        x = lay(x, stiffness, limit)
+        crossing = find_crossings(x)
+        if len(crossing) < fewest:
+            best, fewest = x, len(crossing)
+    progress("registering the skin", 1.0)
     return best, fewest
 
 
