@@ -43,17 +43,11 @@ def check_skin(surface: Surface) -> None:
     if holes:
         counted = f"{holes} hole" if holes == 1 else f"{holes} holes"
         raise MeshError(f"skin: the surface is open, with {counted}; it must be closed")
-    if len(np.unique(edges, axis=0)) != len(edges):
-        raise MeshError("skin: neighbouring triangles are oriented against one another")
+    _check_orientation(edges)
     pieces = _pieces(unique)
     if pieces > 1:
         raise MeshError(f"skin: {pieces} separate pieces; it must be one (leave out eyeballs, teeth and tongue)")
-    extent = np.ptp(surface.vertices[np.unique(triangles)], axis=0)
-    if extent.min() < LEAST_EXTENT or extent.max() > GREATEST_EXTENT:
-        size = " x ".join(f"{length:.4g}" for length in extent)
-        raise MeshError(
-            f"skin: its extent is {size} mm, a head's lies within {LEAST_EXTENT:g}..{GREATEST_EXTENT:g}: units off?"
-        )
+    _check_size(surface)
 
 
 def _pieces(edges: Ints) -> int:
@@ -80,12 +74,16 @@ def check_registrable(skin: Surface) -> Surface:
     whole = Surface(skin.vertices, skin.triangles[kept])
     _, number, times = number_edges(whole.triangles)
     ordinary = (times == 2)[number.ravel()]  # at the edge of a fin no way round is right
-    edges = directed_edges(whole.triangles)[ordinary]
-    if len(np.unique(edges, axis=0)) != len(edges):
-        raise MeshError("skin: neighbouring triangles are oriented against one another")
+    _check_orientation(directed_edges(whole.triangles)[ordinary])
     _check_size(whole)
     check_outward(whole)
     return whole
+
+
+def _check_orientation(edges: Ints) -> None:
+    """Raise MeshError where two triangles run through an edge in one direction."""
+    if len(np.unique(edges, axis=0)) != len(edges):
+        raise MeshError("skin: neighbouring triangles are oriented against one another")
 
 
 def check_outward(skin: Surface) -> None:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError, MeshError, SoftdecaError, one_line
+from ..base.errors import InputError, MeshError
 from ..base.files.surface_file import Scan, read_scan
+from ..base.files.text import naming_file
 from ..base.files.texture import Texture, read_texture
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.warp import Similarity
@@ -119,7 +118,7 @@ def place_scan(
     if isinstance(scan, Surface):
         return _place(template, Scan(scan.vertices, scan.triangles), hints, repair, progress)
     read = read_scan(scan)
-    with _name_scan(scan):
+    with naming_file(scan):
         placed = _place(template, read, hints, repair, progress)
     return _paint(placed, scan)
 
@@ -148,14 +147,6 @@ def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgr
     )
     ids = landmark_ids(template.skin, template.parts)
     return {name: laid.vertices[vertex] for name, vertex in ids.items()}
-
-
-@contextmanager
-def _name_scan(path: str | os.PathLike[str]) -> Iterator[None]:
-    try:
-        yield
-    except SoftdecaError as error:
-        raise InputError(str(error) if one_line(str(path)) in str(error) else f"{Path(path)}: {error}") from None
 
 
 def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress: OnProgress) -> PlacedScan:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ..errors import InputError, MeshError, MissingDependencyError, escape, one_line, quote
+from ..errors import FitError, InputError, MeshError, MissingDependencyError, escape, one_line, quote
 from ..limits import FILE_BYTES, JSON_BYTES, TOML_BYTES, Bound
 
 
@@ -58,10 +58,10 @@ def find_beside(path: Path, name: str) -> Path:
 
 @contextmanager
 def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Make every error of input or mesh an InputError that names the file, once."""
+    """Raise errors of input, mesh or fit again as an InputError that names the file, once."""
     try:
         yield
-    except (InputError, MeshError) as error:
+    except (InputError, MeshError, FitError) as error:
         said = str(error)
         raise InputError(said if one_line(str(path)) in said else f"{path}: {said}") from None
 
