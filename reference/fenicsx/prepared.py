@@ -76,7 +76,7 @@ def prepare(
 def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
-    refuse_unknown(scene, "fenicsx", TERMS, materials.LAWS)
+    refuse_unknown(scene, "fenicsx", TERMS, materials.LAWS, prisms=element == "P1")
     check_solids(scene, element)
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")

@@ -1,7 +1,7 @@
 /* Energy, gradient and Hessian of a law's integral over tets, WIDTH tets at a time: a `vec` has a number of each.
 
    law.h, which kernels.py writes, has the element (NODES, POINTS, the derivatives SHAPES of the shape functions on the
-   reference tet, WEIGHTS that add up to 1), the number PARAMETERS of the law's, and `law_stretches`: psi(s), its
+   reference tet, WEIGHTS that add up to 1; or PRISMS: six nodes and one point), the number PARAMETERS of the law's, and `law_stretches`: psi(s), its
    gradient and its Hessian, s the signed singular values of `decompose`. A law of HAS_PRESSURE has a pressure at each
    point, parameters[PARAMETERS]: the last four parameters are those of the corners, and CORNERS the corners' linear
    shape functions at the points. Tets come in rows of an array that is filled up to whole blocks of WIDTH by tets of
@@ -332,17 +332,24 @@ static inline void add_by_stretches(const vec *F, const vec *parameters, vec w, 
     }
 }
 
-/* What a block of tets is: nodes (tets, NODES), and by block the inverse of the Jacobian, volume and parameters. */
+#ifdef PRISMS
+#define GEOMETRY (3 * NODES)
+#else
+#define GEOMETRY 9
+#endif
+
+/* What a block of tets is: nodes (tets, NODES), and by block geometry, volume and parameters. The geometry is the
+   inverse of the Jacobian, and of prisms the gradients of their one F, by node. */
 struct tets {
   int64_t blocks;
   const int64_t *nodes;
-  const double *inverse, *volume, *parameters;
+  const double *geometry, *volume, *parameters;
 };
 
-static inline void load(const struct tets *tets, int64_t block, const double *u, vec *inverse, vec *volume,
+static inline void load(const struct tets *tets, int64_t block, const double *u, vec *geometry, vec *volume,
                         vec *parameters, vec at[NODES][3]) {
   const int64_t *nodes = tets->nodes + block * WIDTH * NODES;
-  for (int k = 0; k < 9; k++) inverse[k] = ((const loose *)tets->inverse)[9 * block + k];
+  for (int k = 0; k < GEOMETRY; k++) geometry[k] = ((const loose *)tets->geometry)[GEOMETRY * block + k];
   *volume = ((const loose *)tets->volume)[block];
   for (int k = 0; k < PARAMETERS; k++) parameters[k] = ((const loose *)tets->parameters)[PARAMETERS * block + k];
   for (int a = 0; a < NODES; a++)
@@ -351,7 +358,7 @@ static inline void load(const struct tets *tets, int64_t block, const double *u,
 }
 
 /* The shape functions' gradients G in space at a point, and F there, and the pressure if there is one. */
-static inline void place(int point, const vec *inverse, const vec at[NODES][3], vec G[NODES][3], vec *F,
+static inline void place(int point, const vec *geometry, const vec at[NODES][3], vec G[NODES][3], vec *F,
                          vec *parameters) {
 #ifdef HAS_PRESSURE
   parameters[PARAMETERS] = filled(0.0);
@@ -359,8 +366,13 @@ static inline void place(int point, const vec *inverse, const vec at[NODES][3], 
 #endif
   for (int i = 0; i < 9; i++) F[i] = filled(i % 4 == 0);
   for (int a = 0; a < NODES; a++) {
+#ifdef PRISMS
+    for (int j = 0; j < 3; j++) G[a][j] = geometry[3 * a + j];
+#else
     const double *shape = SHAPES[point][a];
-    for (int j = 0; j < 3; j++) G[a][j] = shape[0] * inverse[j] + shape[1] * inverse[3 + j] + shape[2] * inverse[6 + j];
+    for (int j = 0; j < 3; j++)
+      G[a][j] = shape[0] * geometry[j] + shape[1] * geometry[3 + j] + shape[2] * geometry[6 + j];
+#endif
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) F[3 * i + j] += at[a][i] * G[a][j];
   }
@@ -371,10 +383,10 @@ double energy(const struct tets *tets, const double *u, double *gradient) {
   vec total = {};
   for (int64_t block = 0; block < tets->blocks; block++) {
     const int64_t *nodes = tets->nodes + block * WIDTH * NODES;
-    vec inverse[9], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9], forces[NODES][3] = {};
-    load(tets, block, u, inverse, &volume, parameters, at);
+    vec geometry[GEOMETRY], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9], forces[NODES][3] = {};
+    load(tets, block, u, geometry, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F, parameters);
+      place(point, geometry, at, G, F, parameters);
       const vec w = WEIGHTS[point] * volume;
       total += w * law_stress(F, parameters, P);
       for (int i = 0; i < 9; i++) P[i] *= w;
@@ -393,10 +405,10 @@ double energy(const struct tets *tets, const double *u, double *gradient) {
 /* P at the points of tets, shape (tets, POINTS, 9). */
 void stress(const struct tets *tets, const double *u, double *into) {
   for (int64_t block = 0; block < tets->blocks; block++) {
-    vec inverse[9], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9];
-    load(tets, block, u, inverse, &volume, parameters, at);
+    vec geometry[GEOMETRY], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9], P[9];
+    load(tets, block, u, geometry, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F, parameters);
+      place(point, geometry, at, G, F, parameters);
       law_stress(F, parameters, P);
       for (int l = 0; l < WIDTH; l++)
         for (int i = 0; i < 9; i++) into[((block * WIDTH + l) * POINTS + point) * 9 + i] = P[i][l];
@@ -410,11 +422,11 @@ void stress(const struct tets *tets, const double *u, double *into) {
 void hessian(const struct tets *tets, const double *u, double kept, const int64_t *starts, const int32_t *slots,
              double *values) {
   for (int64_t block = 0; block < tets->blocks; block++) {
-    vec inverse[9], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9];
+    vec geometry[GEOMETRY], volume, parameters[PARAMETERS + 1], at[NODES][3], G[NODES][3], F[9];
     vec local[NODES * (NODES - 1) / 2][9] = {};
-    load(tets, block, u, inverse, &volume, parameters, at);
+    load(tets, block, u, geometry, &volume, parameters, at);
     for (int point = 0; point < POINTS; point++) {
-      place(point, inverse, at, G, F, parameters);
+      place(point, geometry, at, G, F, parameters);
       const vec w = WEIGHTS[point] * volume;
       add_by_stretches(F, parameters, w, kept, G, local);
     }

@@ -1,8 +1,8 @@
-"""Integrals of laws over tets by compiled loops: each kind of law and element is a library, made once from `kernels.c`.
+"""Integrals of laws over tets and prisms by compiled loops; each kind of law and element is a library.
 
-A library is compiled where it is first asked for, by the compiler that DOLFINx' own forms need, and kept in the user's
-cache. Its name holds its source and the processor, so a cache may be shared; processes that ask at once wait for the
-first of them.
+It is made from `kernels.c` and compiled where it is first asked for, by the compiler that DOLFINx' own forms need, and
+kept in the user's cache. Its name holds its source and the processor, so a cache may be shared; processes that ask at
+once wait for the first of them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import subprocess
 import sysconfig
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from .. import dolfinx_version as seam
 from ..mesh.numbering import Numbering
 from .assembly import Stiffness
 from .law_code import Law
+from .prisms import Prisms
 
 SOURCE = Path(__file__).with_name("kernels.c")
 # Without -ffast-math: an energy that is not a number must stay one.
@@ -45,42 +47,65 @@ class Tets(ctypes.Structure):
     _fields_ = (
         ("blocks", ctypes.c_int64),
         ("nodes", ctypes.c_void_p),
-        ("inverse", ctypes.c_void_p),
+        ("geometry", ctypes.c_void_p),
         ("volume", ctypes.c_void_p),
         ("parameters", ctypes.c_void_p),
     )
 
 
-class Kernel:
-    """The integral over some tets (k,) of the sum of laws, with energy [µJ], gradient [mN] and Hessian [mN/mm].
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """What a kernel integrates over: nodes (k, a), volumes (k,) [mm³], and geometry (k, g) as of kernels.c.
 
-    The rule of a degree has q points on each tet. `cells` are the tets, as the numbering counts them. A law that has a
-    pressure is alone. It takes the pressure from linear elements, whose nodes at the corners of all tets are
-    `pressure_dofs` (tets, 4).
+    A rule of q points: weights (q,) that add up to 1, derivatives of the shape functions on the reference tet
+    (q, a, 3), None of prisms, and the corners' linear shape functions (q, 4).
     """
 
-    def __init__(
-        self, numbering: Numbering, cells: Ints, degree: int, laws: Sequence[Law], pressure_dofs: Ints | None = None
-    ):
-        self.cells = cells
+    nodes: Ints
+    volumes: Floats
+    geometry: Floats
+    weights: Floats
+    shapes: Floats | None = None
+    corner_shapes: Floats | None = None
+
+    @classmethod
+    def from_tets(cls, numbering: Numbering, cells: Ints, degree: int) -> Elements:
+        """Tets (k,), as the numbering counts them, with the rule of a degree."""
         points, weights = seam.quadrature_rule(degree)
-        self._per_cell = len(points)
-        shapes, corner_shapes = seam.shapes(numbering.degree, points)[1], seam.shapes(1, points)[0]
+        corners = numbering.X[numbering.dof[numbering.cell_vertices[cells]]]
+        inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)).reshape(-1, 9)
+        volumes, shapes = numbering.cell_volumes[cells], seam.shapes(numbering.degree, points)[1]
+        corner_shapes = seam.shapes(1, points)[0]
+        return cls(numbering.cell_dofs[cells], volumes, inverse, weights / weights.sum(), shapes, corner_shapes)
+
+    @classmethod
+    def from_prisms(cls, prisms: Prisms, rows: Ints) -> Elements:
+        """Some prisms (k,), with one point each."""
+        gradients = prisms.mean[rows].reshape(-1, 18)
+        return cls(prisms.nodes[rows], prisms.volumes[rows].sum(axis=1), gradients, np.ones(1))
+
+
+class Kernel:
+    """The integral over some elements (k,) of the sum of laws, with energy [µJ], gradient [mN] and Hessian [mN/mm].
+
+    A law that has a pressure is alone. It takes the pressure from linear elements, whose nodes at the corners of the
+    tets are `pressure_dofs` (k, 4).
+    """
+
+    def __init__(self, elements: Elements, laws: Sequence[Law], pressure_dofs: Ints | None = None):
+        self._count, self._per_cell = len(elements.nodes), len(elements.weights)
         with count_compilation():
-            self._library = load_library(_header(shapes, weights / weights.sum(), corner_shapes, laws))
+            self._library = load_library(_header(elements, laws))
         self._width = ctypes.c_int64.in_dll(self._library, "width").value
-        self._rows = np.minimum(np.arange(-(-len(cells) // self._width) * self._width), len(cells) - 1)
-        padded = cells[self._rows]
-        corners = numbering.X[numbering.dof[numbering.cell_vertices[padded]]]
-        inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
-        self._volume = np.where(np.arange(len(padded)) < len(cells), numbering.cell_volumes[padded], 0.0)
-        self._nodes = np.ascontiguousarray(numbering.cell_dofs[padded], dtype=np.int64)
-        self._inverse = self._by_block(inverse.reshape(-1, 9))
+        self._rows = np.minimum(np.arange(-(-self._count // self._width) * self._width), self._count - 1)
+        self._volume = np.where(np.arange(len(self._rows)) < self._count, elements.volumes[self._rows], 0.0)
+        self._nodes = np.ascontiguousarray(elements.nodes[self._rows], dtype=np.int64)
+        self._geometry = self._by_block(elements.geometry[self._rows])
         self._slots: Ints | None = None
         self._pressure_dofs: Ints | None = None
         if laws[0].has_pressure:
             assert pressure_dofs is not None
-            self._pressure_dofs = self._by_block(pressure_dofs[padded])
+            self._pressure_dofs = self._by_block(pressure_dofs[self._rows])
         self.set(laws)
 
     def _by_block(self, rows: np.ndarray) -> np.ndarray:
@@ -94,7 +119,7 @@ class Kernel:
         if self._pressure_dofs is not None:
             parameters = np.column_stack([parameters, np.zeros((len(parameters), 4))])
         self._parameters = self._by_block(parameters[self._rows])
-        arrays = (self._nodes, self._inverse, self._volume, self._parameters)
+        arrays = (self._nodes, self._geometry, self._volume, self._parameters)
         self._tets = Tets(len(self._rows) // self._width, *(_address(array) for array in arrays))
 
     @property
@@ -115,7 +140,7 @@ class Kernel:
         """Return P [kPa] at the points, shape (k q, 3, 3)."""
         P = np.empty((len(self._rows), self._per_cell, 3, 3))
         self._library.stress(ctypes.byref(self._tets), _address(u), _address(P))
-        return P[: len(self.cells)].reshape(-1, 3, 3)
+        return P[: self._count].reshape(-1, 3, 3)
 
     def add_hessian(self, u: Floats, kept: float, into: Stiffness):
         """Add the Hessian, every negative eigenvalue of every point's dP/dF multiplied by `kept`."""
@@ -132,22 +157,25 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _header(shapes: Floats, weights: Floats, corner_shapes: Floats, laws: Sequence[Law]) -> str:
-    """Write law.h for kernels.c: derivatives of shapes (q, nodes, 3), weights (q,), corners' shapes (q, 4) and laws."""
+def _header(elements: Elements, laws: Sequence[Law]) -> str:
+    """Write law.h for kernels.c: the elements' shapes and rule, and the laws."""
 
     def braces(array: np.ndarray) -> str:
         return repr(float(array)) if array.ndim == 0 else "{" + ", ".join(braces(part) for part in array) + "}"
 
-    points, nodes = shapes.shape[:2]
     lines = [
-        f"#define NODES {nodes}",
-        f"#define POINTS {points}",
+        f"#define NODES {elements.nodes.shape[1]}",
+        f"#define POINTS {len(elements.weights)}",
         f"#define PARAMETERS {sum(law.parameters.shape[1] + 4 * law.has_pressure for law in laws)}",
-        f"static const double SHAPES[POINTS][NODES][3] = {braces(shapes)};",
-        f"static const double WEIGHTS[POINTS] = {braces(weights)};",
+        f"static const double WEIGHTS[POINTS] = {braces(elements.weights)};",
     ]
+    if elements.shapes is None:
+        lines.append("#define PRISMS")
+    else:
+        lines.append(f"static const double SHAPES[POINTS][NODES][3] = {braces(elements.shapes)};")
     if laws[0].has_pressure:
-        lines += ["#define HAS_PRESSURE", f"static const double CORNERS[POINTS][4] = {braces(corner_shapes)};"]
+        assert elements.corner_shapes is not None
+        lines += ["#define HAS_PRESSURE", f"static const double CORNERS[POINTS][4] = {braces(elements.corner_shapes)};"]
     lines += [_function(f"part{n}", law.code) for n, law in enumerate(laws)]
     return "\n".join([*lines, _function("law_stretches", _sum_parts(laws))]) + "\n"
 

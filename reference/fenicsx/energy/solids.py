@@ -14,14 +14,15 @@ from ....lhm.base.mesh import Floats, Ints
 from ...clock import count_compilation
 from ...materials import Corotated, Incompressible, Material
 from ...scene import Scene
-from ...terms import Hyperelastic, Strain, Volume
+from ...terms import Hourglass, Hyperelastic, Strain, Volume
 from ...terms import Solid as SolidTerm
 from .. import dolfinx_version as seam
 from ..mesh.numbering import Numbering
 from .assembly import Stiffness
 from .hyperelastic import MixedForms, check_mixed
-from .kernels import Kernel
+from .kernels import Elements, Kernel
 from .law_code import FUNCTIONS, Law
+from .prisms import Prisms
 from .quadrature import DEGREES, Quadrature
 
 
@@ -100,7 +101,7 @@ def invariants(s: Sequence[Any]) -> tuple[Any, Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A term whose values per tet, if any, are those of the cells (k,) that it acts on here.
+    """A term whose values per cell, if any, are those of the cells (k,) here that it acts on: tets, or prisms.
 
     A hyperelastic law that is `mixed` has a pressure.
     """
@@ -113,11 +114,12 @@ class Solid:
     def from_term(cls, scene: Scene, term: SolidTerm, numbering: Numbering, *, mixed: bool) -> Solid:
         """The part of a scene's term on the cells of this process."""
         mixed = mixed and isinstance(term, Hyperelastic)
-        cells = numbering.cell[scene.tets_of(term)]
+        tets = scene.tets_of(term)
+        cells = numbering.prism[tets[:, 0]] if term.on_prisms else numbering.cell[tets]
         mine = cells >= 0
         if mine.all():
             return cls(term, cells, mixed)
-        changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
+        changes: dict[str, object] = {"tets": tets[mine]}
         for key, value in vars(term).items():
             if key != "tets" and isinstance(value, np.ndarray) and value.ndim == 1:
                 changes[key] = value[mine]
@@ -170,35 +172,61 @@ class Solids:
                 law, growth = solid.term.material, solid.term.growth
                 self.mixed_forms.append(MixedForms(self._displacement, solid.cells, law, degree, growth, pressure))
                 self.softness[solid.cells] += 1.0 / law.shear_modulus
-        self.kernels = [Kernel(numbering, cells, degree, laws, pressure_dofs) for cells, laws in self._laws(solids)]
-        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
-        self.cells, self.quadrature = cells, Quadrature(numbering, cells, degree)
+        self.prisms = Prisms.from_scene(scene, numbering)
+        self._tets_of_prisms = scene.prisms
+        self._groups = self._group(solids)
+        self.kernels = [self._kernel(group, degree, pressure_dofs) for group in self._groups]
+        tets = [scene.tets_of(term).ravel() for term in scene.of(SolidTerm)]
+        cells = np.unique(numbering.cell[np.concatenate([np.empty(0, dtype=np.int64), *tets])])
+        self.cells = cells[cells >= 0]
+        self.quadrature = Quadrature(numbering, self.cells, degree)
 
     def set(self, scene: Scene):
         """Take a scene's numbers."""
-        for kernel, (_, laws) in zip(self.kernels, self._laws(self._solids(scene)), strict=True):
-            kernel.set(laws)
+        for kernel, group in zip(self.kernels, self._group(self._solids(scene)), strict=True):
+            kernel.set([solid.law for solid in group])
 
     def _solids(self, scene: Scene) -> list[Solid]:
         mixed = self._pressure is not None
-        return [Solid.from_term(scene, term, self._order, mixed=mixed) for term in scene.of(SolidTerm)]
+        laws = [term for term in scene.of(SolidTerm) if not isinstance(term, Hourglass)]
+        return [Solid.from_term(scene, term, self._order, mixed=mixed) for term in laws]
 
-    def _laws(self, solids: list[Solid]) -> list[tuple[Ints, list[Law]]]:
-        """The laws of kernels by their cells: one with a pressure has its own, others on the same cells share one."""
-        groups: list[tuple[Ints, list[Law]]] = []
+    def _group(self, solids: list[Solid]) -> list[list[Solid]]:
+        """Group the solids of a kernel: one with a pressure has its own, others on the same cells share one."""
+        groups: list[list[Solid]] = []
         for solid in solids:
-            for cells, laws in groups:
-                if not (solid.mixed or laws[0].has_pressure) and np.array_equal(cells, solid.cells):
-                    laws.append(solid.law)
+            for group in groups:
+                same = group[0].term.on_prisms == solid.term.on_prisms and np.array_equal(group[0].cells, solid.cells)
+                if same and not (solid.mixed or group[0].mixed):
+                    group.append(solid)
                     break
             else:
-                groups.append((solid.cells, [solid.law]))
+                groups.append([solid])
         return groups
+
+    def _kernel(self, group: list[Solid], degree: int, pressure_dofs: Ints | None) -> Kernel:
+        cells, laws = group[0].cells, [solid.law for solid in group]
+        if group[0].term.on_prisms:
+            return Kernel(Elements.from_prisms(self.prisms, cells), laws)
+        elements = Elements.from_tets(self._order, cells, degree)
+        return Kernel(elements, laws, pressure_dofs[cells] if group[0].mixed else None)
 
     def points(self, cells: Ints) -> Ints:
         """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
         q = self.quadrature.per_cell
         return (np.searchsorted(self.cells, cells)[:, None] * q + np.arange(q)).ravel()
+
+    def points_of_prisms(self) -> tuple[Ints, Ints]:
+        """The points of this rank's tets that belong to a prism, and which of the scene's prisms that is, (k,) each."""
+        cells = self._order.cell[self._tets_of_prisms]
+        rows, which = np.nonzero(cells >= 0)
+        return self.points(cells[rows, which]), rows
+
+    def of_all_ranks(self, values: Floats) -> Floats:
+        """Values by this rank's prisms, (r, 3, 3), as those by the scene's."""
+        total = np.zeros((len(self._tets_of_prisms), 3, 3))
+        total[self._order.prisms] = values
+        return self._order.comm.allreduce(total)
 
     def at(self, u: Floats, p: Floats) -> SolidState:
         """The solids at a displacement [mm], (n, 3), and a pressure [kPa], (n_p,), if there is one."""
@@ -254,11 +282,17 @@ class SolidState:
             seam.add_vector(forms.by_pressure, into)
 
     def stresses(self) -> tuple[Floats, Floats]:
-        """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together."""
+        """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together; a prism's at its tets."""
         solids = self._solids
         self.place()
         F = solids.quadrature.deformation_gradient(self._u)
-        P = np.zeros_like(F)
-        for kernel in solids.kernels:
-            P[solids.points(kernel.cells)] += kernel.stress(self._u)
+        P, of_prisms = np.zeros_like(F), np.zeros((len(solids.prisms.nodes), 3, 3))
+        for kernel, group in zip(solids.kernels, solids._groups, strict=True):
+            if group[0].term.on_prisms:
+                of_prisms[group[0].cells] += kernel.stress(self._u)
+            else:
+                P[solids.points(group[0].cells)] += kernel.stress(self._u)
+        points, rows = solids.points_of_prisms()
+        F[points] = solids.of_all_ranks(solids.prisms.deformation(self._u))[rows]
+        P[points] += solids.of_all_ranks(of_prisms)[rows]
         return F, P

@@ -14,6 +14,7 @@ from ...scene import Scene
 from ...terms import (
     Bending,
     Gaps,
+    Hourglass,
     Hyperelastic,
     Pressure,
     RigidBody,
@@ -31,6 +32,7 @@ from ..energy.gaps import Distances
 from ..energy.hyperelastic import MixedForms
 from ..energy.loads import FollowerPressure, Springs, dead_loads
 from ..energy.nodal import NodalEnergy
+from ..energy.prisms import Hourglasses
 from ..energy.quadrature import Quadrature
 from ..energy.solids import Solids
 from ..energy.surface_strain import Membrane
@@ -42,6 +44,7 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
     Hyperelastic: Solids,
     Strain: Solids,
     Volume: Solids,
+    Hourglass: Hourglasses,
     SurfaceStrain: Membrane,
     Bending: Rings,
     Gaps: Distances,
@@ -79,7 +82,7 @@ class Problem:
         self._nodal: dict[type[NodalEnergy], tuple[list[Term], Sequence[NodalEnergy]]] = {}
         self._parts = self._take_nodal(scene)
         nodes = [part.nodes for part in self._parts]
-        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
+        self.stiffness = Stiffness([numbering.cell_dofs, self.solids.prisms.nodes, *nodes], numbering.nodes)
         self._slots = [self.stiffness.slots(each) for each in nodes]
         self.symmetric = not anywhere(self.comm, [part.is_load for part in self._parts])
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)

@@ -42,10 +42,11 @@ class Numbering:
 
     `ends` (n, 2) are the scene's vertices between which a node lies in the middle, twice the same at a corner;
     `corners` (k,) are the nodes at vertices, `vertex` (k,) theirs, and `dof` (scene vertices,) the inverse, -1 for a
-    vertex in no tet; `tet` (m,) is the scene's tet per cell, `cell` its inverse; `X` [mm], shape (n, 3), are rest
-    positions by node. `own_vertices` are this rank's, `own_corners` its nodes there, and `all_vertices` those of all
-    ranks, one after the other. Of several ranks these are what each knows of, -1 what it does not; `nodes` says what it
-    owns, and `function_nodes` counts the nodes of its cells.
+    vertex in no tet; `tet` (m,) is the scene's tet per cell, `cell` its inverse; `prisms` (r,) are the scene's prisms
+    whose first tet is a cell here, and `prism` (scene's tets,) is which of these a first tet has, -1 for others;
+    `X` [mm], shape (n, 3), are rest positions by node. `own_vertices` are this rank's, `own_corners` its nodes there,
+    and `all_vertices` those of all ranks, one after the other. Of several ranks these are what each knows of, -1 what
+    it does not; `nodes` says what it owns, and `function_nodes` counts the nodes of its cells.
     """
 
     def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE):
@@ -65,6 +66,9 @@ class Numbering:
         ends = np.full((self.function_nodes, 2), -1, dtype=np.int64)
         ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
         self._number(ends)
+        self.prisms = np.flatnonzero(self.cell[scene.prisms[:, 0]] >= 0)
+        self.prism = np.full(len(scene.tets), -1, dtype=np.int64)
+        self.prism[scene.prisms[self.prisms, 0]] = np.arange(len(self.prisms))
         ids = seam.global_dofs(self.space)
         self.own_vertices = self.vertex[self.corners < owned]
         if comm.size > 1:
@@ -93,7 +97,7 @@ class Numbering:
         number = np.full(len(self.dof), -1, dtype=np.int64)
         number[vertices] = gather(self.comm, ids[self.dof[self.own_vertices]])
         self._owner = owner
-        needed = [np.empty(0, dtype=np.int64)]
+        needed = [scene.prism_cells.vertices[self.prisms].ravel()]
         for term in scene.of(OnTriangles):  # a ring of vertices needs all triangles around one that is owned here
             triangles = term.triangles
             if self._in_tets[triangles].all():
