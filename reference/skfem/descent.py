@@ -1,8 +1,4 @@
-"""The way down to a minimiser: Newton's method, where tets are inverted first on an energy that leads out of that.
-
-Stiff volumes have minima among inverted tets; shape alone was never seen to stay in one. Measured on a block of 4³
-cells (nu = .45) with vertices scattered anywhere: Newton's method on both left tets inside out after 200 iterations,
-from three starts of three. On shape alone first, it was at rest after 18 to 33 iterations, from 20 starts of 20.
+"""The way down to a minimiser by Newton's method.
 
 Surfaces in contact meet a wide barrier before the narrow one. First of all, held vertices are moved to their places
 without crushing the elements next to them.
@@ -10,7 +6,7 @@ without crushing the elements next to them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -46,22 +42,10 @@ class Descent:
         if not np.isfinite(self.energy.value(x)):
             self._tell(x, np.inf, np.inf)
             return x, Reason.NOT_FINITE, 0
-        iterations, policy = 0, self.policy.descent
-        if is_tangled(self.scene, self.discretisation, x):
-            forces = max(forces, self._norm(x))
-            relaxed = replace(self.scene, terms=tuple(term.relax(policy.volume_share) for term in self.scene.terms))
-            x, reason, iterations = self._minimise(
-                Energy(relaxed, self.discretisation),
-                x,
-                lambda first: policy.untangled * first,
-                min(limit, policy.max_untangling),
-                self._tell_of_another,
-            )
-            if reason is Reason.INTERRUPTED:
-                return x, reason, iterations
+        iterations = 0
         if (wide := self.energy.widen()) is not None:
             forces = max(forces, self._norm(x))
-            met = max(policy.met * forces, limits.threshold(self.scene, forces))
+            met = max(self.policy.descent.met * forces, limits.threshold(self.scene, forces))
             x, reason, more = self._minimise(wide, x, lambda first: met, limit - iterations, self._tell_of_another)
             iterations += more
             if reason is Reason.INTERRUPTED:
@@ -99,12 +83,6 @@ class Descent:
         if x is not self._told:
             self._told, self._stop = x, self.recorder.record(x[self.discretisation.vertex_dofs], value, norm)
         return self._stop
-
-
-def is_tangled(scene: Scene, discretisation: Discretisation, x: Floats) -> bool:
-    """Whether a scene that minds has tets that are inside out or flat anywhere, at positions by dof [mm]."""
-    minds = any(term.may_tangle for term in scene.terms)
-    return minds and bool((np.linalg.det(discretisation.tets.deformation_gradients(x)) <= 0).any())
 
 
 def carry(

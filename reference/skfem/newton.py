@@ -57,7 +57,7 @@ def minimise(
     state = _state(energy, unknowns, x, energy.value(x))
     first = float(np.linalg.norm(state.gradient))
     goal = threshold(first)
-    iteration, eager = 0, True
+    iteration = 0
     while True:
         norm = float(np.linalg.norm(state.gradient))
         stop = on_step(state.x, state.value, norm)
@@ -68,41 +68,22 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = norm < policy.near * first
-        after: State | Reason | None = None
-        if eager and not near:
-            after = _eager_step(energy, state, unknowns, scales, policy)
-        eager = after is not None
-        if after is None:
-            after = _step(energy, state, unknowns, scales, policy, near=near)
+        after = _step(energy, state, unknowns, scales, policy, near=near)
         if isinstance(after, Reason):
             return state.x, Reason.STAGNATED if near and after is Reason.LINE_SEARCH else after, iteration
         state = after
         iteration += 1
 
 
-def _eager_step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy) -> State | None:
-    """A step by the exact Hessian where it halves the gradient and lowers the energy, as it does from a near start.
-
-    From the start on, and for as long as it does: projected Hessians get there by a constant factor a step.
-    """
-    after = _step(energy, state, unknowns, scales, policy, near=True)
-    if isinstance(after, Reason) or not after.value < state.value:
-        return None
-    halved = np.linalg.norm(after.gradient) <= 0.5 * np.linalg.norm(state.gradient)
-    return after if halved else None
-
-
 def _step(
     energy: Energy, state: State, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy, *, near: bool
 ) -> State | Reason:
-    """A step along the Newton direction; far away, halved until the energy falls enough (Armijo).
+    """A step by the exact Hessian where it is positive definite, else by the projected one, halved until Armijo's rule.
 
     Near the answer energy differences drown in rounding: there a full step that halves the gradient is taken as it is.
     """
-    step = None
-    if near:
-        matrix = unknowns.hessian(state.x, state.forces, energy.exact_hessian(state.x))
-        step = solve_definite(matrix, -state.gradient)
+    matrix = unknowns.hessian(state.x, state.forces, energy.exact_hessian(state.x))
+    step = solve_definite(matrix, -state.gradient)
     if step is None:
         matrix = unknowns.projected_hessian(state.x, state.forces, energy.projected_hessian(state.x))
         step = solve_semidefinite(matrix, -state.gradient, scale=scales.stiffness, shifts=policy.shifts)

@@ -11,7 +11,7 @@ class NewtonPolicy:
 
     armijo: float = 1e-4  # of the predicted decrease, that a step has to reach
     halvings: int = 40  # of a step
-    near: float = 0.1  # of the first gradient norm: the exact Hessian takes over, since projecting converges linearly
+    near: float = 0.1  # of the first gradient norm: below it rounding may hide that the energy falls
     # Shares of a vertex' stiffness on the diagonal of a semidefinite matrix, tried until it is definite.
     shifts: tuple[float, ...] = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
 
@@ -20,10 +20,7 @@ class NewtonPolicy:
 class DescentPolicy:
     """The way down; see `descent`. Shares are of the first gradient norm unless another thing is named."""
 
-    untangled: float = 1e-5  # tets have come out as far as they will
-    max_untangling: int = 100  # iterations
     met: float = 1e-3  # ends the descent on a wide barrier
-    volume_share: float = 0.3  # of a volume's stiffness that shape takes over
     smallest_part: float = 1 / 64  # of the motion of what is held, made at once
     relaxed: float = 1e-2  # between two parts of a motion the free vertices need to follow only roughly
     relaxing_iterations: int = 20

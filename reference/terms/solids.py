@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -92,10 +92,6 @@ class Strain(Solid):
         """See Term."""
         return self._force_by(self.stiffness, mesh)
 
-    def relax(self, share: float) -> Strain:
-        """See Term; no stretch is free."""
-        return replace(self, limit=1.0)
-
 
 @dataclass(frozen=True, eq=False)
 class Volume(Solid):
@@ -106,7 +102,6 @@ class Volume(Solid):
 
     varying: ClassVar[tuple[str, ...]] = ("target",)
     may_soften: ClassVar[bool] = True
-    may_tangle: ClassVar[bool] = True
     amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0), "target": Amount(0.0, strict=True)}
 
     stiffness: float | np.ndarray
@@ -116,10 +111,6 @@ class Volume(Solid):
     def unit_force(self, mesh: Mesh) -> float:
         """See Term."""
         return self._force_by(self.stiffness, mesh)
-
-    def relax(self, share: float) -> Strain:
-        """See Term; Strain alone was never seen to stay among inverted tets."""
-        return Strain(share * self.stiffness, tets=self.tets)
 
 
 @dataclass(frozen=True, eq=False)

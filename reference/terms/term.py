@@ -32,13 +32,11 @@ class Term:
     A term says by itself which vertices its elements have, what it holds and loads, and how stiff it is.
 
     `varying` are the fields in which scenes may differ that a solver is prepared for at once. `may_soften` says whether
-    the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles, and
-    `may_tangle` whether it has minima among inverted tets.
+    the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles.
     """
 
     varying: ClassVar[tuple[str, ...]] = ()
     may_soften: ClassVar[bool] = False
-    may_tangle: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -81,10 +79,6 @@ class Term:
     def unit_force(self, mesh: Mesh) -> float:
         """Return the force [mN] that unit strain would cause, the sum over its elements."""
         return 0.0
-
-    def relax(self, share: float) -> Term:
-        """Return the term that takes its place while tets are untangled; a volume keeps a `share` of its stiffness."""
-        return self
 
     def explain_unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
         """Say what a solver that knows these laws of tissue cannot model of it, if anything."""
