@@ -6,7 +6,6 @@ from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.face import Face
 from .face.facial import apply_law, facial_scene
 from .face.free_scenes import open_jaw_scene, push_cheek_scene
-from .face.minimal import Smallest, smallest_facial_scene, smallest_scene
 from .face.parameters import ParameterInfo, Parameters
 from .face.sequence import Sequence
 from .face.settle import SettledFace, settle
@@ -31,7 +30,6 @@ __all__ = [
     "SceneError",
     "Sequence",
     "SettledFace",
-    "Smallest",
     "Solution",
     "Times",
     "add_file",
@@ -47,8 +45,6 @@ __all__ = [
     "push_cheek_scene",
     "ranks",
     "settle",
-    "smallest_facial_scene",
-    "smallest_scene",
     "solve",
     "terms",
     "write_solution",

@@ -1,17 +1,19 @@
-"""What each piece of the facial scene costs, what the face is wrong by without it, and the smallest that will do."""
+"""What each piece of the facial scene costs, and what the face is wrong by without it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....reference import Face, Parameters, smallest_facial_scene
-from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE, choose, solve_skin
+from ....lhm.head.head import LayeredHead
+from ....reference import Face, Parameters, solve
 from ....reference.face.tissue import bone_points
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
 from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, distances, measure_megabytes, time_solve
@@ -22,17 +24,66 @@ EFFECTS: Mapping[str, Parameters] = {
     "3 g": Parameters(gravity=3.0),
 }
 SMILE = "mouthSmileLeft*0.6+mouthSmileRight*0.6+jawOpen*0.2"
-WHOLE, SMALLEST = "whole scene", "smallest scene"
+WHOLE = "whole scene"
+ALLOWED = 0.1
+"""[mm], below what one sees on a face."""
+TOLERANCE = 1e-6
+"""Gradient norm relative to its start, far below what the differences need."""
 
 Change = Callable[[Face], Face]
+
+
+def solve_skin(face: Face, expression: Floats) -> Floats:
+    """Solve for a face's skin [mm], shape (n, 3), in an expression of the head without p, of the same shape.
+
+    SoftdecaError where the neutral face or the expression does not come to rest.
+    """
+    settled = face.settled()
+    if not settled.converged:
+        raise SoftdecaError(f"the neutral face: {settled.reason}")
+    solution = solve(face.expression_scene(expression), tolerance=TOLERANCE)
+    if not solution.converged:
+        raise SoftdecaError(str(solution.reason))
+    return face.expression_skin(expression, solution.positions)
+
+
+def choose(face: Face, **choices: Any) -> Face:
+    """Return a face with other choices of `facial_scene`."""
+    return replace(face, choices={**face.choices, **choices})
+
+
+def change_parameters(face: Face, **values: Any) -> Face:
+    """Return a face with other parameters."""
+    return replace(face, parameters=replace(face.parameters, **values))
+
+
+def lower_face(head: LayeredHead) -> np.ndarray:
+    """Mask the face below the lids, shape (n,), of the wraps' vertices."""
+    height = head.skin_wrap.vertices[:, 1]
+    return head.regions["face"] & (height < height[head.regions["lids"]].min())
+
+
+def _without(part: str) -> Change:
+    return lambda face: choose(face, without=(*face.choices.get("without", ()), part))
+
+
 ADDED: Mapping[str, Change] = {
     "with contact of lips and lids": lambda face: choose(face, contact=("lips", "lids")),
     "with soft bones (Eq. 13)": lambda face: choose(face, bones="soft"),
     "with connecting tets to the skull": lambda face: choose(face, attached=bone_points(face.head)),
 }
 LEFT_OUT: Mapping[str, Change] = {
-    f"without {piece}": change for piece, change in FACIAL_PIECES.items() if piece != "contact"
+    "without muscle layer": _without("muscle"),
+    "without softness of muscle in strain": lambda face: change_parameters(face, muscle_strain_ratio=1.0),
+    "without membrane of the skin": _without("skin"),
+    "without tissue outside the face": lambda face: choose(face, region="face"),
+    "without tissue outside the lower face": lambda face: choose(face, region=lower_face(face.head)),
+    "without free rigid mandible": lambda face: choose(face, bones="prescribed"),
+    "without gravity beyond the scan's": lambda face: change_parameters(
+        face, gravity=1.0, gravity_x=0.0, gravity_y=-1.0, gravity_z=0.0
+    ),
 }
+"""What a scene may do without: layers, terms, regions (others are carried along), motions of bone."""
 ADDED_GRAVITY = "without gravity beyond the scan's"
 """Only of a case that has some."""
 
@@ -54,15 +105,13 @@ class Minimal(OfPerson):
         MEMORY,
         Column("mean_mm", "changes the skin, mean [mm]"),
         Column("max_mm", "max [mm]"),
-        Column("without", "left out"),
         ENDED,
     )
     note = (
         "Projective dynamics solves from rest to a gradient norm of 1e-6 of its start, in its own process. Memory is "
         "beside head and libraries. Under an effect the neutral face settles first, by the same scene as the "
         "expression. The change is the distance of the skin's vertices to those of the whole scene. The whole scene "
-        "has three wraps, membrane, rigid cranium and mandible. `reference.smallest_facial_scene` chooses the "
-        "smallest."
+        "has three wraps, membrane, rigid cranium and mandible."
     )
     timed = True
     alone = True
@@ -79,13 +128,12 @@ class Minimal(OfPerson):
         "as jawOpen*0.5+cheekPuff; repeat for several",
     )
     effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
-    within: float = option(0.1, "mm that the smallest scene may change a vertex of the skin")
 
     def tasks(self) -> Sequence[Task]:
-        """List each scene whole, with a piece more or less, and smallest."""
+        """List each scene whole, and with a piece more or less."""
         self.check(self.expressions)
         check_known("effect", self.effects, EFFECTS)
-        methods = (WHOLE, *LEFT_OUT, *ADDED, SMALLEST)
+        methods = (WHOLE, *LEFT_OUT, *ADDED)
         heavy = {name for name in self.effects if EFFECTS[name].added_gravity.any()}
         pairs = [(case, method) for case in (*self.expressions, *self.effects) for method in methods]
         return [Task(case, method) for case, method in pairs if method != ADDED_GRAVITY or case in heavy]
@@ -93,12 +141,6 @@ class Minimal(OfPerson):
     def measure(self, task: Task) -> Values:
         """Measure costs, and the change from the whole."""
         whole, expression = self.face(task.case), self.expression(task.case)
-        if task.method == SMALLEST:
-            smallest = smallest_facial_scene(whole, expression, within=self.within)
-            return _measure_costs(smallest.model, whole, expression) | {
-                "without": list(smallest.without),
-                "alone_mm": dict(smallest.changes),
-            }
         change = {**LEFT_OUT, **ADDED}.get(task.method)
         return _measure_costs(whole if change is None else change(whole), whole, expression)
 
@@ -113,25 +155,22 @@ class Minimal(OfPerson):
         return self.person().shape(SMILE if case in EFFECTS else case)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Check that all can be compared, and the smallest scene is as near as it has to be."""
+        """Check that all can be compared, and that a face under more gravity needs it."""
         unfinished = sum(not row.values["converged"] for row in rows)
-        chosen = [row.values["max_mm"] for row in rows if row.method == SMALLEST]
         gates = [at_most("scenes that did not reach what was asked", unfinished, 0)]
-        gates += [at_most("change by the smallest scene [mm]", max(chosen), self.within)] if chosen else []
         floating = [row.values["max_mm"] for row in rows if row.method == ADDED_GRAVITY]
         what = "change of the skin where a face under more gravity goes without it, largest [mm]"
         return gates + ([at_least(what, min(floating), self.needed)] if floating else [])
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell what may go, and what it saves."""
+        """Tell which piece alone may go."""
         sentences = []
-        for row in rows:
-            if row.method == SMALLEST:
-                whole = _find_cost(rows, row.case, WHOLE)
-                gone = ", ".join(row.values["without"]) or "nothing"
-                saved = f" ({row.values['cpu_s'] / whole:.0%} of the time)" if whole else ""
-                sentences.append(f"{row.case} does without {gone}{saved}")
-        return f"Within {self.within:g} mm: {'; '.join(sentences)}." if sentences else ""
+        for case in dict.fromkeys(row.case for row in rows):
+            spare = [
+                r.method for r in rows if r.case == case and r.method in LEFT_OUT and r.values["max_mm"] <= ALLOWED
+            ]
+            sentences.append(f"{case} {', or '.join(spare) or 'with all'}")
+        return f"Within {ALLOWED:g} mm of the whole: {'; '.join(sentences)}."
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the change by each piece against what it costs, a mark per scene."""
@@ -144,12 +183,12 @@ class Minimal(OfPerson):
             ]
             if points:
                 axis.plot(*zip(*points, strict=True), "o", label=method)
-        axis.axhline(self.within, color="#bbbbbb", lw=0.8, ls=":")
+        axis.axhline(ALLOWED, color="#bbbbbb", lw=0.8, ls=":")
         axis.set(xlabel="processor time over the whole scene's", ylabel="largest change of the skin [mm]", yscale="log")
         if not axis.lines[1:]:
             return {}
         figure.legend(loc="outside right upper")
-        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": to_svg(figure)}
+        return {"What a piece changes, against the time with or without it. Dotted: 0.1 mm.": to_svg(figure)}
 
 
 def _find_cost(rows: Sequence[Row], case: str, method: str) -> float:
