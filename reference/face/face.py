@@ -164,7 +164,6 @@ class Face:
 
     @cached_property
     def activation(self) -> Floats | None:
-        """See `palsy.skin_activation`."""
         return palsy.skin_activation(self.head, self.on_wraps)
 
     @cached_property

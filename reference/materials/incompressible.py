@@ -25,12 +25,10 @@ class Incompressible(Material):
 
     @property
     def stiffness(self) -> float:
-        """See Material."""
         return self.law.stiffness
 
     @property
     def shear_modulus(self) -> float:
-        """See Material."""
         return self.law.shear_modulus
 
     def mixed_density(self, I1: Any, I2: Any, J: Any, pressure: Any, p: Any, m: Any) -> Any:

@@ -47,5 +47,4 @@ class IsochoricNeoHookean(SplitLaw):
         return self.mu, (self.kappa or 0.0) - 2 / 3 * self.mu
 
     def isochoric(self, i1: Any, i2: Any, p: Any) -> Any:
-        """See SplitLaw."""
         return p.mu / 2 * (i1 - 3)

@@ -63,7 +63,6 @@ class Isotropic(Material):
 
     @property
     def shear_modulus(self) -> float:
-        """See Material."""
         return self.lame[0]
 
 
@@ -132,7 +131,6 @@ class LameLaw(Isotropic):
 
     @property
     def lame(self) -> tuple[float, float]:
-        """See Isotropic."""
         return self.mu, self.lmbda
 
 

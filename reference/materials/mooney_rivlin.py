@@ -37,5 +37,4 @@ class MooneyRivlin(SplitLaw):
         return mu, (self.kappa or 0.0) - 2 / 3 * mu
 
     def isochoric(self, i1: Any, i2: Any, p: Any) -> Any:
-        """See SplitLaw."""
         return p.C10 * (i1 - 3) + p.C01 * (i2 - 3) + p.C20 * (i1 - 3) ** 2

@@ -17,7 +17,6 @@ class NeoHookean(LameLaw, MixedLaw):
     """
 
     def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any, bulk: Bulk = quadratic) -> Any:
-        """See EnergyLaw."""
         log_J = m.log(J)
         return p.mu / 2 * (I1 - 3) - p.mu * log_J + bulk(p.lmbda, log_J)
 
@@ -34,5 +33,4 @@ class NeoHookean(LameLaw, MixedLaw):
         )
 
     def check_mixed(self):
-        """See MixedLaw."""
         check_positive(self, "lmbda")

@@ -24,9 +24,7 @@ class StVenantKirchhoff(LameLaw, MixedLaw):
         return p.mu / 4 * (I1**2 - 2 * I1 - 2 * I2 + 3) + bulk(p.lmbda, (I1 - 3) / 2)
 
     def mixed_density(self, I1: Any, I2: Any, J: Any, pressure: Any, p: Any, m: Any) -> Any:
-        """See MixedLaw."""
         return self.density(I1, I2, J, p, m, by_pressure(pressure))
 
     def check_mixed(self):
-        """See MixedLaw."""
         check_positive(self, "lmbda")

@@ -21,7 +21,6 @@ class StableNeoHookean(LameLaw, MixedLaw):
     finite_inverted = True
 
     def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any, bulk: Bulk = quadratic) -> Any:
-        """See EnergyLaw."""
         shear, k = 4 * p.mu / 3, p.lmbda + 5 * p.mu / 6
         # k/2 (J - a)² less its value at rest, with k (a - 1) = 3/4 m
         volume = bulk(k, J - 1) - 3 * shear / 4 * (J - 1)

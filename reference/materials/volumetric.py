@@ -42,7 +42,6 @@ class SplitLaw(MixedLaw):
 
     @property
     def resists_volume_change(self) -> bool:
-        """See Material."""
         return self.kappa is not None
 
     @abstractmethod
@@ -50,12 +49,10 @@ class SplitLaw(MixedLaw):
         """Return the isochoric part [kPa]."""
 
     def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
-        """See EnergyLaw."""
         shape = self.isochoric(J ** (-2 / 3) * I1, J ** (-4 / 3) * I2, p)
         return shape if self.kappa is None else shape + self.volumetric.density(J, p.kappa, m)
 
     def mixed_density(self, I1: Any, I2: Any, J: Any, pressure: Any, p: Any, m: Any) -> Any:
-        """See MixedLaw."""
         shape = self.isochoric(J ** (-2 / 3) * I1, J ** (-4 / 3) * I2, p)
         return shape + pressure * (J - 1) - self.volumetric.complementary(pressure, p.kappa, m)
 

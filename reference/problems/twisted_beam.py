@@ -40,7 +40,6 @@ class SquaredVolume(LameLaw, EnergyLaw):
     """psi = mu/2 (I1 - 3) - mu ln J + lmbda/2 (J - 1)²; mu and lmbda [kPa]. Infinite for J <= 0."""
 
     def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
-        """See EnergyLaw."""
         return p.mu / 2 * (I1 - 3) - p.mu * m.log(J) + p.lmbda / 2 * (J - 1) ** 2
 
 

@@ -136,7 +136,6 @@ class Untangling:
         return self.stopped
 
     def forget(self):
-        """See `Watch`."""
         self._watch.forget()
 
 

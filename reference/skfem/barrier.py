@@ -59,7 +59,6 @@ class Barrier:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Barrier]:
-        """See Part."""
         return [cls(term, scene, discretisation) for term in scene.of(terms.Contact)]
 
     def widen(self) -> Barrier:
@@ -80,7 +79,6 @@ class Barrier:
         return float(self._potential(near, self._mesh, places))
 
     def gradient(self, x: Floats) -> Floats:
-        """See Part."""
         places, gradient = self._places(x), np.zeros(self._size)
         gradient[self._dofs] = self._potential.gradient(self._find_near(places), self._mesh, places)
         return gradient

@@ -76,11 +76,9 @@ class Springs:
         return cls(apart._stiffness + spread, discretisation.by_dof(places))
 
     def value(self, x: Floats) -> float:
-        """See Part."""
         return 0.5 * float((x - self._places) @ self.gradient(x))
 
     def gradient(self, x: Floats) -> Floats:
-        """See Part."""
         return self._stiffness @ (x - self._places)
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
@@ -105,15 +103,12 @@ class DeadLoads:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[DeadLoads]:
-        """See Part."""
         return [cls(scene, discretisation)]
 
     def value(self, x: Floats) -> float:
-        """See Part."""
         return -float(self._forces @ (x - self._rest))
 
     def gradient(self, x: Floats) -> Floats:
-        """See Part."""
         return -self._forces
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:

@@ -56,7 +56,6 @@ class Tissue:
         return parts
 
     def value(self, x: Floats) -> float:
-        """See Part."""
         F = self.elements.deformation_gradients(x)
         psi = np.zeros(len(F))
         for law, points in self._laws:
@@ -64,7 +63,6 @@ class Tissue:
         return self.elements.integral(psi)
 
     def gradient(self, x: Floats) -> Floats:
-        """See Part."""
         return self.elements.forces(self.stress(x)[1])
 
     def stress(self, x: Floats) -> tuple[Floats, Floats]:
@@ -76,7 +74,6 @@ class Tissue:
         return F, P
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
-        """See Part."""
         F = self.elements.deformation_gradients(x)
         tangent = np.zeros((len(F), 3, 3, 3, 3))
         for law, points in self._laws:
@@ -133,7 +130,6 @@ class ByInvariants:
     law: EnergyLaw
 
     def psi(self, F: Floats) -> Floats:
-        """See Law."""
         return self.law.energy(_invariants(F))
 
     def stress(self, F: Floats) -> Floats:
@@ -199,7 +195,6 @@ class ByRotation:
         return self.law.by_rotation(np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3)
 
     def psi(self, F: Floats) -> Floats:
-        """See Law."""
         U, _, Vt = signed_svd(F)
         return self._differentiate_by_rotation(F, U @ Vt)[0]
 
@@ -210,7 +205,6 @@ class ByRotation:
         return np.einsum("ma,maij->mij", self._differentiate_by_rotation(F, R)[1], np.stack([2 * (F - R), R], axis=1))
 
     def tangent(self, F: Floats) -> Floats:
-        """See Law."""
         U, sigma, Vt = signed_svd(F)
         R = U @ Vt
         _, gradient, hessian = self._differentiate_by_rotation(F, R)
@@ -233,12 +227,10 @@ class Distance(ABC):
         """The nearest stretches in the set, shape (m, 3), and their Jacobian by sigma, shape (m, 3, 3)."""
 
     def psi(self, F: Floats) -> Floats:
-        """See Law."""
         _, sigma, _ = signed_svd(F)
         return self.stiffness / 2 * np.sum((sigma - self.nearest(sigma)[0]) ** 2, axis=1)
 
     def stress(self, F: Floats) -> Floats:
-        """See Law."""
         U, sigma, Vt = signed_svd(F)
         excess = sigma - self.nearest(sigma)[0]
         return self.stiffness[:, None, None] * (U * excess[:, None, :]) @ Vt
@@ -257,7 +249,6 @@ class Strain(Distance):
     limit: Floats
 
     def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
-        """See Distance."""
         low, high = 1 / self.limit[:, None], self.limit[:, None]
         slope = np.eye(3) * ((sigma > low) & (sigma < high))[:, None, :]
         return np.clip(sigma, low, high), slope
@@ -270,7 +261,6 @@ class Volume(Distance):
     target: Floats
 
     def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
-        """See Distance."""
         return nearest_of_determinant(sigma, self.target)
 
 
@@ -281,15 +271,12 @@ class Quadratic:
     stiffness: Floats
 
     def psi(self, F: Floats) -> Floats:
-        """See Law."""
         return self.stiffness / 2 * np.sum(F**2, axis=(1, 2))
 
     def stress(self, F: Floats) -> Floats:
-        """See Law."""
         return self.stiffness[:, None, None] * F
 
     def tangent(self, F: Floats) -> Floats:
-        """See Law."""
         return self.stiffness[:, None, None, None, None] * IDENTITY
 
 
@@ -308,15 +295,12 @@ class Grown:
         return self.growth ** (-1 / 3)
 
     def psi(self, F: Floats) -> Floats:
-        """See Law."""
         return self.growth * self.law.psi(self._elastic(F))
 
     def stress(self, F: Floats) -> Floats:
-        """See Law."""
         return (self.growth * self._slope)[:, None, None] * self.law.stress(self._elastic(F))
 
     def tangent(self, F: Floats) -> Floats:
-        """See Law."""
         return (self.growth * self._slope**2)[:, None, None, None, None] * self.law.tangent(self._elastic(F))
 
 

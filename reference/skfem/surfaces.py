@@ -31,19 +31,15 @@ class Membranes:
 
     @classmethod
     def from_scene(cls, scene: Scene, discretisation: Discretisation) -> list[Membranes]:
-        """See Part."""
         return [cls(scene, term, discretisation) for term in scene.of(terms.SurfaceStrain)]
 
     def value(self, x: Floats) -> float:
-        """See Part."""
         return self._elements.integral(self._law.psi(self._elements.deformation_gradients(x)))
 
     def gradient(self, x: Floats) -> Floats:
-        """See Part."""
         return self._elements.forces(self._law.stress(self._elements.deformation_gradients(x)))
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
-        """See Part."""
         return self._elements.stiffness(treat(self._law.tangent(self._elements.deformation_gradients(x))))
 
 

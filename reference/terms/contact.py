@@ -95,7 +95,6 @@ class Contact(OnTriangles):
                 raise SceneError(f"Contact.obstacles: expected some Obstacle, got {type(obstacle).__name__}")
 
     def check(self, mesh: Mesh):
-        """See Term."""
         super().check(mesh)
         for obstacle in self.obstacles:
             obstacle.check(mesh)
@@ -141,13 +140,11 @@ class Gaps(Term):
                 self._set(**{name: values})
 
     def check(self, mesh: Mesh):
-        """See Term."""
         super().check(mesh)
         if self.pairs.size and self.pairs.max() >= len(mesh.vertices):
             raise SceneError(f"vertex {self.pairs.max()} is outside 0..{len(mesh.vertices) - 1}")
 
     def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
         return self.pairs
 
     def find_corners(self, positions: Floats) -> Floats:

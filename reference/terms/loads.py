@@ -27,7 +27,6 @@ class Gravity(OnTets):
         self._set(acceleration=as_vector("Gravity.acceleration", self.acceleration))
 
     def add_load(self, mesh: Mesh, forces: Floats):
-        """See Term."""
         forces += self.lump(mesh, self.density)[:, None] * self.acceleration
 
 
@@ -45,7 +44,6 @@ class Traction(OnTriangles):
         self._set(vector=as_vector("Traction.vector", self.vector))
 
     def add_load(self, mesh: Mesh, forces: Floats):
-        """See Term."""
         thirds = np.repeat(self.areas(mesh.vertices) / 3.0, 3)
         lumped = np.bincount(self.triangles.ravel(), thirds, minlength=len(forces))
         forces += lumped[:, None] * self.vector

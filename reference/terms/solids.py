@@ -28,7 +28,6 @@ class Solid(OnTets):
         return self.tets is not None and self.tets.ndim == 2
 
     def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
         tets = self.tets_of(mesh)
         return prism_vertices(mesh, tets) if self.on_prisms else mesh.tets[tets]
 
@@ -61,11 +60,9 @@ class Hyperelastic(Solid):
         super().__post_init__()
 
     def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
         return self._force_by(self.material.stiffness, mesh)
 
     def explain_unmodelled(self, laws: tuple[type[Material], ...]) -> str | None:
-        """See Term."""
         if isinstance(self.material, laws):
             return None
         return f"{self.material.name}; it models {', '.join(kind.__name__ for kind in laws)}"
@@ -89,7 +86,6 @@ class Strain(Solid):
     tets: np.ndarray | None = field(default=None, repr=False)
 
     def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
         return self._force_by(self.stiffness, mesh)
 
 
@@ -109,7 +105,6 @@ class Volume(Solid):
     tets: np.ndarray | None = field(default=None, repr=False)
 
     def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
         return self._force_by(self.stiffness, mesh)
 
 
@@ -133,5 +128,4 @@ class Hourglass(Solid):
             raise SceneError("Hourglass.tets: expected prisms, indices of shape (k, 3)")
 
     def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
         return self._force_by(self.stiffness, mesh)

@@ -33,7 +33,6 @@ class SurfaceStrain(OnTriangles):
         self._set(rest=as_places("SurfaceStrain.rest", self.rest, None))
 
     def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
         return self.triangles
 
     def unit_force(self, mesh: Mesh) -> float:
@@ -63,7 +62,6 @@ class Bending(OnTriangles):
         self._set(rest=as_places("Bending.rest", self.rest, None))
 
     def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
         return self.triangles
 
     def unit_force(self, mesh: Mesh) -> float:

@@ -16,13 +16,13 @@ class Mesh(Protocol):
     """What a term sees of its scene: rest vertices [mm], (n, 3), tets (m, 4) and their volumes [mm³], (m,)."""
 
     @property
-    def vertices(self) -> Floats: ...  # noqa: D102
+    def vertices(self) -> Floats: ...
 
     @property
-    def tets(self) -> Ints: ...  # noqa: D102
+    def tets(self) -> Ints: ...
 
     @property
-    def volumes(self) -> Floats: ...  # noqa: D102
+    def volumes(self) -> Floats: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,6 @@ class OnTets(Term):
         self._set_amounts(self.amounts, count)
 
     def check(self, mesh: Mesh):
-        """See Term."""
         super().check(mesh)
         for key in self.amounts if self.tets is None else ():
             values = getattr(self, key)

@@ -59,11 +59,9 @@ class Target(Term):
         return around[self.vertices] == 0.0, density[triangles], places[triangles]
 
     def hold(self, mesh: Mesh, held: np.ndarray):
-        """See Term."""
         held[self.vertices[np.broadcast_to(self.stiffness, len(self.vertices)) > 0]] = True
 
     def unit_force(self, mesh: Mesh) -> float:
-        """See Term."""
         return float(np.sum(self.stiffness))
 
 
@@ -93,7 +91,6 @@ class Fixed(Term):
         self._set(values=values, components=tuple(sorted(int(c) for c in components)))
 
     def hold(self, mesh: Mesh, held: np.ndarray):
-        """See Term."""
         held[self.vertices[:, None], list(self.components)] = True
 
 
@@ -118,5 +115,4 @@ class RigidBody(Term):
         self._set(rest=as_places("RigidBody.rest", self.rest, len(vertices)))
 
     def element_vertices(self, mesh: Mesh) -> Ints:
-        """See Term."""
         return self.vertices[None]

@@ -30,7 +30,6 @@ class FaceWise(GradientForm):
         }
 
     def gradients(self, network: Arrays, weights, code, parameters):
-        """See `GradientForm`."""
         bound = _bound(network, code[:, None, None], parameters[:, None])
         return _answer(network, bound, weights[:, :, None])
 

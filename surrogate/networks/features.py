@@ -166,11 +166,9 @@ class Inputs:
         return cls(Features(mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
 
     def code(self, code: Floats) -> Floats:
-        """See `normalise_code`."""
         return normalise_code(code, self.code_mean, self.code_scale)
 
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
-        """See `Features.summary`."""
         return self.features.summary(self.code(code), at_vertices)
 
     def of_sequence(self, row: Mapping[str, Any]) -> Floats:

@@ -80,7 +80,6 @@ class Hypernetwork(GradientForm):
     has_tables = True
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
-        """See `GradientForm`."""
         widths, hidden = sizes.widths, sizes.widths.hidden
         return {
             **perceptron_layers("expression", WEIGHTS, widths.expression, widths.expression, widths.latent),
@@ -95,7 +94,6 @@ class Hypernetwork(GradientForm):
         return {**super().tables(sizes), "modes": (sizes.faces, sizes.widths.latent, 9), "scale": (1,)}
 
     def gradients(self, network: Arrays, weights, code, parameters):
-        """See `GradientForm`."""
         latent, gains = _find_latent(network, weights), _find_gains(network, code[:, None], parameters)
         return einsum("gml,gfl,flc->gmfc", latent, gains, network["modes"])
 

@@ -24,7 +24,6 @@ class SoftSMPL(GradientForm):
     follows_fields = False
 
     def layers(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
-        """See `GradientForm`."""
         wide, latent = sizes.widths.expression, sizes.widths.latent
         inputs = WEIGHTS + sizes.parameters + sizes.code
         return perceptron_layers("hidden", inputs, wide, wide, latent) | {"last": (9 * sizes.faces, latent)}
@@ -34,7 +33,6 @@ class SoftSMPL(GradientForm):
         return {}
 
     def gradients(self, network: Arrays, weights, code, parameters):
-        """See `GradientForm`."""
         latent = _latent(network, weights, code[:, None], parameters)
         answer = latent @ network["last.weight"].T + network["last.bias"]
         return answer.reshape(*latent.shape[:-1], -1, 9)

@@ -22,7 +22,6 @@ class PlainStable(LameLaw, EnergyLaw):
     finite_inverted = True
 
     def density(self, I1: Any, I2: Any, J: Any, p: Any, m: Any) -> Any:
-        """See EnergyLaw."""
         bulk = p.lmbda + p.mu
         shift = p.mu / bulk
         return p.mu / 2 * (I1 - 3) + bulk / 2 * ((J - 1 - shift) ** 2 - shift**2)

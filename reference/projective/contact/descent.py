@@ -244,7 +244,6 @@ class Looks:
         return Reason.CONTACT if self.has_touched else reason
 
     def forget(self):
-        """See `Watch`."""
         self._watch.forget()
 
     def _look(self, point: Point):

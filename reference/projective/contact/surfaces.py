@@ -154,7 +154,6 @@ class _Candidates:
         self._least = 0.0
 
     def find_rows(self, x: Floats) -> Rows:
-        """See `Nearby`."""
         surface = self._surface
         self._search(x, x)
         which, weights, normals, distance = measure_near(x, self._pairs, self._of_vertices, self._policy.reach)
@@ -168,7 +167,6 @@ class _Candidates:
         return _merge(Rows(ids, between_edges, weights, normals, distance, offset, surface.stiffness * areas))
 
     def find_free_share(self, x: Floats, motion: Floats) -> float:
-        """See `Nearby`."""
         self._search(x, x + motion)
         longest = float(np.sqrt(np.max(np.sum(motion**2, axis=1))))
         if x is self._at and 2.0 * longest <= (1.0 - self._policy.kept) * self._least:

@@ -147,7 +147,6 @@ class Rings(Part):
         return cls(centres, starts, ring, cotangents, edges, sought, laplacians, FLOOR * size, weights)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         return total + _add_bending(
             self.centres,
             self.starts,

@@ -137,7 +137,6 @@ class CellBlocks(Part):
         return replace(self, parameters=parameters, kinds=_kinds_of(parameters), places=places)
 
     def rebuilt(self, scene: Scene) -> Self:
-        """See Part."""
         return self.for_scene(scene)
 
     def separate(self) -> Self:
@@ -163,7 +162,6 @@ class CellBlocks(Part):
         return replace(self, parameters=parameters, kinds=_kinds_of(parameters), places=none)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         parameters, corners = (numbers.reshape(len(numbers), -1) for numbers in (self.parameters, self.corners))
         return total + add_cells(parameters, corners, self.edges, self.kinds, u, gradient)
 

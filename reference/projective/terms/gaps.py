@@ -34,7 +34,6 @@ class Pairs(Part):
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Pairs | None:
-        """See Part."""
         terms = tuple(scene.of(Gaps))
         amounts = []
         for term in terms:
@@ -43,7 +42,6 @@ class Pairs(Part):
         return cls(scene.vertices, terms, tuple(amounts)) if terms else None
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         for term, amounts in zip(self.terms, self.amounts, strict=True):
             energy, forces = _push(self._find_corners(term, u), term.between_edges, *amounts)
             np.subtract.at(gradient, term.pairs, term.spread_forces(forces))
@@ -51,15 +49,12 @@ class Pairs(Part):
         return total
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """See Part."""
         return tuple(term.pairs for term in self.terms)
 
     def pairs(self, scene: Scene) -> Ints:
-        """See Part."""
         return np.vstack([term.pairs[:, _find_couples(term.pairs.shape[1])].reshape(-1, 2) for term in self.terms])
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
-        """See Part."""
         begin = 0
         for term, amounts in zip(self.terms, self.amounts, strict=True):
             couples = _find_couples(term.pairs.shape[1])

@@ -26,7 +26,6 @@ class Springs(Part):
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Springs:
-        """See Part."""
         drawn = tuple(
             (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
             for term in scene.of(Target)
@@ -34,7 +33,6 @@ class Springs(Part):
         return cls(drawn)
 
     def for_scene(self, scene: Scene) -> Springs:
-        """See Part."""
         return Springs.from_scene(scene)
 
     def shift(self, moved: Floats) -> Springs:
@@ -43,13 +41,11 @@ class Springs(Part):
         return Springs(((vertices, displacements + moved, stiffness), *others))
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         for vertices, displacements, stiffness in self.drawn:
             total += _add_springs(vertices, displacements, stiffness, u, gradient)
         return total
 
     def add_anchors(self, anchored: Floats):
-        """See Part."""
         for vertices, _, stiffness in self.drawn:
             anchored[vertices] += stiffness.ravel()
 
@@ -58,7 +54,6 @@ class Springs(Part):
         return np.repeat(np.arange(len(scene.vertices)), 2).reshape(-1, 2)
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
-        """See Part."""
         for vertices, _, stiffness in self.drawn:
             for r in range(3):
                 blocks[slots[vertices], r, r] += stiffness.ravel()
@@ -90,15 +85,12 @@ class DeadLoads(Part):
 
     @classmethod
     def from_scene(cls, scene: Scene) -> DeadLoads:
-        """See Part."""
         return cls(scene.loads())
 
     def for_scene(self, scene: Scene) -> DeadLoads:
-        """See Part."""
         return DeadLoads.from_scene(scene)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         if self.is_zero:
             return total
         gradient -= self.forces

@@ -143,12 +143,10 @@ class Triangles(Part):
         return replace(self, weights=self.areas * stiffness, scale=np.sqrt(growth))
 
     def rebuilt(self, scene: Scene) -> Triangles | None:
-        """See Part."""
         same_shape = all(term.rest is None for term in scene.of(SurfaceStrain))
         return self.for_scene(scene) if same_shape else Triangles.from_scene(scene)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
-        """See Part."""
         return total + _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
