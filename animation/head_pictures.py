@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,7 @@ def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
             grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: tets}, positions)
             cut = grid.slice(np.eye(3)[normal], origin=place * np.eye(3)[normal])
             pieces = [cut.points[face][:, shown] for face in cut.irregular_faces]
-            how = {"facecolor": colour, "edgecolor": "#55443a", "linewidth": 0.25, "label": label}
+            how: dict[str, Any] = {"facecolor": colour, "edgecolor": "#55443a", "linewidth": 0.25, "label": label}
             axis.add_collection(PolyCollection(pieces, **how))
         cut = to_polydata(pyvista, skin.vertices, skin.triangles).slice(
             np.eye(3)[normal], origin=place * np.eye(3)[normal]

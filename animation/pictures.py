@@ -117,7 +117,7 @@ def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
 
 def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
-    how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12}
+    how: dict[str, Any] = {"specular": 0.1, "specular_power": 8, "ambient": 0.12}
     return how | ({"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"})
 
 
