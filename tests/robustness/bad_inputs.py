@@ -73,7 +73,7 @@ CALLED = {
     "scene": ("a Scene",), "young": ("Young's modulus",), "poisson": ("Poisson's ratio",), "contact": ("region",),
     "named": ("weights", "ARKit expression"), "shapes": ("expressions",), "seconds": ("take",),
     "time_step": ("frames per second",), "soft": ("sub-layers",), "muscle": ("sub-layers",),
-    "vertices": ("Target.positions", "Fixed.values"), "law": ("a material",), "centre": ("region",), "frames": ("frame 0",),
+    "vertices": ("Target.positions", "Fixed.values"), "law": ("a material",), "positions": ("start",), "centre": ("region",), "frames": ("frame 0",),
 }  # fmt: skip
 """What a refusal calls an argument where it says another word than its name."""
 EMPTY_OF = {
