@@ -1,13 +1,13 @@
 # make study   the whole chain on the default head -> out/study/index.html
 # make test    every test, one for each core      make check   ruff, mypy, import-linter, the pages
 # make check-results  a cheap part of every kept result measured anew: names what is stale and what moved; ten minutes
-# make fuzz    an hour of damaged files for every reader, or SECONDS=... -> out/fuzz; goes on from what it found before
+# make fuzz    damaged files for every reader, MUTANTS=... of each format, others each time
 # make docs    the pages, their programs run -> out/docs/index.html; installs Sphinx and its themes besides (extra "docs")
 # Each does first all set-up that is missing (tools/set-up), which says what it will install before it does, and
 # starts at once when nothing is missing.
 .PHONY: study test check check-results fuzz docs setup clean
 PYTHON := .venv/bin/python
-SECONDS ?= 3600
+MUTANTS ?= 2000
 
 study: setup
 	.venv/bin/softdeca study
@@ -28,7 +28,7 @@ check-results: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) tools/kept.py check
 
 fuzz: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.fuzz --seconds $(SECONDS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.fuzz --mutants $(MUTANTS)
 
 docs:
 	@tools/set-up docs

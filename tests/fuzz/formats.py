@@ -52,11 +52,14 @@ class Format:
 
 
 def all_formats() -> Iterator[Format]:
-    """Every format; each name is the place of the file beside those that it is read with."""
+    """Every format; each name is the place of the file beside those that it is read with.
+
+    Our own files have a checksum, which no change of their structure passes: bytes of them are changed alone.
+    """
     arrays, text, tree = mutations.of_npz, mutations.renumbered, mutations.of_json
-    yield Format("head.npz", read_head, arrays)
-    yield Format("template.npz", read_template_file, arrays)
-    yield Format("depths.npz", read_depths, arrays)
+    yield Format("head.npz", read_head)
+    yield Format("template.npz", read_template_file)
+    yield Format("depths.npz", read_depths)
     yield Format("anatomy.npz", lambda path: arrays_of_anatomy(bodyparts.load(path)), arrays)
     yield Format("ict.npz", lambda path: arrays_of_space(identities.ICTFaceKit(path)), arrays)
     yield Format("flame.npz", lambda path: arrays_of_space(identities.FLAME(path)), arrays)
@@ -67,27 +70,25 @@ def all_formats() -> Iterator[Format]:
     yield Format("bodyparts/FMA52748.obj", read_bodyparts, text)
     yield Format("scan.npz", read_scan, arrays)
     yield Format("scan.obj", read_scan, text)
-    yield Format("scan.ply", read_scan, mutations.of_ply)
+    yield Format("scan.ply", read_scan, text)
     yield Format("scan.stl", read_scan, text)
     yield Format("scan.glb", read_scan, mutations.of_glb)
     yield Format("scan.gltf", read_scan, tree)
     yield Format("landmarks.json", read_points, tree)
     yield Format("guesses.json", lambda path: list(read_guesses(path).values()), tree)
     yield Format("take.json", read_take, tree, ("take: ",))
-    yield Format("take.csv", read_take, mutations.of_csv, ("take: ",))
+    yield Format("take.csv", read_take, mutations.of_rows, ("take: ",))
     yield Format("options.toml", read_options, mutations.of_toml)
     yield Format("local/cheek.npy", lambda path: read_options(path.with_name("p.toml")), mutations.of_npy)
     yield Format("plan.toml", read_counts, mutations.of_toml)
     yield Format("corpus/corpus.json", read_corpus, tree, ("corpus",))
-    yield Format("corpus/template.npz", read_corpus, arrays)
+    yield Format("corpus/template.npz", read_corpus)
     yield Format("corpus/person-00001.json", read_corpus, tree)
-    yield Format("corpus/person-00000.h5", read_corpus, mutations.of_shard)
-    yield Format("weights.safetensors", read_weights, mutations.of_safetensors, ("weights: ", "anchors: "))
+    yield Format("corpus/person-00000.h5", read_corpus)
+    yield Format("weights.safetensors", read_weights, others=("weights: ", "anchors: "))
     yield Format("results.json", read_results, tree, ("ranks",))
     # An archive's error may name a part of it, an answer's what it is about.
-    yield Format(
-        "benchmark.zip", lambda path: score_answer(path.with_name("gravity.vtu"), path), mutations.of_zip, ("",)
-    )
+    yield Format("benchmark.zip", lambda path: score_answer(path.with_name("gravity.vtu"), path), others=("",))
     yield Format("gravity.vtu", lambda path: score_answer(path, path.with_name("benchmark.zip")), text, ("",))
     yield Format("change.json", read_message, tree, ("",))  # a message of the live page has no name
 
