@@ -8,7 +8,7 @@ import pytest
 from softdeca.benchmarks.studies.agreement.solved import SolvedCase
 from softdeca.benchmarks.studies.cases import CASES
 from softdeca.benchmarks.studies.person import Person
-from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
+from softdeca.lhm import MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.head.gates import check_layers
 from softdeca.reference import Face, Parameters, facial_scene, solve
 from softdeca.reference.face.sequence import Sequence
@@ -59,20 +59,6 @@ def test_wraps_that_touch_or_cross_are_named_before_a_solve(head):
     crossing[upper] = skin[lips[np.argmin(skin[lips, 1])]] - [0.0, 2.0, 0.0]
     with pytest.raises(MeshError):
         check_layers(replace(head, skin_wrap=head.skin_wrap.with_vertices(crossing)))
-
-
-def test_a_degenerate_identity_is_fitted_and_simulated_or_refused_by_name():
-    rng = np.random.default_rng(4)
-    for _ in range(2):
-        code = 4.0 * np.sign(rng.normal(size=SPACE.code_size))
-        try:
-            odd = fit_head(load_template(), SPACE.skin(code))
-        except FitError as error:
-            assert len(str(error)) > 20
-            continue
-        targets = expressions.blend(SPACE, code, expressions.weights_of({"jawOpen": 0.5}))[0]
-        solution = solve(facial_scene(odd, Parameters(), targets), tolerance=1e-5)
-        assert solution.converged and np.isfinite(solution.positions).all()
 
 
 def test_a_blink_leaves_nothing_behind(head):

@@ -23,8 +23,6 @@ from softdeca.lhm.head.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 from softdeca.lhm.template.build import find_connectors
 
-from ..refusals import refused
-
 BALL = 4 / 3 * np.pi
 
 
@@ -94,12 +92,6 @@ def test_cavity_with_an_opening_is_filled_where_a_ball_does_not_pass():
     assert as_trimesh(filled).volume > 0.95 * BALL * 40**3
     wide = closed_envelope([bowl], closing=5.0, spacing=1.5, cavity=8.0)
     assert as_trimesh(wide).volume < 0.2 * BALL * 40**3
-
-
-def test_envelope_refuses_what_makes_no_body():
-    refused("closing -1", closed_envelope, [ball((0, 0, 0), 5.0)], closing=-1.0)
-    refused("no surfaces", closed_envelope, [], closing=5.0)
-    refused("nothing is left", closed_envelope, [ball((0, 0, 0), 5.0)], closing=2.0, within=ball((30, 0, 0), 5.0))
 
 
 def test_connectors_between_spheres_and_where_there_is_no_bone():

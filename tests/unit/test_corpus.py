@@ -209,8 +209,6 @@ def test_what_fails_is_listed_with_its_reason(tmp_path):
     assert status.accepted["statics"] == 0 and status.rejected_share == 1.0
     assert {r.table for r in status.rejected} == {"groups", "statics"}
     assert {r.reason for r in status.rejected} == {"head: the skin is open"}
-    with pytest.raises(InputError, match="nothing of statics in the train split"):
-        Table(tmp_path, "statics", "train")
 
 
 def test_a_solve_that_stops_early_is_kept_out(tmp_path):
@@ -243,8 +241,6 @@ def referenced(tmp_path_factory):
 def test_a_reader_finds_the_references_of_test_people(referenced):
     found, shard = Table(referenced.folder, "references", "test"), referenced.shard(2)
     assert set(found.rows[:, 0]) == {2}
-    with pytest.raises(InputError, match="nothing of references in the train split"):
-        Table(referenced.folder, "references", "train")
     assert "PD" in {found[k]["law"].decode() for k in range(len(found))} <= set(FEM_LAWS)
     for index, (_, number) in enumerate(found.rows):
         for name in (*SMALL["references"], *LARGE["references"]):
@@ -321,8 +317,6 @@ def test_where_nothing_more_is_asked_the_neutral_face_settles(made, tmp_path):
     table = Table(tmp_path, "groups", "train")
     assert len(table) == 2 and table[1]["settled"].shape == (len(SPACE.mean.vertices), 3)
     np.testing.assert_array_equal(table.face(0).displacement, table[0]["settled"])
-    with pytest.raises(InputError, match="nothing of statics in the train split was accepted"):
-        Table(tmp_path, "statics", "train")
 
 
 @pytest.fixture

@@ -111,10 +111,3 @@ def test_a_single_effect_is_alone_and_hard_expressions_are_in_no_sequence():
     drawn = [plan.static(identity, k).recording for identity in range(20) for k in range(6)]
     assert 0.6 < np.mean([name.startswith("hard") for name in drawn]) < 0.95
     assert all(plan.sequence(identity, k)[0].startswith("conversation") for identity in range(20) for k in range(2))
-
-
-def test_one_recording_of_a_source_cannot_be_split(tmp_path):
-    frames = '{"weights": [0.5], "time": 0}, {"weights": [0], "time": 0.1}'
-    (tmp_path / "take.json").write_text(f'{{"names": ["jawOpen"], "frames": [{frames}]}}')
-    with pytest.raises(InputError, match=r"one real recording \(real/take.json\) cannot be in training and in test"):
-        replace(MADE_UP, sources={"real": 1.0}, takes=str(tmp_path), sequences=0).static(0, 0)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
@@ -85,8 +84,6 @@ def test_learned_coefficients_of_eq_21_follow_sequences(corpus):
     bound = Surrogate(weights).learned_swing(face)
     rates = bound.recurrence(1.0 / 60.0)
     assert np.all(np.abs(rates.beta) < 1.0) and np.all(2.0 * np.abs(rates.alpha) < 1.0 + rates.beta)
-    with pytest.raises(InputError, match="this network has learned frames 0.01667 s apart, not 0.04 s"):
-        bound.recurrence(0.04)
 
 
 def test_a_gru_between_perceptron_and_gradients_learns_sequences(corpus):
@@ -126,6 +123,3 @@ def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus,
     frames = [frame for frame in tested.read_references() if frame.law == "PD"]
     monkeypatch.setattr(CorpusTrials, "read_references", lambda self: frames)
     assert {score.kind for score in score_by_fenicsx(tested)} == {AGAINST["PD"]}
-    frames.clear()
-    with pytest.raises(InputError, match="no frame with an answer of FEniCSx has derivatives"):
-        score_by_fenicsx(tested)

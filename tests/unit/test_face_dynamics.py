@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import expressions
 from softdeca.lhm.head.flesh import flesh_share
-from softdeca.reference import Face, Parameters, SceneError, Sequence, facial_scene, solve
+from softdeca.reference import Face, Parameters, Sequence, facial_scene, solve
 from softdeca.reference.face.dynamics import (
     CLOSE,
     DEEP,
@@ -111,8 +111,6 @@ def test_the_recurrence_of_a_head_is_one_call(default, sphere_head):
     assert skin.gamma.shape == (len(head.skin.vertices),)
     everywhere = Recurrence.from_head(sphere_head, p, STEP)  # without regions
     assert np.ptp(everywhere.gamma) == 0.0 and everywhere.gamma[0] == uniform.gamma
-    with pytest.raises(SceneError, match="parameter damping: 7 values for"):
-        Recurrence.from_head(head, Parameters(damping=np.full(7, 0.3)), STEP)
 
 
 def test_without_bone_all_flesh_is_loose(default):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm import InputError
-from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, terms
+from softdeca.reference import Parameters, apply_law, facial_scene, terms
 from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
-from softdeca.reference.face.tissue import Attachment, bone_points, eyeballs
+from softdeca.reference.face.tissue import bone_points, eyeballs
 
 from ..conftest import with_regions
 
@@ -57,12 +56,6 @@ def test_neo_hookean_counterpart_has_the_same_small_strain_moduli(sphere_head):
     assert muscle.material.mu == pytest.approx(0.3 * 2.0)
     grown = facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices)
     assert [np.max(law.growth) for law in apply_law(grown, "neo-Hookean").of(terms.Hyperelastic)] == [1.2, 1.0]
-    limited = facial_scene(sphere_head, Parameters(strain_limit=1.1), sphere_head.skin.vertices)
-    with pytest.raises(SceneError, match="no counterpart"):
-        apply_law(limited, "neo-Hookean")
-    stiff = replace(scene, terms=(*scene.terms, terms.Strain(500.0, limit=4.0)))  # tissue's own, however wide its limit
-    with pytest.raises(SceneError, match="each Strain term needs a Volume term on the same tets"):
-        apply_law(stiff, "neo-Hookean")
 
 
 def test_skin_after_adds_only_the_deviation(sphere_head):
@@ -107,14 +100,6 @@ def test_parameters_may_vary_over_the_face(sphere_head):
     uniform = Parameters(soft_stiffness=np.full(faces, 4.0))
     assert uniform == Parameters(soft_stiffness=np.full(faces, 4.0)) != Parameters(soft_stiffness=4.0)
     assert hash(uniform) == hash(Parameters(soft_stiffness=np.full(faces, 4.0)))
-    with pytest.raises(SceneError, match="soft_stiffness: 7 values for"):
-        facial_scene(head, Parameters(soft_stiffness=np.full(7, 4.0)), head.skin.vertices)
-    with pytest.raises(InputError, match=r"soft_stiffness = 40 \(number 2\) is outside"):
-        Parameters(soft_stiffness=np.array([4.0, 5.0, 40.0]))
-    with pytest.raises(InputError, match="gravity: one number for the whole head"):
-        Parameters(gravity=np.ones(faces))
-    with pytest.raises(InputError, match="soft_stiffness varies over the face"):
-        uniform.vector()
 
 
 def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
@@ -158,8 +143,6 @@ def test_gravity_acts_as_the_difference_to_the_scans_own():
     # Lying on the back: 1 g along -z in place of 1 g along -y, whatever the direction's length.
     lying = Parameters(gravity_y=0.0, gravity_z=-0.5)
     assert lying.added_gravity == pytest.approx([0, 9810, -9810])
-    with pytest.raises(InputError, match="all zero"):
-        Parameters(gravity_y=0.0)
 
 
 def test_a_region_keeps_its_tets_and_holds_the_rest(sphere_head):
@@ -172,10 +155,6 @@ def test_a_region_keeps_its_tets_and_holds_the_rest(sphere_head):
     held, values = scene.dirichlet()
     assert held[:n][~front].all() and not held[:n][front].any()
     assert values[:n][~front] == pytest.approx(targets[~front])
-    with pytest.raises(SceneError, match="region 'nose'"):
-        facial_scene(head, Parameters(), targets, region="nose")
-    with pytest.raises(SceneError, match="expected a mask"):
-        facial_scene(head, Parameters(), targets, region=front[:-1])
 
 
 def test_layers_that_are_left_out_cost_nothing(sphere_head):
@@ -192,14 +171,6 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
     assert finer.of(terms.Fixed)[0].values == pytest.approx(head.skull_wrap.vertices[head.bone > 0])
     held = np.flatnonzero(finer.dirichlet()[0][: 5 * n].any(axis=1)) % n
     assert np.all(head.skin.vertices[held, 2] <= 0)
-    with pytest.raises(SceneError, match="layers"):
-        facial_scene(head, Parameters(), head.skin.vertices, layers=(0, 1))
-    with pytest.raises(InputError, match="without"):
-        facial_scene(head, Parameters(), head.skin.vertices, without="muscle")
-    with pytest.raises(SceneError, match="no counterpart"):
-        apply_law(facial_scene(head, Parameters(strain_limit=1.05), head.skin.vertices), "neo-Hookean")
-    with pytest.raises(SceneError, match="bones 'hard'"):
-        facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
 
 
 def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head, spheres):
@@ -211,10 +182,6 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head, spheres):
     assert len(scene.vertices) == 3 * n + sum(len(thing.points) for thing in skull)
     # Stiffer than soft tissue by connector_ratio, and at rest without force.
     assert scene.of(terms.Strain)[2].stiffness == pytest.approx(10.0 * 5.0)
-    with pytest.raises(SceneError, match="no bone"):
-        facial_scene(head, Parameters(), head.skin.vertices, bones="soft", attached=skull)
-    with pytest.raises(SceneError, match="lids"):
-        eyeballs(head)
     lids = with_regions(spheres(3))
     eyes = eyeballs(lids, radius=12.0)
     seen = facial_scene(lids, Parameters(), lids.skin.vertices, attached=eyes)
@@ -222,5 +189,3 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head, spheres):
     assert len(seen.vertices) == 3 * len(lids.bone) + sum(len(eye.points) for eye in eyes)
     for eye in eyes:
         assert np.ptp(eye.points, axis=0) == pytest.approx([24.0] * 3, rel=0.1)
-    with pytest.raises(SceneError, match="bone 7"):
-        Attachment(np.zeros((4, 3)), 7)

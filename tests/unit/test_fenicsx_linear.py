@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
-from softdeca.reference import Scene, SceneError, materials, prepare, terms
+from softdeca.reference import Scene, materials, terms
 from softdeca.reference.fenicsx.dolfinx_version import PETSc
 from softdeca.reference.fenicsx.energy.surface_strain import _planar_svd
 from softdeca.reference.fenicsx.linear.problem import Problem
@@ -99,13 +99,6 @@ def test_levels_of_the_mesh_spare_iterations_and_keep_the_residual(degree, layer
         assert all(answer.converged and residual <= 1.01e-6 for answer, residual in steps)
         counts.append(sum(answer.iterations for answer, _ in steps))
     assert counts[1] <= share * counts[0], counts
-
-
-def test_columns_that_are_none_are_named():
-    scene, columns = flat_prisms()
-    mixed = np.random.default_rng(0).permuted(columns, axis=0)
-    with pytest.raises(SceneError, match=r"columns 0: row 0: vertices \d+ and \d+, .* are no edge"):
-        prepare(replace(scene, columns=(mixed,)), solver="fenicsx")
 
 
 def test_frames_of_triangles():

@@ -8,7 +8,7 @@ pytest.importorskip("dolfinx")
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
-from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
+from softdeca.reference import Scene, solve, terms
 from softdeca.reference.fenicsx.linear.problem import Problem
 from softdeca.reference.fenicsx.linear.saddle_block import make_saddle_solver
 from softdeca.reference.fenicsx.linear.solvers import hold
@@ -125,10 +125,3 @@ def test_a_column_buckles_as_by_factors():
     sideways = np.abs(found["block"].positions - X)[:, :2].max()
     assert sideways > 1.0
     assert found["block"].energy == pytest.approx(found["mumps"].energy, rel=1e-8)
-
-
-def test_other_elements_have_no_blocks():
-    scene = standing(materials.NeoHookean(2.0, 5.0))
-    for element, name, there in (("P1", "block", "cg, mumps, chord"), ("P2P1", "jacobi", "cg, mumps, block")):
-        with pytest.raises(SceneError, match=f"unknown linear_solver '{name}'; there are {there}$"):
-            prepare(scene, solver="fenicsx", element=element, linear_solver=name)

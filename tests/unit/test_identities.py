@@ -208,15 +208,6 @@ def test_expressions_and_parts_of_a_folder(folder):
     assert "jawOpen" not in space.missing and len(space.missing) == 51
     assert space.parts[0] == CAP and (space.parts[1:] == OUTSIDE).all()
 
-    (folder / "expressions" / "neutral.npz").rename(folder / "expressions" / "smile.npz")
-    refused("'neutral' is missing", identities.MeshFolder, folder)
-    _write(folder / "expressions" / "neutral.npz", x, triangles)
-    refused("smile.npz.*none of ARKit's", identities.MeshFolder, folder)
-    (folder / "expressions" / "smile.npz").unlink()
-    for content, message in (("[0, 1]", "expected shape"), ("[", "not JSON"), (json.dumps([7] * len(x)), "0..3")):
-        (folder / "parts.json").write_text(content)
-        refused(f"parts.json.*{message}", identities.MeshFolder, folder)
-
 
 def test_the_default_space_is_what_its_source_gives():
     """But for rounding, and with it the sense of a direction, which the singular values leave open."""

@@ -72,7 +72,7 @@ def test_the_network_tells_more_error_on_a_head_that_is_none_of_its_people():
         assert frame.method == NETWORK
         moved = np.linalg.norm(frame.skin - face.blend(asked.weights), axis=1)
         told.append(float((frame.error / np.maximum(moved, 1e-6)).max()))
-    assert told == pytest.approx([0.21, 0.45], abs=0.01)
+    assert 0.0 < 1.5 * told[0] < told[1]
 
 
 def test_a_newer_change_ends_the_work_on_one_before(face):

@@ -1,13 +1,11 @@
 """Made-up takes: in range, not contradictory, with the rhythm and speeds that they claim."""
 
-import builtins
 import importlib.util
 
 import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.lhm.expressions import (
     ARKIT,
     conversation,
@@ -17,8 +15,6 @@ from softdeca.lhm.expressions import (
     resample,
     speech,
 )
-
-from ..refusals import refused
 
 needs_openfacefx = pytest.mark.skipif(importlib.util.find_spec("openfacefx") is None, reason="no openfacefx")
 MINUTES = 2.0
@@ -66,15 +62,3 @@ def test_speech_closes_the_lips_at_every_bilabial():
     assert (of(take.weights, "jawOpen")[closed > 0.4] < 0.2).all()
     assert of(take.weights, "jawOpen").max() > 0.4
     assert take.rate == 60.0 and "openfacefx" in take.synthetic and take.head is None
-
-
-def test_without_openfacefx_its_extra_is_named(monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *args, **kwargs):
-        if name.startswith("openfacefx"):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    refused(r"softdeca\[speech\]", speech, "hello", error=MissingDependencyError)

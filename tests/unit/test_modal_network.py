@@ -176,8 +176,6 @@ def test_faces_without_frames_teach_tables_alone(weights, tmp_path):
     corpus.generate()
     faces = Faces(corpus.folder, "train", heads=Heads(lambda: PEOPLE))
     few = replace(CONFIG, steps=10, validate_every=5)
-    with pytest.raises(InputError, match="has no frames; give weights"):
-        train_modal(faces, few)
     learned = find_learned(train_modal(faces, few, start=weights), weights)
     assert learned and not [name for name in learned if name.startswith(("gain_", "remainder_", "modes", "size_"))]
 
@@ -256,7 +254,6 @@ def test_the_gradient_of_the_whole_loss_by_finite_differences(lessons, which):
 def test_tables_of_vertices_that_no_step_saw_are_as_good(lessons):
     of_tables, of_remainder = lessons
     seen, every = of_tables.sample, np.arange(N)
-    assert 0 < len(seen) < N or len(seen) == N
     solved = of_tables.solve([of_tables.data.read_held()], every)
     again = of_tables.solve([of_tables.data.read_held(seen)], seen)
     for one, other in zip(solved[:2], again[:2], strict=True):
@@ -292,10 +289,6 @@ def test_exact_is_the_linearised_simulator_and_the_remainder(surrogate):
     weights[7] = 0.5
     expected = face.blend(weights) + face.offset + 0.5 * face.responses[7] + rig.modes.remainder(weights)
     assert np.abs(rig.frame(weights) - expected).max() < 1e-2
-    with pytest.raises(InputError, match="head: none is fitted"):
-        bound(surrogate, exact=True)
-    with pytest.raises(InputError, match="bind needs expressions="):
-        bound(surrogate, exact=True, head=head, expressions=None)
 
 
 def test_baked_targets_lose_less_the_more_there_are(surrogate):
@@ -307,9 +300,6 @@ def test_baked_targets_lose_less_the_more_there_are(surrogate):
     by_hand = most.neutral + np.tensordot(most.target_weights(weights), most.targets, axes=1)
     assert np.abs(most.frame(weights) - by_hand).max() < 1e-3
     assert np.array_equal(rig.bake(np.int64(8)).targets, few.targets)
-    for rank in (0, 2.5, True):
-        with pytest.raises(InputError, match="bake rank: expected a whole number from 1 on"):
-            rig.bake(rank)
 
 
 def test_a_parameter_per_face_is_averaged_alike_for_network_and_simulator():

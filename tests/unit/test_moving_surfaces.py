@@ -47,18 +47,11 @@ def test_vtk_reads_every_step_back(tmp_path):
         assert np.array_equal(vtk_to_numpy(mesh.GetPoints().GetData()), frame.astype(np.float32))
 
 
-def test_vtkhdf_is_the_same_bytes_again_and_refuses_what_does_not_fit(tmp_path):
+def test_vtkhdf_is_the_same_bytes_again(tmp_path):
     frames = SKIN.vertices + moving()
     for name in ("a", "b"):
         write_vtkhdf(tmp_path / name, SKIN.triangles, TIMES, iter(frames))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    for bad, message in (
-        (frames[:5], "5 frames for 7 times"),
-        ([*frames, frames[0]], "frame 7"),
-        ([frames[0], frames[1][:9]], r"frame 1 of shape \(9, 3\)"),
-        ([], "0 frames"),
-    ):
-        refused(message, write_vtkhdf, tmp_path / "c", SKIN.triangles, TIMES, bad)
     assert not (tmp_path / "c").exists()
 
 
@@ -105,7 +98,6 @@ def test_usd_animates_the_motion_within_its_stated_error(tmp_path):
     surfaces, notes = read_usd(tmp_path / "take.usd")
     assert notes == {"generator": "softdeca", "greatest_error_mm": found.error}
     assert np.array_equal(surfaces["skin"].triangles, SKIN.triangles)
-    refused("cannot be written", write_usd, tmp_path, rig)
 
 
 @pytest.mark.parametrize(("write", "read", "name"), [(write_glb, read_glb, "a.glb"), (write_usd, read_usd, "a.usda")])

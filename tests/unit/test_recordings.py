@@ -5,18 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from softdeca.lhm.expressions import index, recordings, starts
+from softdeca.lhm.expressions import recordings, starts
 from softdeca.lhm.expressions.made_up import shipped_sentences
 from softdeca.lhm.expressions.takes import Take, resample
 
-from ..refusals import refused
-
-fx = pytest.importorskip("openfacefx")
-CLOSED = ("mouthPressLeft", "mouthPressRight", "mouthRollUpper", "mouthRollLower")
-
-
-def column(take, name):
-    return take.weights[:, index(name)]
+pytest.importorskip("openfacefx")
 
 
 def test_the_pool_names_each_recording_and_gives_it_again(data, tmp_path):
@@ -52,10 +45,6 @@ def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
     with pytest.warns(UserWarning, match=r"left out .*geom\.csv"):
         pool = recordings(tmp_path, spoken=(), conversations=0, random=0)
     assert list(pool) == ["real/a.json"] and pool["real/a.json"].frames == 3
-    write_json_take(tmp_path / "a.json", weights)
-    refused("'real/a.json': 5 frames at 60 Hz, not 3", pool["real/a.json"].take)
-    refused("none: no such folder", recordings, tmp_path / "none")
-    refused("conversations: -1 recordings; expected 0 to 10,000", recordings, conversations=-1)
 
 
 def test_sequences_are_not_drawn_across_a_gap():

@@ -72,26 +72,6 @@ def test_a_prism_of_three_tets_has_one_deformation():
     assert volume_ratio(scene, moved)[3] == pytest.approx(tet_volumes(moved, THREE)[3] / scene.volumes[3])
 
 
-@pytest.mark.parametrize(
-    ("parts", "message"),
-    [
-        (lambda: [terms.Volume(1.0, tets=[[0, 3, 4]])], "tets 0, 3, 4 have 7 vertices; three tets of a prism have 6"),
-        (lambda: [terms.Strain(1.0, tets=[[0, 1, 2], [2, 1, 3]])], "an index appears twice"),
-        (lambda: [terms.Strain(1.0, tets=[[0, 1]])], r"expected indices of shape \(k,\) or \(k, 3\)"),
-        (lambda: [terms.Strain([1.0] * 3, tets=[[0, 1, 2]])], r"expected one number or shape \(1,\)"),
-        (lambda: [terms.Gravity((0, 0, 1), 1.0, tets=[[0, 1, 2]])], r"expected indices of shape \(k,\), got"),
-        (lambda: [terms.Hourglass(1.0, tets=[0, 1, 2])], r"Hourglass.tets: expected prisms"),
-        (
-            lambda: [terms.Hourglass(1.0, tets=[[0, 1, 2]]), terms.Strain(1.0, tets=[[0, 1, 3]])],
-            "Strain: tet 0 shares its deformation with others elsewhere",
-        ),
-    ],
-)
-def test_prisms_that_do_not_fit_are_named(parts, message):
-    with pytest.raises(SceneError, match=message):
-        Scene(np.vstack([PRISM, [[2.0, 2, 2]]]), np.vstack([THREE, [[0, 1, 2, 6]]]), parts())
-
-
 def test_held_components_and_their_conflicts():
     rollers = terms.Fixed([0, 2], components=(0,))
     moved = terms.Fixed([0], [[9.0, 0.5, 9.0]], components="y")

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from softdeca.lhm import InputError, SoftdecaError
+from softdeca.lhm import SoftdecaError
 from softdeca.surrogate.corpus.schedule import Schedule, make_schedule, run_items
 
 # What travels to another process has to be importable there: here functions of the standard library.
@@ -53,9 +53,3 @@ def test_an_iterator_that_is_left_stops_its_workers():
 
 def test_nothing_is_started_for_nothing():
     assert list(run_items(operator.neg, [], on=TWO)) == []
-
-
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
-    monkeypatch.setattr("softdeca.surrogate.corpus.schedule.PATIENCE", "1s")
-    with pytest.raises(InputError, match="scheduler nowhere.invalid:8786: no Dask scheduler answers"):
-        list(run_items(operator.neg, [1, 2], on=make_schedule(1, "nowhere.invalid:8786")))

@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.arena.problems import Problem
-from softdeca.benchmarks.studies.motions import MOTIONS, run_motion
 from softdeca.benchmarks.studies.verification import compare_felupe
 from softdeca.reference import Parameters, facial_scene, terms
 
@@ -80,12 +78,3 @@ def test_felupe_finds_what_fenicsx_finds(sphere_head):
         Problem(scene.vertices, scene.tets, bones.vertices, bones.values, springs, 3.0 * full, 9.0 * full, everywhere)
     )
     assert outcome.passed and outcome.error < 1e-8 and outcome.value > 1.0
-
-
-@pytest.mark.parametrize("name", MOTIONS)
-def test_motions_are_those_of_fem(spheres, name):
-    pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
-    head = spheres(1)
-    front = head.skin.vertices[:, 2] > 0
-    outcome = run_motion(name, replace(head, regions={"face": front, "lips": front}))
-    assert outcome.passed and outcome.value > 0.01

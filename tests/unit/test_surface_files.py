@@ -8,16 +8,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import cKDTree
 
-from softdeca.lhm import MeshError, Surface
 from softdeca.lhm.base.files import gltf as gltf_file
 from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_scan, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import find_openings, is_closed
-from softdeca.lhm.head.skin import check_skin
 from softdeca.lhm.scans.repair import repair_scan
 
 from ..refusals import refused
@@ -149,9 +146,6 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
     ):
         made.words["buffers"][0]["uri"] = uri
         refused(f"{uri}: .*{said}", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
-    whole = (tmp_path / "a.glb").read_bytes()
-    for cut in (10, 200, len(whole) // 2, len(whole) - 9):
-        refused(r"c\.glb: ", read_scan, written(tmp_path / "c.glb", whole[:cut]))
 
 
 def test_a_draco_file_is_read(data):
@@ -164,7 +158,6 @@ def test_a_draco_file_is_read(data):
 def test_units_are_converted(tmp_path):
     np.savez(tmp_path / "ball.npz", vertices=X / 10, triangles=TRIANGLES)
     np.testing.assert_allclose(read_surface(tmp_path / "ball.npz", unit="cm").vertices, X)
-    refused("inch", read_surface, tmp_path / "ball.npz", unit="inch")
 
 
 # What is refused
@@ -241,26 +234,6 @@ def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_
 
 
 # Skins and the cache
-
-
-def test_skins_that_are_open_non_manifold_split_or_of_wrong_size_are_refused():
-    ball = trimesh.creation.icosphere(2, radius=100)
-    x, triangles = ball.vertices, ball.faces
-    check_skin(Surface(x, triangles))
-    far = np.linalg.norm(x[triangles].mean(axis=1) + x[triangles[0]].mean(axis=0), axis=1).argmin()
-    kept = ~np.isin(triangles, triangles[0]).any(axis=1)
-    kept[far] = False
-    fin = np.vstack([triangles, [triangles[0][0], triangles[0][1], triangles[far][0]]])
-    flipped = triangles.copy()
-    flipped[5] = flipped[5][::-1]
-    for message, skin in (
-        ("2 holes", Surface(x, triangles[kept])),
-        ("more than two triangles", Surface(x, fin)),
-        ("oriented against", Surface(x, flipped)),
-        ("2 separate pieces", Surface(np.vstack([x, x + 300]), np.vstack([triangles, triangles + len(x)]))),
-        ("units off", Surface(x / 1000, triangles)),
-    ):
-        refused(message, check_skin, skin, error=MeshError)
 
 
 def test_cache_is_read_back_and_rebuilt_when_damaged(tmp_path, monkeypatch):

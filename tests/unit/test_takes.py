@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from softdeca.lhm import expressions
 from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resample, rotations
 
-from ..refusals import refused
-
 NAMES = [name[0].upper() + name[1:] for name in ARKIT]
 HEADER = ["Timecode", "BlendShapeCount", *NAMES, "LeftEyeYaw"]
 
@@ -119,7 +117,6 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     np.testing.assert_allclose(even.gaps, [[2 / 60, 9 / 60]], atol=1e-9)
     assert even.remarks() == ("8 frames without a face left out; the weights between are read off a line",)
     assert even.part(slice(0, 2)).lost == 0 and even.part(slice(0, 2)).remarks() == ()
-    refused("no frames with a face", read_take, write("\n".join([lines[0], lines[1]])))
     np.testing.assert_array_equal(read_take(write("\r".join(lines))).weights, take.weights)
 
 
@@ -186,13 +183,6 @@ def test_a_row_per_quantity_is_read_too(write):
     np.testing.assert_allclose(rotations(take.head), turned.as_matrix(), atol=1e-12)
 
 
-def test_other_files_are_refused(write, tmp_path):
-    refused("nowhere.csv: no such file", read_take, tmp_path / "nowhere.csv")
-    refused("expected one of .csv, .json, .jsonl", read_take, write("", "take.txt"))
-    (tmp_path / "folder.csv").mkdir()
-    refused("folder.csv: not a plain file", read_take, tmp_path / "folder.csv")
-
-
 def test_json_is_read_with_its_times(write):
     rows = [[0.2, 0], [0.4, 0.1], [0, 0.0]]
     frames = [{"weights": row, "time": 2.0 + n / 30, "rotation": []} for n, row in enumerate(rows)]
@@ -244,16 +234,6 @@ def test_results_without_timestamps_are_a_webcams(write):
     assert take.rate == 30.0 and take.times[1] == pytest.approx(1 / 30)
     alone = read_take(write(json.dumps(landmarker({"jawOpen": 1.0})[0]), "take.json"))
     assert len(alone.weights) == 1 and alone.weights[0, index("jawOpen")] == 1.0
-
-
-def test_takes_check_what_they_are_made_of():
-    good = np.zeros((3, 52))
-    refused(r"\(0, 52\)", Take, np.zeros((0, 52)), 30.0, np.zeros(0))
-    refused("browDownLeft is nan in frame 0", Take, good * np.nan, 30.0, np.arange(3) / 30)
-    refused("frame 2", Take, good, 30.0, [0.0, 0.1, 0.1])
-    refused("rate: inf", resample, Take(good, 30.0, np.arange(3) / 30), np.inf)
-    with pytest.raises(ValueError, match="read-only"):
-        Take(good, 30.0, np.arange(3) / 30).weights[0, 0] = 1.0
 
 
 def sine(frequency, rate=60.0, seconds=4.0):

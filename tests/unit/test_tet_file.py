@@ -4,12 +4,9 @@ import meshio
 import numpy as np
 import pytest
 
-from softdeca.lhm import MeshError
 from softdeca.lhm.base.files.tet_file import FORMATS, TAG, write_tets
 from softdeca.lhm.head.file import MUSCLE, SOFT, tets_from_head
 from softdeca.lhm.head.remesh import refine_head
-
-from ..refusals import refused
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -49,11 +46,6 @@ def test_a_volume_mesh_is_written_as_it_is(tmp_path, spheres):
     assert np.array_equal(again.cells_dict["tetra"], finer.tets)
     skull = again.cells_dict["triangle"][again.cell_data_dict["tag"]["triangle"] == 13]
     assert np.array_equal(again.points[skull], finer.skull_wrap.vertices[finer.skull_wrap.triangles])
-    refused("volume mesh", tets_from_head, finer, (2, 1), error=MeshError)
-
-
-def test_another_suffix_is_refused(tmp_path, sphere_head):
-    refused("expected one of .msh, .vtu", write_tets, tmp_path / "head.stl", tets_from_head(sphere_head))
 
 
 def test_gmsh_reads_it_with_its_names(tmp_path, sphere_head):

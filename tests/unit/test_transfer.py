@@ -11,8 +11,6 @@ from softdeca.lhm.identities.anny import CLOSES
 from softdeca.lhm.identities.arkit import index
 from softdeca.lhm.identities.gaps import find_gaps
 
-from ..refusals import refused
-
 
 @pytest.fixture(scope="module")
 def ball():
@@ -68,7 +66,6 @@ def test_lids_and_lips_of_a_person_close_as_those_of_the_mean(seed):
 def test_shapes_of_the_mean_head_are_the_spaces():
     space = identities.Anny()
     np.testing.assert_array_equal(space.expression_deltas(np.zeros(space.code_size)), space.expressions)
-    refused("expects shape", space.expression_deltas, np.zeros(3))
 
 
 def test_a_scaled_head_gets_scaled_shapes(space):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm import FitError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.head.columns import Columns
 from softdeca.lhm.template.wraps import climb, inner
@@ -103,9 +102,3 @@ def test_valid_layers_of_wraps_that_cross(ball):
     skin_pairs, pairs = inner.Crossings.of(columns, valid).find(valid)
     assert len(skin_pairs) == len(pairs) == 0
     assert smallest_dihedrals(valid, columns.tets).min() > 2.0
-
-
-def test_a_skin_wrap_that_is_flat_is_refused(ball):
-    columns, unit = ball
-    with pytest.raises(FitError, match="tets are flat or inverted|cross"):
-        inner.make_valid(columns, stacked(unit * [1.0, 1.0, 1e-3], 100.0, 94.0, 90.0))

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from softdeca.reference import SOLVERS, MissingDependencyError, SceneError, problems, solve
+from softdeca.reference import SOLVERS, MissingDependencyError, problems, solve
 
 OTHER_WAYS = {
     "projective": [{"method": "plain"}],
@@ -66,9 +66,3 @@ def test_an_error_beyond_the_bound_fails():
     wrong = problems.run(replace(right, reference=1.01 * right.reference), "skfem")
     assert not wrong.passed
     assert wrong.error == pytest.approx(0.01 / 1.01, rel=1e-6)
-
-
-def test_a_problem_refuses_a_solver_that_does_not_model_it():
-    neo_hookean = next(problem for problem in problems.ALL if "NeoHookean" in problem.name)
-    with pytest.raises(SceneError, match="not for solver 'projective'"):
-        problems.run(neo_hookean, "projective")
