@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..base.checks import indices_below
+from ..base.checks import indices_below, real
 from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
 from ..base.geometry.topology import find_openings
@@ -44,7 +44,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
     else:
         data = read_pickled(path, *_NEEDED, kind="FLAME's data")
     try:
-        return _space({name: np.asarray(data[name]) for name in _NEEDED})
+        return _space({name: real(name, data[name]) for name in _NEEDED})
     except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{path}: not FLAME's data ({error})") from None
 

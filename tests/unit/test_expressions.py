@@ -9,7 +9,7 @@ from softdeca.lhm.identities.arkit import ARKIT, arkit_name, find_arkit_morphs
 
 from ..refusals import refused
 
-CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+CORNERS = 2.0 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
 @pytest.fixture
