@@ -18,7 +18,7 @@ from ..lhm.base.errors import SceneError, quote
 from ..lhm.base.limits import MARCH_STEPS
 from ..lhm.base.mesh import Floats, Ints, Surface
 from .scene import Scene
-from .solution import Reason, Solution, first_positions
+from .solution import Reason, Solution
 from .solve import prepare, solve
 from .terms import Amount, Fixed, RigidBody, Target
 
@@ -129,6 +129,7 @@ def march(
     mass = _lump_masses(scene, density, skin, skin_density)
     if not mass.any():
         raise SceneError("march: nothing has mass; give density, or skin and skin_density")
+    x = scene.vertices if positions is None else positions
     v = 0.0 * scene.vertices if velocities is None else velocities
     marcher = _March(
         scene,
@@ -144,7 +145,7 @@ def march(
     )
     return marcher.run(
         MARCH_STEPS.check("steps", steps),
-        first_positions(scene, positions),
+        finite("positions", x, scene.vertices.shape, error=SceneError),
         finite("velocities", v, scene.vertices.shape, error=SceneError),
     )
 

@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...lhm.base.checks import finite, number
 from ...lhm.base.errors import MeshError, SceneError
 from ...lhm.base.mesh import Floats, Ints, Surface, as_elements
-from .term import Amount, Mesh, OnTriangles, Term, as_ids, as_numbers
+from .term import Amount, Mesh, OnTriangles, Term, as_ids
 
 FLATTEST = 1e-6
 """Of a tet of an obstacle's carriers, its volume over the cube of its size: less says nothing of a motion."""
@@ -86,8 +87,8 @@ class Contact(OnTriangles):
     def __post_init__(self):
         super().__post_init__()
         self._set(
-            stiffness=Amount(0.0, strict=True).check_one("Contact.stiffness", self.stiffness),
-            thickness=Amount(0.0).check_one("Contact.thickness", self.thickness),
+            stiffness=number("Contact.stiffness", self.stiffness, above=0.0, error=SceneError),
+            thickness=number("Contact.thickness", self.thickness, least=0.0, error=SceneError),
             obstacles=tuple(self.obstacles),
         )
         for obstacle in self.obstacles:
@@ -134,10 +135,7 @@ class Gaps(Term):
             raise SceneError("Gaps: shares and places belong together")
         if self.shares is not None:
             for name, shape in (("shares", (len(pairs), 4, corners)), ("places", (len(pairs), 4, 3))):
-                values = as_numbers(f"Gaps.{name}", getattr(self, name))
-                if values.shape != shape or not np.isfinite(values).all():
-                    raise SceneError(f"Gaps.{name}: expected finite numbers of shape {shape}, got {values.shape}")
-                self._set(**{name: values})
+                self._set(**{name: finite(f"Gaps.{name}", getattr(self, name), shape, error=SceneError)})
 
     def check(self, mesh: Mesh):
         super().check(mesh)

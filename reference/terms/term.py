@@ -7,8 +7,9 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from ...lhm.base.checks import array_of_kind, finite
 from ...lhm.base.errors import MeshError, SceneError
-from ...lhm.base.mesh import Floats, Ints, as_elements, as_points
+from ...lhm.base.mesh import Floats, Ints, as_elements
 from ..materials import Material
 
 
@@ -112,24 +113,14 @@ class Amount:
 
     def check(self, name: str, values, count: int | None) -> np.ndarray:
         """Return a finite number or a read-only array (count,) in the range; SceneError for another."""
-        array = as_numbers(name, values)
+        array = read_only(array_of_kind(name, values, "iuf", "numbers", error=SceneError))
         if array.ndim > 1 or (array.ndim == 1 and count is not None and array.shape != (count,)):
             raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
         bad = ~np.isfinite(array) | ((array <= self.least) if self.strict else (array < self.least))
         if bad.any():
-            where = "" if array.ndim == 0 else f" (number {np.flatnonzero(bad)[0]})"
-            value = array if array.ndim == 0 else array[bad][0]
             how = "above" if self.strict else "at least"
-            raise SceneError(f"{name}: must be finite and {how} {self.least}, got {value}{where}")
-        array.flags.writeable = False
+            raise SceneError(f"{name}: must be finite and {how} {self.least}, got {array[bad][0]}")
         return array
-
-    def check_one(self, name: str, value) -> float:
-        """Return a finite number in the range; SceneError for another."""
-        number = self.check(name, value, None)
-        if number.ndim:
-            raise SceneError(f"{name}: expected one number, got shape {number.shape}")
-        return float(number)
 
 
 class OnTets(Term):
@@ -209,33 +200,19 @@ def as_triangles(name: str, values) -> Ints:
         raise SceneError(str(error)) from None
 
 
-def as_numbers(name: str, values) -> np.ndarray:
-    """Return values as float64; SceneError for what are no numbers."""
-    try:
-        raw = np.asarray(values)
-        if raw.dtype.kind not in "iufO" or isinstance(values, np.ma.MaskedArray):
-            raise TypeError
-        return np.array(raw, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name}: expected numbers, got {values!r:.60}") from None
-
-
 def as_ids(name: str, values, *, in_threes: bool = False) -> Ints:
     """Return unique indices, shape (k,), from indices or a mask; SceneError for others.
 
     in_threes: indices may have shape (k, 3) too, and are returned ascending in each row.
     """
     shapes = "(k,) or (k, 3)" if in_threes else "(k,)"
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        raise SceneError(f"{name}: expected indices of shape {shapes} or a mask") from None
+    array = array_of_kind(name, values, "biuf", f"indices of shape {shapes} or a mask", error=SceneError)
     if array.dtype == bool and array.ndim == 1:
         array = np.flatnonzero(array)
     if array.size == 0 and array.ndim == 1:
         array = array.astype(np.int64)
     fits = array.ndim == 1 or (in_threes and array.ndim == 2 and array.shape[1] == 3)
-    if not fits or not np.issubdtype(array.dtype, np.integer) or isinstance(values, np.ma.MaskedArray):
+    if not fits or not np.issubdtype(array.dtype, np.integer):
         got = f"{type(values).__name__} of shape {array.shape} of {array.dtype}"
         raise SceneError(f"{name}: expected indices of shape {shapes}, got {got}")
     if len(np.unique(array)) != array.size:
@@ -249,21 +226,16 @@ def as_ids(name: str, values, *, in_threes: bool = False) -> Ints:
 
 def as_places(name: str, values, count: int | None) -> Floats | None:
     """Return points, shape (count, 3), None for None; SceneError for others."""
-    if values is None:
-        return None
-    try:
-        points = as_points(name, values)
-    except MeshError as error:
-        raise SceneError(str(error)) from None
-    if count is not None and len(points) != count:
-        raise SceneError(f"{name}: expected {count} rows, got {len(points)}")
-    return points
+    return None if values is None else read_only(finite(name, values, (count, 3), error=SceneError))
 
 
 def as_vector(name: str, values) -> Floats:
     """Return three finite numbers; SceneError for others."""
-    vector = as_numbers(name, values)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise SceneError(f"{name}: expected three finite numbers, got {values!r}")
-    vector.flags.writeable = False
-    return vector
+    return read_only(finite(name, values, (3,), error=SceneError))
+
+
+def read_only(values: Floats) -> Floats:
+    """Return a copy that nobody can change."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
