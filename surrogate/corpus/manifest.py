@@ -9,9 +9,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ...lhm.base.errors import InputError, SoftdecaError, quote
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.files.pack import load_packed, save_packed
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Surface
 from .face import People, surface_hash
@@ -22,6 +22,7 @@ from .simulate import GENERATOR
 
 MANIFEST = "corpus.json"
 TEMPLATE = "template.npz"
+OF_TEMPLATE = "softdeca corpus template 1"
 OWNER = ("plan", "people", "template", "generator", "format")
 """The fields that name the corpus in each of its shards."""
 
@@ -76,19 +77,13 @@ def _digest(said: Mapping[str, Any]) -> str:
 
 def write_template(folder: Path, mean: Surface) -> None:
     """Write the mean neutral skin [mm] to a corpus' folder; InputError if it cannot be written."""
-    write_arrays(folder / TEMPLATE, {"vertices": mean.vertices, "triangles": mean.triangles})
+    save_packed(folder / TEMPLATE, OF_TEMPLATE, mean)
 
 
 def read_template(folder: Path, named: str) -> Surface:
     """Read the mean neutral skin; InputError for a file that is missing, damaged, or not the one `named`."""
-    path = folder / TEMPLATE
-    arrays = read_arrays(path, "vertices", "triangles", kind="a corpus' template")
-    try:
-        mean = Surface(arrays["vertices"], arrays["triangles"])
-        if not named.startswith(surface_hash(mean)):
-            raise InputError(f"not of the mesh that {MANIFEST} names")
-        return mean
-    except SoftdecaError as error:
-        raise InputError(
-            f"{path}: not this corpus' template, or damaged ({error}); `softdeca corpus generate` makes it anew"
-        ) from None
+    path, else_do = folder / TEMPLATE, "`softdeca corpus generate` makes it anew"
+    mean: Surface = load_packed(path, OF_TEMPLATE, Surface, what="a corpus' template", else_do=else_do)
+    if not named.startswith(surface_hash(mean)):
+        raise InputError(f"{path}: not this corpus' template; {else_do}")
+    return mean

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm.base.errors import InputError, SoftdecaError
-from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.files.pack import load_packed, save_packed
 from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import Take, conversation, rotations
@@ -112,21 +111,15 @@ def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progre
 
     Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.
     """
-    path = folder / RUN
-    owner = f"{plan.digest}-{people.name}"
+    path, form = folder / RUN, f"softdeca velocities 1 of {plan.digest}-{people.name}"
     try:
-        arrays = read_arrays(path, "local", "owner", "checksum", kind="the velocities of a corpus")
-        if str(arrays["owner"]) == owner and str(arrays["checksum"]) == _checksum(arrays["local"]):
-            return Velocities(arrays["local"].astype(np.float32))
+        kept = load_packed(
+            path, form, Velocities, what="the velocities of a corpus", else_do="they are made anew"
+        ).local
     except InputError:
-        pass
-    local = _run(plan, people, on_progress).local.astype(np.float16)
-    write_arrays(path, {"local": local, "owner": np.array(owner), "checksum": np.array(_checksum(local))})
-    return Velocities(local.astype(np.float32))
-
-
-def _checksum(local: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(local).tobytes()).hexdigest()
+        kept = _run(plan, people, on_progress).local.astype(np.float16)
+        save_packed(path, form, Velocities(kept))
+    return Velocities(kept.astype(np.float32))
 
 
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:

@@ -377,7 +377,7 @@ def test_another_template_is_named_and_made_anew(copied, command, change):
     whole = path.read_bytes()
     np.savez_compressed(path, **change(dict(np.load(path))))
     for word in ("verify", "status", "sample"):
-        assert "template.npz: not this corpus' template" in command("corpus", word, copied).refusal()
+        assert "template.npz: damaged, its checksum is another" in command("corpus", word, copied).refusal()
     Corpus.from_plan(copied, PLAN, PEOPLE).generate()
     assert path.read_bytes() == whole and Corpus.open(copied).verify() == 3
 
