@@ -42,7 +42,7 @@ WRONG = [
     ("head show head.npz --expression jawOpen", "not the triangles of 'anny'"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
     ("animate conversation:1 --head head.npz --level 1", "--level is of a head yet to be fitted"),
-    ("animate conversation:1 --accuracy loose", "expected a length from 1e-6 to 100 mm, 'tight' or 'none'"),
+    ("animate conversation:1 --accuracy loose", "expected a length from 1e-6 to 100 mm, or 'none'"),
     ("animate /dev/zero", "expected"),
     (f"animate {SPEECH}", "expected"),
     ("corpus generate plan.toml --preset tiny", "both say which plan"),

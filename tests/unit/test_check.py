@@ -164,7 +164,7 @@ def test_a_gate_is_missed_on_the_wrong_side_and_by_nan(direction, right, wrong):
     assert str(Figure("a_b", wrong[0], "mm", direction, 2.0)) == f"a b: {wrong[0]:.4g} mm ({direction} 2 mm)"
 
 
-def test_check_prints_every_gate_and_refuses_a_crossed_file(tmp_path, sphere_head, command):
+def test_check_prints_every_gate(tmp_path, sphere_head, command):
     path = tmp_path / "head.npz"
     save_head(path, sphere_head)
     ended = command("head", "check", path)
@@ -174,14 +174,6 @@ def test_check_prints_every_gate_and_refuses_a_crossed_file(tmp_path, sphere_hea
     assert "ok     least thickness: 15 mm (at least 0.2 mm)" in lines
     as_json = json.loads(command("head", "check", path, "--json").out)
     assert as_json["problems"] == [] and all(gate["passed"] for gate in as_json["gates"])
-
-    arrays = dict(np.load(path))
-    arrays["skull_wrap"] = arrays["skull_wrap"].copy()
-    arrays["skull_wrap"][0] *= 1.5
-    np.savez(path, **arrays)
-    ended = command("head", "check", path)
-    assert ended.status == 1 and len(ended.errors) == 1 and ended.out == ""
-    assert "layers tets" in ended.errors[0] and "inverted" in ended.errors[0]
 
 
 def test_a_coarse_wrap_has_bounds_of_its_own():
