@@ -164,7 +164,7 @@ class _March:
         by_damping = damping * rule.to_velocity[1] / (rule.by_acceleration[1] * time_step)
         self.stiffness = (by_mass + by_damping) * mass
         self.prepared = prepare(self._with_springs(scene, scene.vertices), solver=solver, **options)
-        self.solve_at_start = partial(solve, solver=solver, tolerance=tolerance, **options)
+        self.solve_at_start: Callable[..., Solution] = partial(solve, solver=solver, tolerance=tolerance, **options)
         self.scale = 0.0
 
     def run(self, steps: int, x: Floats, v: Floats) -> Iterator[Moment]:
@@ -245,4 +245,4 @@ def _lump_masses(scene: Scene, density, skin, skin_density) -> Floats:
         surface = Surface(scene.vertices, skin)
         sheet = Amount(0.0).check("skin_density", skin_density, len(surface.triangles)) * surface.areas
         mass += np.bincount(surface.triangles.ravel(), np.repeat(sheet / 3.0, 3), minlength=n)
-    return mass[:, None]
+    return mass.astype(np.float64)[:, None]

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ class Attempt:
     stopped: Reason | None = field(default=None, init=False)
 
     @property
-    def options(self) -> dict[str, str]:
+    def options(self) -> dict[str, Any]:
         """The solver's options."""
         return {"element": self.element} if self.solver == "fenicsx" else {}
 

@@ -30,8 +30,10 @@ def _march(
     scene: Scene, attempt: Attempt, time_step: float, steps: int, first: Floats | None = None, tolerance: float = 1e-10
 ) -> list[Solution]:
     """March from rest, with velocities `first` [mm/s], shape (n, 3); return the steps' solutions."""
-    options = {"time_step": time_step, "steps": steps, "velocities": first, "tolerance": tolerance} | attempt.options
-    start, *moments = march(scene, solver=attempt.solver, density=DENSITY, **options)
+    start, *moments = march(
+        scene, time_step=time_step, steps=steps, solver=attempt.solver, density=DENSITY, velocities=first,
+        tolerance=tolerance, **attempt.options,
+    )  # fmt: skip
     for moment in moments:
         attempt.count(moment.solution)
     return [moment.solution for moment in moments]
