@@ -425,40 +425,13 @@ def any_texts(data) -> None:
     no_defect(f"{read.__name__}({text!r})", lambda: read(text))
 
 
-COMMANDS = [leaf for leaf in _leaves(("softdeca",), app) if leaf[1].params]
-
-
-@given(st.data())
-def any_options(data) -> None:
-    """Options and arguments of every command, flags and places among them, up to where its work would begin."""
-    names, command = data.draw(st.sampled_from(COMMANDS))
-    words: list[str] = []
-    plain = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
-    value = NUMBERS.map(str) | plain | st.sampled_from(["/dev/null/x", "..", "x.npz", "x.png", "/"])
-    for parameter in data.draw(st.lists(st.sampled_from(command.params), max_size=4)):
-        words += [parameter.opts[-1]] if isinstance(parameter, click.Option) else []
-        if not (isinstance(parameter, click.Option) and parameter.is_flag):
-            words.append(data.draw(value))
-
-    def read() -> None:
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):
-                command.make_context(names[-1], list(words))
-        except click.UsageError as error:
-            raise SoftdecaError(" ".join(error.format_message().split()) or "usage") from None
-        except click.exceptions.Exit:  # --help
-            pass
-
-    no_defect(f"{' '.join(names)} {words!r}", read)
-
-
 def try_drawn(count: int, counts: dict[str, int]) -> None:
     """Try each property; a defect is told by its smallest case."""
     QUICK.extend(function for function in functions() if function.name not in SLOW)
     how = settings(
         max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
     )
-    for property_of in (any_values, any_texts, any_options):
+    for property_of in (any_values, any_texts):
         try:
             how(property_of)()
             counts["drawn"] += count

@@ -88,7 +88,7 @@ class Gltf:
 
     def add(self, array: np.ndarray, **more) -> int:
         """Add an array of a row an element; the number of its accessor."""
-        kind = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}[array.shape[1:]]
+        kind = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}[array.shape[1:]]
         accessor = {"bufferView": self.view(array.tobytes()), "count": len(array), "type": kind}
         return self.access(accessor | {"componentType": self.COMPONENTS[array.dtype.str[1:]]} | more)
 
@@ -133,97 +133,8 @@ def template() -> Template:
     )  # fmt: skip
 
 
-def ict() -> dict[str, np.ndarray]:
-    x, triangles = sphere(6)
-    centre = x[triangles].mean(axis=1)
-    part = np.zeros(len(triangles), np.uint8)
-    for k, place in enumerate(([0, -40, 90], [35, 30, 88], [-35, 30, 88]), start=1):
-        part[np.linalg.norm(centre - place, axis=1) < 25] = k
-    deltas = np.round(np.random.default_rng(0).normal(size=(4, *x.shape)), 1) * 0.1
-    return {
-        "vertices": (x * [0.1, 0.2, 0.1]).astype(np.float32),
-        "triangles": triangles.astype(np.int32),
-        "triangle_part": part,
-        "part_names": np.array(["face", "mouth_socket", "eye_socket_l", "eye_socket_r"]),
-        "identity_deltas": deltas[:2].astype(np.float32),
-        "expression_deltas": deltas[2:].astype(np.float32),
-        "expression_arkit": np.array(["jawOpen", "eyeBlinkLeft"]),
-    }
-
-
-def flame() -> dict[str, np.ndarray]:
-    x, triangles = sphere(5)
-    x = x / 1000
-    rng = np.random.default_rng(0)
-    cut = x[triangles].mean(axis=1)[:, 1] < -0.08
-    weights = np.zeros((len(x), 5))
-    weights[:, 1] = 1.0
-    return {
-        "v_template": x,
-        "f": triangles[~cut].astype(np.uint32),
-        "shapedirs": 0.001 * np.round(rng.normal(size=(len(x), 3, 6)), 1),
-        "posedirs": np.zeros((len(x), 3, 36), np.int8),
-        "weights": weights,
-        "J_regressor": np.full((5, len(x)), 1 / len(x)),
-    }
-
-
-def anatomy() -> dict[str, np.ndarray]:
-    corners = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9.0]])
-    faces = np.array([[0, 1, 2], [0, 1, 3], [1, 2, 3]])
-    parts = [("skull", "frontal bone"), ("skull", "mandible"), ("teeth", "right upper central incisor")]
-    parts += [("teeth", "left lower canine"), ("expression", "risorius"), ("jaw", "mylohyoid")]
-    parts += [("other", "right eyeball"), ("other", "left eyeball")]
-    shifts = [[0, 9 * k, 0] for k in range(6)] + [[-40, 30, 60], [40, 30, 60]]
-    return {
-        "vertices": np.vstack([corners + shift for shift in shifts]).astype(np.float32),
-        "faces": np.vstack([faces + 4 * k for k in range(len(parts))]).astype(np.int32),
-        "face_part": np.repeat(np.arange(len(parts)), 3).astype(np.uint8),
-        "part_group": np.array([group for group, _ in parts]),
-        "part_name": np.array([name for _, name in parts]),
-    }
-
-
 def regressor(wrap: Surface) -> DepthRegressor:
     rng = np.random.default_rng(0)
     wraps = wrap.vertices * (1 + 0.05 * rng.normal(size=(6, 1, 3)))
     names = tuple("abcdef")
     return DepthRegressor.fit(DepthPairs("test", names, wraps, rng.uniform(3, 9, (6, len(wrap.vertices)))), wrap)
-
-
-def rigged_glb() -> bytes:
-    """A sphere with a skin of one joint, a morph target, sparse and normalised accessors."""
-    x, triangles = sphere(2)
-    n = len(x)
-    nodes = [
-        {"children": [1, 2], "rotation": [0, 0, 0, 1]}, {"mesh": 0, "skin": 0, "scale": [1, 1, 1]},
-        {"translation": [0, 1, 0]},
-    ]  # fmt: skip
-    gltf = Gltf(scene=0, scenes=[{"nodes": [0]}], nodes=nodes)
-    place, corners = gltf.add(x.astype("<f4")), gltf.add(triangles.astype("<u2").ravel())
-    gltf.words["skins"] = [{"joints": [2], "inverseBindMatrices": gltf.add(np.eye(4, dtype="<f4")[None])}]
-    joints = gltf.add(np.zeros((n, 4), "u1"))
-    weights = gltf.add(np.tile(np.array([255, 0, 0, 0], "u1"), (n, 1)), normalized=True)
-    some, values = gltf.view(np.array([1, 2], "<u2").tobytes()), gltf.view(np.ones((2, 3), "<f4").tobytes())
-    sparse = {"count": 2, "indices": {"bufferView": some, "componentType": 5123}, "values": {"bufferView": values}}
-    morph = gltf.access({"componentType": 5126, "count": n, "type": "VEC3", "sparse": sparse})
-    attributes = {"POSITION": place, "JOINTS_0": joints, "WEIGHTS_0": weights}
-    primitive = {"attributes": attributes, "indices": corners, "mode": 4, "targets": [{"POSITION": morph}]}
-    gltf.mesh(primitive, extras={"targetNames": ["jawOpen"]})
-    return gltf.glb()
-
-
-def draco_glb() -> bytes | None:
-    """A sphere compressed by Draco; None without the package."""
-    try:
-        import DracoPy
-    except ModuleNotFoundError:
-        return None
-    x, triangles = sphere(2)
-    gltf = Gltf(extensionsRequired=["KHR_draco_mesh_compression"])
-    packed = gltf.view(DracoPy.encode(x.astype(np.float32), triangles.astype(np.uint32)))
-    place = gltf.access({"componentType": 5126, "count": len(x), "type": "VEC3"})
-    corners = gltf.access({"componentType": 5125, "count": triangles.size, "type": "SCALAR"})
-    extensions = {"KHR_draco_mesh_compression": {"bufferView": packed, "attributes": {"POSITION": 0}}}
-    gltf.mesh({"attributes": {"POSITION": place}, "indices": corners, "extensions": extensions})
-    return gltf.glb()

@@ -1,7 +1,6 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
-import shutil
 from dataclasses import replace
 from functools import partial
 
@@ -351,18 +350,6 @@ def test_swapped_shards_are_of_another_person(copied, command):
     assert ended.status == 1 and ended.out.count("DAMAGED") == 2
 
 
-def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
-    Table(copied, "statics", "test")
-    path = copied / "person-00002.h5"
-    with h5py.File(path, "r") as file:
-        place = file["statics/corrected"].id.get_offset() + 7
-    content = bytearray(path.read_bytes())
-    content[place] ^= 0x10
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="person-00002.h5: its content does not match its checksum"):
-        Table(copied, "statics", "test")
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -380,21 +367,6 @@ def test_another_template_is_named_and_made_anew(copied, command, change):
         assert "template.npz: damaged, its checksum is another" in command("corpus", word, copied).refusal()
     Corpus.from_plan(copied, PLAN, PEOPLE).generate()
     assert path.read_bytes() == whole and Corpus.open(copied).verify() == 3
-
-
-@pytest.mark.parametrize("gone", ["", "corpus.json", "person-00000.h5"], ids=["folder", "description", "shard"])
-def test_files_that_vanish_while_a_corpus_is_made_end_it(tmp_path, gone):
-    plan = replace(PLAN, sequences=0, responses=0.0)
-    corpus = Corpus.from_plan(tmp_path / "corpus", plan, PEOPLE)
-
-    def remove(what, share):
-        if what.startswith("corpus: 2 of 3"):
-            path = corpus.folder / gone
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-    with pytest.raises(InputError, match="files were removed while the corpus was made"):
-        corpus.generate(on_progress=remove)
-    assert corpus.generate().identities_done == 3 and Corpus.open(corpus.folder).verify() == 3
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,10 @@
 """Compiled geometry against closed forms and brute force; deformation transfer, exact for integrable gradients."""
 
-import resource
-
 import numpy as np
 import pytest
 import trimesh
-from scipy.sparse import diags
 
 from softdeca.lhm import MeshError, Surface
-from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer, deformation_gradients, sumner_frames
 from softdeca.lhm.base.geometry.distance import SignedDistance
@@ -259,21 +255,3 @@ def test_edges_of_a_motion_give_it_back(case):
     corners = motion[:, reference.triangles]
     edges = corners[:, :, 1:] - corners[:, :, :1]
     np.testing.assert_allclose(DeformationTransfer(reference, still).displacements(edges), motion, atol=1e-9)
-
-
-def test_factors_that_are_forgotten_leave_no_workspace_of_their_widest_solve():
-    n, columns = 4000, 4 * cholesky.WIDEST + 1
-    chain = diags([-1.0, 2.5, -1.0], [-1, 0, 1], shape=(n, n), format="csc")
-    assert not chain.has_sorted_indices, "of such cholespy by itself solves another system"
-    right = np.random.default_rng(0).normal(size=(n, columns))
-
-    def resident_bytes():
-        with open("/proc/self/statm") as statm:
-            return int(statm.read().split()[1]) * resource.getpagesize()
-
-    answer = cholesky.factorise(chain, linear_solver="cholespy")(right)
-    np.testing.assert_allclose(chain @ answer, right, atol=1e-12)
-    before = resident_bytes()
-    for _ in range(50):
-        cholesky.factorise(chain, linear_solver="cholespy")(right)
-    assert resident_bytes() - before < 0.5 * 50 * right.nbytes

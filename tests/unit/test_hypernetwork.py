@@ -1,6 +1,5 @@
 """Networks of deformation gradients: torch solve, training, weights and run time, on a small corpus of spheres."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,8 @@ from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer, least_gradients
 from softdeca.reference import Face, Parameters
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.face import Frames, Heads, Person
+from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
@@ -182,50 +180,6 @@ def test_parameters_per_face(surrogate):
     assert np.abs(frame(per_face) - frame(soft)).max() < 1e-4
     per_face[: count // 2] = Parameters().vector(surrogate.parameter_names)
     assert np.abs(frame(per_face) - frame(soft)).max() > 1e-3
-
-
-class Endless:
-    """Faces of a corpus far larger than memory should hold: 100 people, each under two p, with 200 frames of each."""
-
-    folder, space, mean = "endless", "sphere3", Spheres(3).mean
-    groups = np.stack(np.meshgrid(np.arange(100), np.arange(2), indexing="ij"), axis=-1).reshape(-1, 2)
-    people, frames_of = np.arange(100), [np.arange(200)] * 200
-    read = 0
-
-    def __len__(self):
-        return len(self.groups)
-
-    def code(self, index):
-        return np.random.default_rng(index).normal(size=4)
-
-    def coefficients(self, index):
-        level = np.random.default_rng(index).uniform(-1.0, 1.0, (len(STATIC), 1))
-        return np.hstack([level, np.zeros((len(STATIC), 16))])
-
-    def carried(self, index):
-        return np.zeros(self.mean.vertices.shape, dtype=np.float32)
-
-    def person(self, identity):
-        return Person(self.code(identity), self.mean, np.zeros((52, len(self.mean.vertices), 3), dtype=np.float16))
-
-    def frames(self, index, chosen):
-        self.read += len(chosen)
-        shape = (len(chosen), len(self.mean.vertices), 3)
-        return Frames(np.full((len(chosen), 52), 0.1, np.float32), np.full(shape, 0.1, np.float16))
-
-
-def test_frames_are_read_as_batches_need_them():
-    faces = Endless()
-    size = sum(map(len, faces.frames_of)) * faces.mean.vertices.size * 2  # 154 MB in files, as S and T four times that
-    tracemalloc.start()
-    lesson = GradientLesson(faces, replace(NETWORKS["paper"], **QUICK))
-    before = faces.read
-    for step in range(5):
-        lesson.loss(0.1 * step, np.random.default_rng(step)).backward()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert faces.read - before == 5 * QUICK["batch"] and len(lesson.source) > 30_000
-    assert peak < 0.4 * size
 
 
 class Diverges(Lesson):

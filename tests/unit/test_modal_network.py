@@ -19,7 +19,7 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.corpus.simulator import make_face
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
+from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, Method, ready_methods
 from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, remainder
@@ -31,7 +31,6 @@ from softdeca.surrogate.networks.trainer import Trainer, to_tensors
 from softdeca.surrogate.networks.vertices_only import TRAINING, VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rigs.inertia import Looseness
-from softdeca.surrogate.ruler import KINDS, STRENGTHS
 from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)
@@ -101,18 +100,6 @@ def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weig
     hybrid, linearised_alone = scores["network + derivatives"], scores["derivatives"]
     assert hybrid.everywhere < 1.2 * linearised_alone.everywhere < 0.01
     assert not scores["network"].simulates and hybrid.simulates
-
-
-def test_rivals_that_learn_are_scored_by_kind(faces):
-    methods = [
-        *learn({"vertices only": VerticesOnly(replace(TRAINING, steps=20))}, faces["train"]),
-        METHODS[BLENDSHAPES],
-    ]
-    scores = evaluate(methods, static_trials(faces["test"]))
-    assert {score.kind for score in scores} <= {"all", UNSCALED, VARYING, *KINDS, *STRENGTHS}
-    overall = [score for score in scores if score.kind == "all"]
-    assert [score.method for score in overall] == [method.name for method in methods]
-    assert all(np.isfinite(score.mean) for score in overall)
 
 
 def test_networks_of_others_learn_and_are_bound(faces):

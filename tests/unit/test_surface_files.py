@@ -4,13 +4,11 @@ import base64
 import json
 import os
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from softdeca.lhm.base.files import gltf as gltf_file
 from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_scan, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
@@ -199,29 +197,6 @@ def test_a_gltf_reads_what_it_states_of_a_file_in_its_folder_also_by_a_link(tmp_
     # The folder is that of the file, not of the link to it.
     (tmp_path / "link.gltf").symlink_to(here / "a.gltf")
     np.testing.assert_array_equal(mesh_of(tmp_path / "link.gltf")[0][: len(X)], X)
-
-
-def test_views_of_a_gltf_are_not_copied_and_its_meshes_are_decoded_once(tmp_path, monkeypatch):
-    made = gltf()
-    made.view(bytes(4 * 10**6))
-    made.words["bufferViews"] = [
-        each | {"byteOffset": 0, "byteLength": len(made.chunk)} for each in made.words["bufferViews"][:1] * 500
-    ]
-    accessors = [made.words["accessors"][0] | {"bufferView": k, "count": 3} for k in range(500)]
-    made.words["accessors"] = accessors
-    made.mesh(*({"attributes": {"POSITION": k}} for k in range(500)))
-    path = written(tmp_path / "views.glb", made.glb())
-    tracemalloc.start()
-    read_scan(path)
-    assert tracemalloc.get_traced_memory()[1] < 6 * len(made.chunk)
-    tracemalloc.stop()
-
-    made, read = gltf(), []
-    made.words["nodes"] = [{"mesh": 0}] * 300
-    whole = gltf_file._read_strided
-    monkeypatch.setattr(gltf_file, "_read_strided", lambda *given: read.append(1) or whole(*given))
-    assert len(mesh_of(written(tmp_path / "nodes.glb", made.glb()))[0]) == 600 * len(X)
-    assert len(read) == 4  # twice the vertices, and once each half's corners
 
 
 def test_a_mirrored_gltf_keeps_its_outside_and_a_rotation_is_of_unit_length(tmp_path):

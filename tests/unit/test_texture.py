@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 
 import numpy as np
 from PIL import Image
@@ -12,6 +11,8 @@ from softdeca.lhm import identities, load_template, scans
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.files.texture import read_texture
 from softdeca.lhm.head.file import load_head, save_head
+
+from ..robustness.whole_files import Gltf
 
 QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], dtype=np.uint8)
 """Red, green; blue, white: from the upper left."""
@@ -68,40 +69,25 @@ def write_gltf(path, **material):
     corners = np.array([0, 2, 1, 0, 3, 2], "<u4")
     picture = io.BytesIO()
     Image.fromarray(np.repeat(np.repeat(QUARTERS, 64, 0), 64, 1)).save(picture, "PNG")
-    block = x.tobytes() + places.tobytes() + corners.tobytes()
-
-    def embedded(kind, content):
-        return f"data:{kind};base64,{base64.b64encode(content).decode()}"
-
-    views = [(0, 48), (48, 32), (80, 24)]
-    content = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "scale": [-1, 1, 1]}],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]},
-        ],
-        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}} | material],
-        "textures": [{"source": 0}],
-        "images": [{"uri": embedded("image/png", picture.getvalue())}],
-        "buffers": [{"byteLength": len(block), "uri": embedded("application/octet-stream", block)}],
-        "bufferViews": [{"buffer": 0, "byteOffset": first, "byteLength": size} for first, size in views],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
-            {"bufferView": 2, "componentType": 5125, "count": 6, "type": "SCALAR"},
-        ],
-    }
-    path.write_text(json.dumps(content))
+    gltf = Gltf(
+        scenes=[{"nodes": [0]}],
+        nodes=[{"mesh": 0, "scale": [-1, 1, 1]}],
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}} | material],
+        textures=[{"source": 0}],
+        images=[{"uri": f"data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}"}],
+    )
+    attributes = {"POSITION": gltf.add(x), "TEXCOORD_0": gltf.add(places)}
+    gltf.mesh({"attributes": attributes, "indices": gltf.add(corners), "material": 0})
+    path.write_bytes(gltf.glb())
     return path
 
 
 def test_a_gltf_has_its_colours_where_its_node_puts_them(tmp_path):
-    file = write_gltf(tmp_path / "square.gltf")
+    file = write_gltf(tmp_path / "square.glb")
     scan, texture = read_scan(file), read_texture(file)
     assert np.allclose(texture.vertices, scan.vertices)
     assert np.allclose(colours_of(texture, MIDDLES), QUARTERS.reshape(4, 3))
-    assert read_texture(write_gltf(tmp_path / "plain.gltf", pbrMetallicRoughness={})) is None
+    assert read_texture(write_gltf(tmp_path / "plain.glb", pbrMetallicRoughness={})) is None
 
 
 def test_a_head_keeps_the_colours_of_its_scan(tmp_path):

@@ -14,13 +14,6 @@ from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
 NAP = 0.05
 
 
-def pulled(*solids):
-    X, tets = box((3, 3, 3))
-    low, high = vertices_at(X, 2, 0.0), vertices_at(X, 2, 1.0)
-    ends = np.concatenate([low, high])
-    return Scene(X, tets, (*solids, terms.Fixed(ends, X[ends] + (X[ends, 2:] > 0.5) * [0.0, 0.0, 0.3])))
-
-
 def test_what_compiles_is_told_from_what_works():
     clock = Clock()
     with count_compilation(), count_compilation():
@@ -38,28 +31,6 @@ def test_kernels_are_compiled_and_not_worked_at():
     again = Clock()
     assert kernel(3.0) == 10.0
     assert first.compilation > 10 * first.work and again.read().compilation == 0.0
-
-
-@pytest.mark.parametrize("solver", ["projective", "fenicsx", "skfem"])
-def test_callbacks_cost_nothing(solver):
-    if solver == "fenicsx":
-        pytest.importorskip("dolfinx")
-    prepared = prepare(pulled(terms.Strain(5.0), terms.Volume(10.0)), solver=solver)
-    plain = prepared.solve()
-    slept = []
-
-    def sleep(iteration, *_):
-        begin = time.perf_counter()
-        time.sleep(20 * NAP if iteration < 2 else 0.0)
-        slept.append(time.perf_counter() - begin)
-
-    begin = time.perf_counter()
-    watched = prepared.solve(on_iteration=sleep)
-    whole = time.perf_counter() - begin
-    assert watched.times.solve <= whole - sum(slept)
-    assert watched.times.preparation == plain.times.preparation > 0.0
-    assert (np.diff(watched.history.time) >= 0.0).all()
-    assert 0.0 < watched.history.time[-1] <= watched.times.solve
 
 
 def far(cells=(12, 2, 2)):
