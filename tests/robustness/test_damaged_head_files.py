@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import check_head, identities, load_template
-from softdeca.lhm.base.files.pack import pack, unpack
 from softdeca.lhm.expressions.rig import Rig
 from softdeca.lhm.head.file import load_head, save_head
 from softdeca.lhm.template.file import read_template, save_template
 from softdeca.lhm.template.fit import fit_head
-from softdeca.lhm.template.template import Template
 
 from ..refusals import refused
 
@@ -59,20 +57,3 @@ def test_a_template_survives_the_file_and_a_damaged_one_is_refused(tmp_path):
     ).nnz == 0 and again.regions.keys() == template.regions.keys()
     np.savez(path, **dict(np.load(path)) | {"stack": template.stack[:-1]})
     refused("template.npz: damaged, its checksum is another; make the template again", read_template, path)
-
-
-def test_a_cached_template_that_lacks_an_array_is_made_anew(tmp_path, monkeypatch):
-    from softdeca.lhm.base.files.cache import load_or_make
-
-    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
-    whole = dict(pack(replace(load_template(level=1), regressor=None, space=None)))
-    np.savez(tmp_path / "thing.npz", **{name: array for name, array in whole.items() if name != "parts"})
-    made = []
-
-    def make():
-        made.append(1)
-        return whole
-
-    for _ in range(2):
-        assert load_or_make("thing", make, lambda arrays: unpack(Template, arrays)).parts.max() <= 3
-    assert made == [1]

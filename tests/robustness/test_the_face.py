@@ -1,15 +1,12 @@
 """H15: the face under hard demands converges to the right minimum, and faults of its wraps are named before a solve."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from softdeca.benchmarks.studies.agreement.solved import SolvedCase
 from softdeca.benchmarks.studies.cases import CASES
 from softdeca.benchmarks.studies.person import Person
-from softdeca.lhm import MeshError, expressions, fit_head, identities, load_template
-from softdeca.lhm.head.gates import check_layers
+from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import Face, Parameters, facial_scene, solve
 from softdeca.reference.face.sequence import Sequence
 from softdeca.surrogate.methods import PD
@@ -43,22 +40,6 @@ def test_random_starts_of_a_face_end_in_one_minimum(head):
         assert ends[-1].converged
     for end in ends[1:]:
         assert np.abs(end.positions - ends[0].positions).max() < 1e-3
-
-
-def test_wraps_that_touch_or_cross_are_named_before_a_solve(head):
-    skin, skull = np.array(head.skin_wrap.vertices), np.array(head.skull_wrap.vertices)
-    for share in (1.0, 1.2):  # the skull wrap on the muscle wrap, and through it, at one vertex
-        moved = np.array(skull)
-        moved[100] += share * (head.muscle_wrap.vertices[100] - skull[100])
-        with pytest.raises(MeshError, match="inverted or flat, the first is number"):
-            replace(head, skull_wrap=head.skull_wrap.with_vertices(moved))
-    # Two sides of a wrap that cross invert no tet: the gates see them.
-    lips = np.flatnonzero(head.regions["lips"])
-    upper = lips[np.argmax(skin[lips, 1])]
-    crossing = np.array(skin)
-    crossing[upper] = skin[lips[np.argmin(skin[lips, 1])]] - [0.0, 2.0, 0.0]
-    with pytest.raises(MeshError):
-        check_layers(replace(head, skin_wrap=head.skin_wrap.with_vertices(crossing)))
 
 
 def test_a_blink_leaves_nothing_behind(head):

@@ -367,18 +367,3 @@ def test_another_template_is_named_and_made_anew(copied, command, change):
         assert "template.npz: damaged, its checksum is another" in command("corpus", word, copied).refusal()
     Corpus.from_plan(copied, PLAN, PEOPLE).generate()
     assert path.read_bytes() == whole and Corpus.open(copied).verify() == 3
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"takes": "elsewhere"}, "damaged, its content does not match its checksum; use another folder"),
-        ({"format": 4}, "of format 4, this version reads 5; make the corpus anew in another folder"),
-    ],
-)
-def test_a_manifest_that_is_damaged_or_old_is_named(copied, change, words):
-    path = copied / "corpus.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(InputError) as refused:
-        Table(copied, "statics", "train")
-    assert words in str(refused.value)

@@ -1,13 +1,12 @@
 """The live page's parts without a browser: changes in, frames out, answers better and better, newer changes first."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softdeca.animation.live.face import FirstAnswer
-from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note, pack_frame
+from softdeca.animation.live.messages import Change, DerivativesFound, Frame, Note
 from softdeca.animation.live.refinement import Refinement, SupersededError
 from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import fit_head, identities, load_template
@@ -117,19 +116,3 @@ def test_a_face_that_does_not_settle_is_told(face):
     refine_newest(Refinement(replace(face, settling={"max_iterations": 1})), newest, sent.append)
     assert sent[-1].kind == "failed" and sent[-1].change == 5
     assert sent[-1].text.startswith("the face does not settle under these parameters (iteration limit")
-
-
-def test_frames_travel_as_they_are():
-    rng = np.random.default_rng(0)
-    skin, blended = rng.normal(0.0, 150.0, (2, 7, 3)).astype(np.float32)
-    error = rng.random(7).astype(np.float32)
-    packed = pack_frame(Frame(9, "network", skin, error, 0.7, certain=False, is_last=False, seconds=0.5), blended)
-    length = int.from_bytes(packed[:4], "little")
-    header = json.loads(packed[4 : 4 + length])
-    numbers = np.frombuffer(packed, "<f4", offset=4 + length)
-    assert (header["change"], header["vertices"], header["method"], header["certain"]) == (9, 7, "network", False)
-    assert header["mean"] == 0.7
-    assert np.array_equal(numbers[:21].reshape(7, 3), skin) and np.array_equal(numbers[28:], error)
-    assert np.abs(numbers[21:28] - np.linalg.norm(skin - blended, axis=1)).max() < 1e-4
-    unknown = pack_frame(Frame(9, "blendshapes", skin, None, None, certain=False, is_last=False, seconds=0.5), blended)
-    assert b'"mean": null' in unknown and len(unknown) % 4 == 0

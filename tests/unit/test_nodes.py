@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import Scene, SceneError, terms
+from softdeca.reference import Scene, terms
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems import meshes
 
-from .by_solver import DISCRETE, prepare_by
+from .by_solver import DISCRETE
 
 X, TETS = meshes.unstructured(2)
 FEM = pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
@@ -69,15 +69,3 @@ def test_an_edge_through_the_inside_is_free_between_held_faces(solver):
     held = discrete.held(some)
     assert np.array_equal(held[:, 1], nodes[:, 0] == 0)
     assert np.array_equal(held[:, 2], (nodes[:, 0] == 0) | (nodes[:, 1] == 0))
-
-
-@FEM
-@pytest.mark.parametrize("kind", [terms.Traction, terms.SurfaceStrain])
-def test_quadratic_elements_refuse_a_triangle_inside_a_tet(solver, kind):
-    """Linear ones take a membrane through the inside."""
-    across = np.array([[0, 1, 26]])
-    term = terms.Traction(across, (1.0, 0, 0)) if kind is terms.Traction else terms.SurfaceStrain(across, 1.0)
-    scene = Scene(X, TETS, [SOFT, term, terms.Fixed([0, 1, 2, 8])])
-    assert prepare_by(solver, scene).solve(max_iterations=0).iterations == 0
-    with pytest.raises(SceneError, match=f"{term.name}: triangle 0 is no face of a tet"):
-        prepare_by(solver, scene, element="P2").solve()

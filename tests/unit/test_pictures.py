@@ -1,13 +1,11 @@
 """Pictures of heads: captions stand above them, crowns are whole, and a page lays their panels out one by one."""
 
 import io
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.animation.contact_sheet import _frame
 from softdeca.animation.pictures import PANELS, SIDE, VIEW, Panel, draw_strip, frame_view
 from softdeca.lhm import Surface, identities
 
@@ -49,15 +47,3 @@ def test_a_picture_frames_what_it_is_asked_to_and_the_crown(view):
         assert np.abs((points - centre) @ right).max() < 0.5 * height
         assert np.abs((points - centre) @ up).max() < 0.5 * height
         assert ((SPACE.mean.vertices - centre) @ up).max() < 0.5 * height
-
-
-def test_a_row_of_a_damaged_shard_is_drawn():
-    """A skin that is one point, and names that are no text."""
-    count = 4
-    point = SimpleNamespace(
-        skin=lambda identity: Surface(np.full((count, 3), 9e4), [[0, 1, 2], [0, 2, 3]]),
-        shapes=lambda identity: np.zeros((52, count, 3)),
-    )
-    row = {"identity": 0, "weights": np.zeros(52), "corrected": np.zeros((count, 3))}
-    row |= {"recording": b"a\xff", "kind": b"\xfe", "varied": np.ones(1, dtype=bool), "coefficients": np.ones((1, 1))}
-    assert Image.open(io.BytesIO(_frame(point, row))).width > 100

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.sparse import csc_matrix, diags, random_array
 
 from softdeca.lhm.base.geometry import cholesky
-from softdeca.lhm.head.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
 from softdeca.reference.projective.policy import ProjectivePolicy
 from softdeca.reference.projective.terms.energy import Energy
@@ -111,18 +109,6 @@ def test_held_components_are_exact_and_factored_by_mask(scene):
     assert solution.detail["factorisations"] == 2  # x and z agree, y does not
     assert solution.positions[n - 1, 1] == scene.vertices[n - 1, 1] + 0.1
     assert solution.positions[n - 1, 0] != scene.vertices[n - 1, 0]
-
-
-def test_a_scene_without_tet_terms_builds_none():
-    sphere = trimesh.creation.icosphere(1)
-    X = np.vstack([sphere.vertices, 0.8 * sphere.vertices])
-    tets = prism_tets(np.asarray(sphere.faces), 0, len(sphere.vertices))
-    target = terms.Target(np.arange(len(X)), X + 1.0, 2.0)
-    prepared = prepare(Scene(X, tets, [target]))
-    assert not any(len(part.elements(prepared.scene)) for part in prepared.energy.parts)
-    solution = prepared.solve()
-    assert solution.converged and solution.iterations == 1
-    np.testing.assert_allclose(solution.positions, X + 1.0, atol=1e-12)
 
 
 cholmod_is_there = pytest.mark.skipif(not cholesky.has_cholmod(), reason="scikit-sparse is not installed")

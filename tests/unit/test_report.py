@@ -28,15 +28,6 @@ def test_a_report_of_studies_says_what_they_found(verified, command, tmp_path):
     assert tables.count(r"\begin{table}") == tables.count(r"\bottomrule") == 1 and r"\label{tab:verification" in tables
 
 
-def test_results_that_are_none_are_named(verified, command, tmp_path):
-    (tmp_path / "results.json").write_text("{}")
-    found = json.loads((verified / "results.json").read_text())
-    del found["rows"][0]["values"]["outcomes"]
-    (tmp_path / "results.json").write_text(json.dumps(found))
-    ended = command("bench", "report", tmp_path, "--out", tmp_path / "out")
-    assert ended.status == 1 and "another version" in ended.errors[0] and not (tmp_path / "out").exists()
-
-
 def test_a_table_as_markdown_and_latex():
     table = Table("50 % of |x|", ["law", "error [mm]"], [("a_b & c", 0.00012345), (True, None)], "by hand")
     assert to_markdown(table).splitlines()[2:6] == [

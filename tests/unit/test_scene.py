@@ -87,20 +87,6 @@ def test_dead_loads_sum_to_weight_and_traction():
     assert scene.loads().sum(axis=0) == pytest.approx([3.0 / 2, -9810 * 2e-6 / 2, 0.0])
 
 
-def test_a_prepared_scene_says_what_changed():
-    scene = Scene(CORNERS, TETS, [terms.Strain(1.0), terms.Target([0], [[0, 0, 0]], 1.0)])
-    moved = scene.with_targets([[1, 0, 0]])
-    scene.check_prepared_for(moved)
-    with pytest.raises(SceneError, match="Target.positions differs"):
-        scene.check_prepared_for(moved, fixed=((terms.Target, "positions"),))
-    with pytest.raises(SceneError, match="Strain.stiffness differs"):
-        scene.check_prepared_for(Scene(CORNERS, TETS, [terms.Strain(2.0), scene.terms[1]]))
-    with pytest.raises(SceneError, match="rest vertices differ"):
-        scene.check_prepared_for(Scene(2 * CORNERS, TETS, scene.terms))
-    with pytest.raises(SceneError, match="0 Fixed terms"):
-        scene.with_fixed([[0, 0, 0]])
-
-
 def test_no_tet_is_overlooked_among_many():
     vertices, tets = box((6, 5, 4), (1.0, 1.0, 1.0))
     assert len(TetMesh(vertices, tets).tets) == len(tets)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.head.flesh import LEAN_REGIONS
-from softdeca.reference import Face, Parameters, SceneError, materials, settle, solve, terms
-from softdeca.reference.face.facial import PD_ENERGY, apply_law
+from softdeca.reference import Face, Parameters, materials, settle, solve, terms
+from softdeca.reference.face.facial import apply_law
 from softdeca.reference.face.settle import neutral_scene
 
 GROWN = Parameters(soft_volume=1.2)
@@ -56,9 +56,3 @@ def test_a_law_may_be_a_function_of_its_moduli(sphere_head, by_law):
     pytest.importorskip("dolfinx")
     same = settle(sphere_head, GROWN, law=materials.NeoHookean, **FEM)
     np.testing.assert_allclose(same.positions, by_law.positions, atol=1e-9)
-
-
-def test_a_law_refuses_what_has_no_counterpart(sphere_head):
-    with pytest.raises(SceneError, match="strain limit"):
-        settle(sphere_head, Parameters(strain_limit=1.2), law="neo-Hookean")
-    assert settle(sphere_head, Parameters(strain_limit=1.2)).law == PD_ENERGY

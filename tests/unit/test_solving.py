@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Reason, Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
 
@@ -143,3 +144,13 @@ def test_balanced_loads_on_a_free_block_stretch_it(solver):
     pull = [terms.Traction(meshes.triangles_at(X, TETS, 0, end), (0.4 * end - 0.2, 0, 0)) for end in (0.0, 1.0)]
     answer = solve_by(solver, Scene(X, TETS, [terms.Strain(1.0), *pull]))
     np.testing.assert_allclose(pdist(answer.positions), pdist(X * [1.2, 1.0, 1.0]), atol=1e-8)
+
+
+def test_unknown_versions_are_refused_in_one_line():
+    pytest.importorskip("dolfinx")
+    from softdeca.reference.fenicsx.dolfinx_version import parse_version
+
+    assert parse_version("0.5.2") == (0, 5) and parse_version("0.11.0.post0") == (0, 11)
+    for version in ("0.4.1", "0.12.0", "1.0.0"):
+        with pytest.raises(MissingDependencyError, match=f"dolfinx {version} is installed; softdeca knows 0.5 to 0.11"):
+            parse_version(version)
