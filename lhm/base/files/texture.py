@@ -59,15 +59,15 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
         return None
     with naming_file(path):
         scene = _read_scene(path)
-        parts = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
-        parts = [(mesh, matrix) for mesh, matrix in parts if _picture_of(mesh) is not None]
+        placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
+        parts = [(mesh, matrix, picture) for mesh, matrix in placed if (picture := _picture_of(mesh)) is not None]
         if not parts:
             return None
-        mesh, matrix = max(parts, key=lambda part: len(part[0].faces))
+        mesh, matrix, picture = max(parts, key=lambda part: len(part[0].faces))
         vertices = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         if not np.ptp(vertices, axis=0).any():  # trimesh has zeros in place of what Draco packed
             raise InputError("its texture lies on a mesh packed by Draco, and is not read")
-        return Texture(_decode(_picture_of(mesh)), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
+        return Texture(_decode(picture), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
 
 
 class _Beside(dict):
