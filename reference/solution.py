@@ -31,13 +31,6 @@ class Reason(str, Enum):
     STAGNATED = "stagnated: no step lowers the energy further; the tolerance is below what rounding allows"
     LINE_SEARCH = "line search failed: apply the load or the motion in smaller steps"
     LINEAR_SOLVER = "the linear solver failed: use a direct one, or look for a part that nothing holds"
-    LIMIT_POINT = (
-        "limit point: no stable equilibrium continues beyond this load; lower it, or prescribe the motion instead"
-    )
-    BIFURCATION = (
-        "bifurcation: the equilibrium loses its stability to another branch, which could not be followed; disturb the "
-        "load or the shape a little, or prescribe the motion instead"
-    )
     NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
     CONTACT = "surfaces cross that are held where they do: hold them apart, or leave them out of Contact"
     INTERRUPTED = "interrupted by the caller"

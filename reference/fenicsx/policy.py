@@ -24,6 +24,7 @@ class NewtonPolicy:
     curvature_share: float = 0.25  # of the negative curvature, that an indefinite Hessian gives up
     successes: int = 2  # iterations with a share of the negative curvature, after which more is tried
     dampings: tuple[float, ...] = (1e-3, 1e-2, 1e-1)  # of the largest diagonal entry, where no direction descends
+    mode_iterations: int = 5  # inverse iterations that find the softest motion
     shifts: tuple[float, ...] = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry, where nothing holds a part
 
 
@@ -33,28 +34,21 @@ class MinimisePolicy:
 
     max_iterations: int = 100
     load_step_tolerance: float = 1e-2  # of a load step's first gradient norm: only the last step needs more
-    straight_iterations: int = 10  # beyond them descent may have left the path that the load grows along
+    drift: float = 1e-9  # of the tangent's largest entry: holds a body that is free to move
+    aside: float = 1e-3  # of the largest displacement, to leave an unstable equilibrium by
     rounding: float = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
 
 
 @dataclass(frozen=True)
-class LoadPathPolicy:
-    """The strategy "continuation"; see `load_path`. Shares are of the whole load."""
+class LoadStepsPolicy:
+    """The strategy "load steps"; see `load_steps`. Shares are of the whole load."""
 
     max_iterations: int = 1000
     step_iterations: int = 25  # of Newton's method at one share
     smallest_damping: float = 1 / 32  # of a correction
     first_share: float = 1 / 4
     smallest_share: float = 1 / 1024
-    snap_share: float = 1 / 64  # the step at which descent is asked
-    snap: float = 0.2  # of the displacement so far, that a snap may add to it at most
-    branch: float = 0.5  # of descent's way at `snap_share`: at `smallest_share` it is shorter where a branch begins
-    aside: float = 1e-3  # of the largest displacement, to leave an unstable equilibrium by
-    mode_iterations: int = 5  # inverse iterations that find the softest motion
-    easy: int = 5  # iterations, within which the next load step may be longer
-    tolerance: float = 1e-6  # of a step's first residual norm, before the last
     drift: float = 1e-9  # of the tangent's largest entry: holds a body that is free to move
-    steep: float = 4.0  # times the first rate of displacement by load, that tells a limit point
 
 
 @dataclass(frozen=True)
@@ -118,7 +112,7 @@ class FenicsxPolicy:
 
     newton: NewtonPolicy = NewtonPolicy()
     minimise: MinimisePolicy = MinimisePolicy()
-    load_path: LoadPathPolicy = LoadPathPolicy()
+    load_steps: LoadStepsPolicy = LoadStepsPolicy()
     multipliers: MultiplierPolicy = MultiplierPolicy()
     saddle: SaddlePolicy = SaddlePolicy()
     linear: LinearPolicy = LinearPolicy()

@@ -1,9 +1,8 @@
 """prepare and solve on FEniCSx: mesh, forms and matrix once, strategies in turn per call.
 
 There are three strategies. "minimise" is Newton's method on the energy: it gets from anywhere to some minimum.
-"augmented Lagrangian" does so for elements with a pressure, which it corrects between minimisations. "continuation"
-solves the equations of equilibrium while load and motion grow: it stays on the path that the body takes, knows forces
-without an energy, and tells limit points.
+"augmented Lagrangian" does so for elements with a pressure, which it corrects between minimisations. "load steps"
+solves the equations of equilibrium where forces have no energy: under follower pressure.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..clock import Clock
 from ..materials import NeoHookean
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import Limits, OnIteration, Reason, Solution, first_positions
+from ..solution import Limits, OnIteration, Solution, first_positions
 from ..terms import Fixed, Gravity, Hyperelastic, Pressure, RigidBody, Term, Traction
 from .dolfinx_version import ALONE
 from .energy.solids import check_solids
@@ -34,14 +33,12 @@ from .policy import POLICY, FenicsxPolicy
 from .run import Attempt, Record, Run
 from .strategies.bodies import RigidProblem
 from .strategies.chord import KeptFactors
-from .strategies.load_path import Continuation
+from .strategies.load_steps import LoadSteps
 from .strategies.minimise import Minimisation
 from .strategies.multipliers import Condensed, MultiplierDescent
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
 """Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""
-GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
-"""Reasons after which another strategy is tried."""
 FORCE_DEGREE = 6
 CHORD = "chord"
 
@@ -56,8 +53,7 @@ def prepare(
     (direct, by factors that are kept from solve to solve, for solves that differ little, as time steps do). "cg" is
     direct too for nearly incompressible laws (see `policy.stiff`) below `policy.large_stiff` unknowns. With "P2P1",
     "cg" means a direct solver below `policy.saddle.large` unknowns and GMRES with a block preconditioner above; "block"
-    asks for the latter at any size. `Continuation` always takes factors, whose inertia it needs. `policy` has all
-    other constants.
+    asks for the latter at any size. Scenes with Pressure always take factors. `policy` has all other constants.
 
     Raises SceneError for another element or linear solver, and for a term or law that this solver or element cannot
     model.
@@ -151,54 +147,26 @@ class PreparedFenicsx:
             self._problem.loads = self._problem.loads + self._force
         without_energy = self._element == "P2P1" or bool(scene.of(Pressure))
         check_restrained(scene, loads=None if without_energy else scene.loads())
-        self._end = end = self._try_strategies(run)
+        self._end = end = self._solve(run)
         answer = NodalAnswer.collect(self._problem, end, self._force)
         recovery = partial(recover, scene, self._numbering.degree, answer)
         return run.solution(end, self._spent, recovery)
 
-    def _try_strategies(self, run: Run) -> Attempt:
-        """Try strategies until one ends the search; give the last that found something worth keeping, or the first.
-
-        A path that ends where others branch off leaves what descent has found beyond it.
-        """
-        scene, problem, policy = run.scene, self._problem, self._policy
-        leaves: tuple[Reason, ...] = GIVEN_UP
-        strategies: list[Callable[[], Attempt]]
-
-        def descent(find_start: Callable[[Run], Run] | None = None) -> Minimisation | MultiplierDescent:
-            if self._condensed is None:
-                return Minimisation(run, problem, self._linear, self._direct, self._rigid, policy, self._kept)
-            kind = self._linear_solver
-            return MultiplierDescent(run, self._condensed, linear_solver=kind, find_start=find_start, policy=policy)
-
-        def follow() -> Attempt:
-            settle = None if scene.of(Pressure) else descent().settle  # where a part of the body may have snapped
-            return Continuation(run, problem, settle, saddle=self._saddle, policy=policy).attempt()
-
-        if scene.of(Pressure):
-            strategies = [follow]
-        elif self._rigid is not None:
-            strategies = [descent().attempt]
+    def _solve(self, run: Run) -> Attempt:
+        """Solve by the strategy that the scene and the element take."""
+        problem, policy, assembled = self._problem, self._policy, self._problem.assemblies
+        if run.scene.of(Pressure):
+            end = LoadSteps(run, problem, saddle=self._saddle, policy=policy).attempt()
         elif self._condensed is None:
-            strategies = [descent().attempt, follow]
+            end = Minimisation(run, problem, self._linear, self._direct, self._rigid, policy, self._kept).attempt()
         else:
             find_start = self._start_from_linear if self._large and not run.is_given else None
-            strategies = [follow, descent(find_start).attempt]
-            if self._linear_solver == "block" or (self._large and not scene.of(Traction)):
-                strategies.reverse()
-            if not anywhere(self.comm, problem.loads):  # a limit point without dead loads is no reason to stop
-                leaves = (*GIVEN_UP, Reason.LIMIT_POINT)
-        best: Attempt | None = None
-        for attempt in strategies:
-            assembled = problem.assemblies
-            end = attempt()
-            run.record.add(0, assemblies=problem.assemblies - assembled)
-            if best is None or not best.sound or end.reason not in (*GIVEN_UP, Reason.BIFURCATION):
-                best = end
-            if end.reason not in leaves and not end.doubtful:
-                break
-        assert best is not None
-        return best
+            kind = self._linear_solver
+            end = MultiplierDescent(
+                run, self._condensed, linear_solver=kind, find_start=find_start, policy=policy
+            ).attempt()
+        run.record.add(0, assemblies=problem.assemblies - assembled)
+        return end
 
     def _start_from_linear(self, run: Run) -> Run:
         """The run from where linear tets of compressible tissue end, if they find a sound answer."""

@@ -18,19 +18,13 @@ from .mesh.parallel import anywhere
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """Where a strategy ended, and why: displacement [mm] and pressure [kPa] by node of a numbering, energy [µJ].
-
-    `sound` says whether it is worth keeping where the next strategy finds nothing, `doubtful` whether the next one has
-    to look in spite of its reason.
-    """
+    """Where a strategy ended, and why: displacement [mm] and pressure [kPa] by node of a numbering, energy [µJ]."""
 
     reason: Reason
     numbering: Numbering
     u: Floats
     pressure: Floats | None
     energy: float
-    sound: bool = True
-    doubtful: bool = False
 
 
 class Record:

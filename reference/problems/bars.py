@@ -155,10 +155,7 @@ def neo_hookean_law(stretch: float, poisson: float = POISSON) -> tuple[Floats, f
 def stretch_error(
     energies: Sequence[Term], law: Law, stretch: float, attempt: Attempt, *, at_rest: bool = False
 ) -> float:
-    """The largest relative error of the tets' principal stretches, in the mean beyond the clamp.
-
-    From rest, where elements beside the clamp snap on the way, fewer of them do.
-    """
+    """The largest relative error of the tets' principal stretches, in the mean beyond the clamp; few from rest."""
     X, tets = box(FEW_CELLS if at_rest else PULLED_CELLS, (PULLED_LENGTH, 1.0, 1.0))
     lateral, stress = law(stretch)
     clamp = Fixed(vertices_at(X, 0, 0.0))

@@ -7,16 +7,12 @@ from scipy.sparse import csr_matrix
 pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
-from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx.energy.loads import FollowerPressure
 from softdeca.reference.fenicsx.linear.problem import Problem
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
-from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.fenicsx.strategies.equilibrium import Equilibrium
-from softdeca.reference.fenicsx.strategies.load_path import Continuation
 from softdeca.reference.problems import bars, incompressible, meshes
 from softdeca.reference.problems.homogeneous import rollers
-from softdeca.reference.solution import Limits
 
 from .by_solver import solve_by
 
@@ -132,27 +128,27 @@ def test_a_cube_under_pressure_all_round(element):
     assert np.allclose(solution.positions, X * 0.8 ** (1 / 3), atol=1e-8)
 
 
-def test_a_free_rivlin_cube_says_limit_point():
-    """Rivlin 1948: equal dead loads on all faces hold it at rest, stable below 2 mu only; one on rollers is H14."""
-    X, tets = meshes.block(2)
-    pulls = [
-        terms.Traction(meshes.triangles_at(X, tets, c, end), (2.0 * end - 1.0) * np.eye(3)[c])
-        for c in range(3)
-        for end in (0.0, 1.0)
-    ]
-
-    def scene(load):
-        loaded = [terms.Traction(pull.triangles, load * pull.vector) for pull in pulls]
-        return Scene(X, tets, [terms.Hyperelastic(materials.IsochoricNeoHookean(1.0, 200.0)), *loaded])
-
-    below, above = (solve(scene(load), solver="fenicsx", element="P1", tolerance=1e-8) for load in (1.8, 2.2))
-    assert below.converged, below.reason
-    assert above.reason is Reason.LIMIT_POINT
+def test_a_pressure_that_is_too_much_at_once_grows_in_steps():
+    """A tube under twice the pressure that its walls can bear ends at the last load that they did."""
+    scene = incompressible.tube(2)
+    (pressure,) = scene.of(terms.Pressure)
+    held = tuple(term for term in scene.terms if term is not pressure)
+    whole, most = (
+        solve(
+            Scene(scene.vertices, scene.tets, [*held, terms.Pressure(pressure.triangles, share * pressure.value)]),
+            solver="fenicsx",
+            element="P2P1",
+            tolerance=1e-8,
+        )
+        for share in (1.0, 3.0)
+    )
+    assert whole.converged and most.reason is Reason.LINE_SEARCH
+    assert np.isfinite(most.positions).all() and np.abs(most.positions).max() > np.abs(whole.positions).max()
 
 
 @pytest.mark.parametrize("poisson", [0.45, 0.499])
 def test_a_bar_drawn_far_by_its_ends_has_the_law_s_stretches(poisson):
-    """A motion has no limit point: where the path finds one, a few elements beside the ends, descent goes on."""
+    """Elements beside the ends snap on the way."""
     X, tets = meshes.box((6, 2, 2), (6.0, 1.0, 1.0))
     low, high = (meshes.vertices_at(X, 0, end) for end in (0.0, 6.0))
     law = materials.NeoHookean.from_young(1.0, poisson)
@@ -164,15 +160,3 @@ def test_a_bar_drawn_far_by_its_ends_has_the_law_s_stretches(poisson):
     stretches = np.linalg.svd(now @ np.linalg.inv(rest), compute_uv=False).mean(axis=0)
     lateral = bars.neo_hookean_law(stretches[0], poisson)[0]
     assert np.sqrt(np.prod(stretches[1:] / lateral)) == pytest.approx(1.0, abs=0.01)
-
-
-def test_a_path_that_ends_early_leaves_the_whole_load():
-    """What is tried after it, such as descent, must not solve for the share that it ended with."""
-    scene = incompressible.rivlin_cube(incompressible.NEARLY, 2.2)
-    order = Numbering(scene, 2)
-    problem = Problem(scene, order, mixed=True)
-    whole = problem.loads.copy()
-    run = Run(scene, order, scene.vertices, Limits(1e-8), Record(None, None))
-    solution = run.solution(Continuation(run, problem).attempt(), Seconds(0.0, 0.0))
-    assert solution.reason is Reason.LIMIT_POINT and solution.detail["load_share"] < 0.95
-    assert np.abs(whole).max() > 0.0 and np.array_equal(problem.loads, whole)

@@ -107,7 +107,7 @@ def test_factors_step_in_where_gmres_gives_up():
     scene = standing(LAWS["incompressible"])
     options = {"solver": "fenicsx", "element": "P2P1", "linear_solver": "block", "tolerance": 1e-9}
     expected = solve(scene, **options)
-    hasty = FenicsxPolicy(saddle=SaddlePolicy(max_iterations=1))
+    hasty = FenicsxPolicy(saddle=SaddlePolicy(restart=1, max_iterations=30))
     solution = solve(scene, policy=hasty, **options)
     assert solution.converged and np.abs(solution.positions - expected.positions).max() < 1e-7
     assert solution.detail["linear_solves"] > expected.detail["linear_solves"]

@@ -34,7 +34,7 @@ def test_kernels_are_compiled_and_not_worked_at():
 
 
 def far(cells=(12, 2, 2)):
-    """A bar to five times its length: descent leaves the path that the load grows along, and is not the answer."""
+    """A bar to five times its length."""
     X, tets = box(cells, (6.0, 1.0, 1.0))
     stress = bars.neo_hookean_law(5.0)[1]
     pull = terms.Traction(triangles_at(X, tets, 0, 6.0), stress * np.eye(3)[0])
@@ -42,14 +42,12 @@ def far(cells=(12, 2, 2)):
     return Scene(X, tets, (terms.Hyperelastic(law), terms.Fixed(vertices_at(X, 0, 0.0)), pull))
 
 
-def test_attempts_share_one_history_and_one_budget():
+def test_a_solve_has_one_history_and_one_budget():
     pytest.importorskip("dolfinx")
     prepared = prepare(far(), solver="fenicsx")
     told = []
     whole = prepared.solve(on_iteration=lambda i, *_: told.append(i))
     assert whole.converged and told == list(range(len(whole.history.time)))
-    assert {"energies", "load_share"} <= set(whole.detail)  # of descent, and of the load path after it
-    assert whole.iterations < len(whole.history.time)
-    for limit in (5, 40):
+    for limit in (5, 20):
         cut = prepared.solve(max_iterations=limit)
         assert cut.reason is Reason.MAX_ITERATIONS and cut.iterations == limit

@@ -71,8 +71,8 @@ def check_mixed(material: Material):
 class MixedForms:
     """Compiled derivatives of a law with a pressure on some cells (k,), by the rule of a degree.
 
-    `gradient` is the energy's by a displacement function [mm], `by_pressure` that by the pressure's [kPa] (mm³),
-    `coupling` that by both [mm²], and `by_pressure_twice` that by the pressure twice, negative semi-definite [mm³/kPa].
+    `by_pressure` is the energy's by the pressure's function [kPa] (mm³), `coupling` that by pressure and displacement
+    [mm²], and `by_pressure_twice` that by the pressure twice, negative semi-definite [mm³/kPa].
     Growth goes by the cells.
     """
 
@@ -84,7 +84,6 @@ class MixedForms:
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         trial, test = (make(pressure.function_space) for make in (ufl.TrialFunction, ufl.TestFunction))
         by_pressure = ufl.derivative(energy, pressure, test)
-        self.gradient = seam.compile_form(gradient)
         self.by_pressure = seam.compile_form(by_pressure)
         self.coupling = seam.compile_form(ufl.derivative(gradient, pressure, trial))
         self.by_pressure_twice = seam.compile_form(ufl.derivative(by_pressure, pressure, trial))

@@ -122,11 +122,6 @@ class Kernel:
         arrays = (self._nodes, self._geometry, self._volume, self._parameters)
         self._tets = Tets(len(self._rows) // self._width, *(_address(array) for array in arrays))
 
-    @property
-    def has_pressure(self) -> bool:
-        """Whether the law has a pressure."""
-        return self._pressure_dofs is not None
-
     def take_pressure(self, p: Floats):
         """Take the pressure [kPa] of linear elements by node, shape (n_p,), if the law has one."""
         if self._pressure_dofs is not None:

@@ -251,9 +251,8 @@ class SolidState:
     @cached_property
     def _by_kernels(self) -> tuple[float, Floats]:
         """The kernels' energy [µJ] and gradient [mN], a field (n, 3), which cost little more than one of them."""
-        gradient, unused = np.zeros_like(self._u), np.zeros_like(self._u)
-        pairs = ((kernel, unused if kernel.has_pressure else gradient) for kernel in self._solids.kernels)
-        return sum(kernel.add_energy(self._u, into) for kernel, into in pairs), gradient
+        gradient = np.zeros_like(self._u)
+        return sum(kernel.add_energy(self._u, gradient) for kernel in self._solids.kernels), gradient
 
     def energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where a law does not hold."""
@@ -265,9 +264,6 @@ class SolidState:
         """Add the gradient [mN] of this process' cells to a field (n, 3)."""
         self.place()
         into += self._by_kernels[1]
-        # Kernels' rounding would tip Rivlin's cube off its branch at the limit point, where forms' does not.
-        for forms in self._solids.mixed_forms:
-            seam.add_vector(forms.gradient, into.reshape(-1))
 
     def add_hessian(self, into: Stiffness, kept: float):
         """Add the Hessian [mN/mm], every negative eigenvalue of every point's tangent multiplied by `kept`."""

@@ -195,26 +195,17 @@ class State:
     def gradient(self) -> Floats:
         """The energy's gradient [mN], a vector (owned, 3), held components included."""
         problem = self._problem
-        total = self.share * self._loads()
+        total = np.zeros_like(self.u)
+        total[: len(problem.loads)] = -problem.loads
+        for part in problem._parts:
+            if part.is_load:
+                part.add_gradient(self._x, total)
+        total *= self.share
         self._solids.add_gradient(total)
         for part in problem._parts:
             if not part.is_load:
                 part.add_gradient(self._x, total)
         return problem.numbering.nodes.sum_up(total)
-
-    def by_share(self) -> Floats:
-        """The gradient's derivative by the share of the loads [mN], a vector (owned, 3)."""
-        return self._problem.numbering.nodes.sum_up(self._loads())
-
-    def _loads(self) -> Floats:
-        """What this rank adds to the gradient for the whole of the loads [mN], a field (n, 3)."""
-        problem = self._problem
-        forces = np.zeros_like(self.u)
-        forces[: len(problem.loads)] = -problem.loads
-        for part in problem._parts:
-            if part.is_load:
-                part.add_gradient(self._x, forces)
-        return forces
 
     def strain(self) -> Floats:
         """The energy's derivative by the pressure [mm³], a vector."""

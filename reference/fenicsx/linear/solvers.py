@@ -98,8 +98,7 @@ class ConjugateGradients:
 class Factorisation:
     """Factors a matrix, always the same one, whenever its values have changed; the elimination's order is kept.
 
-    `solve` uses the last factors. After `factor`, `negative` is the number of negative pivots of a symmetric matrix, or
-    of another one 0 or 1 by the sign of its determinant.
+    `solve` uses the last factors. After `factor`, `negative` is the number of negative pivots of a symmetric matrix.
     """
 
     def __init__(self, policy: LinearPolicy = POLICY.linear):
@@ -121,9 +120,7 @@ class Factorisation:
             difference.axpy(-1.0, matrix)
             symmetric = difference.norm(PETSc.NormType.FROBENIUS) <= self._policy.asymmetry * size
             difference.destroy()
-        # Of several ranks MUMPS gives the determinant's sign for the first factors alone.
-        can_refactor = symmetric or matrix.comm.size == 1
-        if self._ksp is None or symmetric != self.symmetric or not can_refactor:
+        if self._ksp is None or symmetric != self.symmetric:
             self.release()
             self._analyse(matrix, symmetric)
         assert self._ksp is not None
@@ -137,7 +134,7 @@ class Factorisation:
         if not regular:
             self.release()
             return False
-        self.negative = factors.getMumpsInfog(12) if self.symmetric else int(factors.getMumpsRinfog(12) < 0)
+        self.negative = factors.getMumpsInfog(12) if self.symmetric else 0
         return True
 
     def _analyse(self, matrix: PETSc.Mat, symmetric: bool):
@@ -152,8 +149,6 @@ class Factorisation:
         preconditioner.setFactorSetUpSolverType()
         factors = preconditioner.getFactorMatrix()
         factors.setMumpsIcntl(14, self._policy.room)
-        if not symmetric:
-            factors.setMumpsIcntl(33, 1)  # the determinant
 
     def solve(self, b: Floats) -> Floats:
         """Give x of A x = b, a vector."""

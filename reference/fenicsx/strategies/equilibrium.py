@@ -10,7 +10,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ..dolfinx_version import PETSc
 from ..linear.problem import Problem, State
 from ..linear.saddle import SaddleMatrix
-from ..mesh.parallel import irregular_vector, norm
+from ..mesh.parallel import norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,6 @@ class Equilibrium:
         self.displacements = 3 * problem.numbering.nodes.owned
         self.count = self.displacements + problem.pressures.owned
         self.held = np.concatenate([held, self.displacements + problem.idle_pressures()])
-        self.free = np.setdiff1d(np.arange(self.count), self.held)
-        self.free_pressures = problem.comm.allreduce(int((self.free >= self.displacements).sum()))
         self._per_volume = 0.0
         self._saddle = SaddleMatrix(problem) if saddle is None and problem.mixed else saddle
 
@@ -73,15 +71,6 @@ class Equilibrium:
         self._saddle.assemble(point.state, springs=False)
         return self._saddle.whole()
 
-    def by_share(self, point: Point) -> Floats:
-        """The residual's derivative by the share of the loads, a vector."""
-        return np.concatenate([point.state.by_share().ravel(), np.zeros(self.count - self.displacements)])
-
-    def irregular(self) -> Floats:
-        """Displacements of no regularity, a vector."""
-        motion = irregular_vector(self.comm, self._problem.numbering.X[: self.displacements // 3])
-        return np.concatenate([motion, np.zeros(self.count - self.displacements)])
-
     def norm(self, residual: Floats) -> float:
         """The norm of a residual, a vector [mN]; volumes count by the stiffness of `scale_volumes`."""
         weighted = np.array(residual)
@@ -90,5 +79,5 @@ class Equilibrium:
 
     def scale_volumes(self, derivative: PETSc.Mat):
         """Measure volumes by the force that a mean node's displacement would cause [mN/mm³]."""
-        if self.free_pressures:
+        if self._problem.mixed:
             self._per_volume = self._problem.force_per_volume(derivative.getDiagonal().array_r[: self.displacements])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ....lhm.base.mesh import Floats
@@ -10,6 +12,7 @@ from ...solution import Limits, Reason
 from ...terms import Traction
 from ..linear.problem import Problem, State
 from ..linear.solvers import LinearSolver
+from ..mesh.parallel import irregular_vector, largest_size
 from ..policy import POLICY, FenicsxPolicy
 from ..run import Attempt, Run
 from .bodies import RigidProblem
@@ -61,11 +64,7 @@ class Minimisation:
         self._newton = Newton(*given) if kept is None else Chord(*given, factors=kept, chord=policy.chord)
 
     def attempt(self) -> Attempt:
-        """Bring what is held to its goal, in load steps if need be, and minimise.
-
-        A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
-        Factors of its tangent tell; where they take too much memory, only many iterations make an answer doubtful.
-        """
+        """Bring what is held to its goal, in load steps if need be, and minimise."""
         run, loose = self._run, Limits(self._policy.minimise.load_step_tolerance)
         left = run.record.left(self._policy.minimise.max_iterations)
 
@@ -83,30 +82,39 @@ class Minimisation:
                 state, threshold=lambda first: run.threshold(max(first, force)), max_iterations=left - iterations
             )
             iterations += more
-        sound, doubtful = reason is Reason.CONVERGED, False
-        if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
-            if self._can_factor:
-                drift = self._policy.load_path.drift if has_free_motion(run.scene) else 0.0
-                sound = self._newton.is_stable(self._evaluate(state.u), drift)
-            doubtful = iterations > self._policy.minimise.straight_iterations or not sound
+        if reason is Reason.CONVERGED and self._may_be_unstable():
+            state, more = self._leave_saddle(state, run.threshold, left - iterations)
+            iterations += more
         run.record.add(iterations, **vars(self._work))
-        return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
+        return Attempt(reason, run.numbering, state.u, None, state.energy)
 
-    def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
-        """See `load_path.Descent`: what is held stays where it is."""
-        state = self._evaluate(u, share)
-        if not np.isfinite(state.energy):
-            return u, p, Reason.NOT_FINITE, 0
-        end, reason, made = self._newton.minimise(
-            state,
-            threshold=lambda first: self._policy.load_path.tolerance * first,
-            max_iterations=self._run.record.left(self._policy.minimise.max_iterations),
+    def _may_be_unstable(self) -> bool:
+        """Whether an equilibrium may be a saddle, of elastic tissue alone that is pulled, and factors are cheap."""
+        scene = self._run.scene
+        return (
+            self._rigid is None
+            and self._can_factor
+            and bool(scene.of(Traction))
+            and not any(term.may_soften for term in scene.terms)
         )
-        return end.u, p, reason, made
 
-    def _evaluate(self, u: Floats, share: float = 1.0) -> State:
+    def _leave_saddle(self, state: AnyState, threshold: Callable[[float], float], left: int) -> tuple[AnyState, int]:
+        """Minimise anew from beside an unstable equilibrium, along its softest motion; give the iterations made."""
+        drift = self._policy.minimise.drift if has_free_motion(self._run.scene) else 0.0
+        comm, owned, X = self._problem.comm, self._nodes.owned, self._run.numbering.X
+        mode = self._newton.find_soft_motion(state, irregular_vector(comm, X[:owned]), drift)
+        if mode is None:
+            return state, 0
+        step = self._policy.minimise.aside * largest_size(comm, (state.u - self._run.u)[:owned])
+        beside = self._problem.moved(state, step * mode)
+        if not np.isfinite(beside.energy):
+            return state, 0
+        end, reason, made = self._newton.minimise(beside, threshold=threshold, max_iterations=left)
+        return (end if reason is Reason.CONVERGED and end.energy < state.energy else state), made
+
+    def _evaluate(self, u: Floats) -> State:
         self._work.energies += 1
-        return self._problem.at(u, share=share)
+        return self._problem.at(u)
 
     def _report(self, state: AnyState, norm: float) -> bool:
         return self._run.report(state.u, state.energy, norm)

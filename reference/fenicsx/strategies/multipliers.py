@@ -54,10 +54,10 @@ class Condensed:
         """Multiply kappa."""
         self.matrix.springs /= times
 
-    def at(self, u: Floats, share: float = 1.0) -> CondensedState:
-        """The energy at a displacement [mm], a field (n, 3), and a share of loads; infinite where a law has none."""
+    def at(self, u: Floats) -> CondensedState:
+        """The energy at a displacement [mm], a field (n, 3); infinite where a law has none."""
         p = np.array(self.centre)
-        static = self._place(u, p, share)
+        static = self._place(u, p)
         self.matrix.assemble(static, springs=True)
         self._pressures.take(self.matrix.D)
         for _ in range(self._policy.multipliers.corrections):
@@ -66,26 +66,26 @@ class Condensed:
                 break
             correction = self._pressures.solve(away)
             p = p + correction
-            static = self._place(u, p, share)
+            static = self._place(u, p)
             if not norm(self.comm, correction) > self._policy.multipliers.settled * norm(self.comm, p):
                 break
         return CondensedState(self, static, p, springs=True)
 
-    def beside(self, u: Floats, p: Floats, share: float = 1.0) -> CondensedState:
+    def beside(self, u: Floats, p: Floats) -> CondensedState:
         """The problem itself, without springs, at a displacement, a field, and a pressure [kPa], a vector: p₀ anew."""
         self.centre = np.array(p)
-        return CondensedState(self, self._place(u, p, share), p, springs=False)
+        return CondensedState(self, self._place(u, p), p, springs=False)
 
     def moved(self, state: CondensedState, step: Floats) -> CondensedState:
         """The energy after a step of all dofs [mm], a vector (3 owned,)."""
-        return self.at(state.u + self.problem.numbering.nodes.spread(step.reshape(-1, 3)), state.share)
+        return self.at(state.u + self.problem.numbering.nodes.spread(step.reshape(-1, 3)))
 
     def stretched(self, p: Floats) -> Floats:
         """What the springs hold back [mm³], a vector: the volumes by which a minimiser is not the problem's own."""
         return self.matrix.springs * multiply(self.matrix.mass, p - self.centre)
 
-    def _place(self, u: Floats, p: Floats, share: float) -> State:
-        return self.problem.at(u, self.problem.pressures.spread(p), share)
+    def _place(self, u: Floats, p: Floats) -> State:
+        return self.problem.at(u, self.problem.pressures.spread(p))
 
 
 class CondensedState:
@@ -93,7 +93,7 @@ class CondensedState:
 
     def __init__(self, owner: Condensed, static: State, p: Floats, *, springs: bool):
         self._owner, self._static, self._springs = owner, static, springs
-        self.u, self.p, self.share = static.u, p, static.share
+        self.u, self.p = static.u, p
         self.energy = static.energy
         if springs:
             self.energy -= 0.5 * dot(owner.comm, p - owner.centre, owner.stretched(p))
@@ -166,22 +166,7 @@ class MultiplierDescent:
             self._saddle.release()
         work = self._saddle.work
         record.add(self._iterations, linear_solves=work.systems, linear_iterations=work.iterations)
-        record.detail["load_share"] = int(reason is Reason.CONVERGED)
         return Attempt(reason, run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
-
-    def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
-        """See `load_path.Descent`: what is held stays where it is."""
-        self._condensed.begin(p)
-        self._iterations, self._limit = 0, self._run.record.left(self._policy.multipliers.max_iterations)
-        try:
-            state = self._condensed.at(u, share)
-            reason = Reason.NOT_FINITE
-            if np.isfinite(state.energy):
-                state, reason = self._alternate(state)
-        finally:
-            self._saddle.release()
-        made, self._iterations = self._iterations, 0
-        return state.u, np.array(state.p), reason, made
 
     def _report(self, state: AnyState, norm: float) -> bool:
         return self._run.report(state.u, state.energy, norm)
@@ -214,13 +199,13 @@ class MultiplierDescent:
             if away > multipliers.fall * before and self._iterations <= begin + multipliers.quick:
                 condensed.harden(multipliers.harder)
             before = away
-            state = condensed.beside(state.u, state.p, state.share)
+            state = condensed.beside(state.u, state.p)
             if change <= multipliers.near or size == 0.0:
                 state, end = self._finish(state, last)
                 if end is not None:
                     return state, end
                 condensed.centre = np.array(state.p)
-            state = condensed.at(state.u, state.share)
+            state = condensed.at(state.u)
         return state, Reason.LINE_SEARCH
 
     def _finish(self, state: CondensedState, last: float) -> tuple[CondensedState, Reason | None]:
@@ -235,7 +220,7 @@ class MultiplierDescent:
             if step is None:
                 return state, None
             u = state.u + self._nodes.spread(step.x[:m].reshape(-1, 3))
-            after = condensed.beside(u, state.p + step.x[m:], state.share)
+            after = condensed.beside(u, state.p + step.x[m:])
             if not np.isfinite(after.energy):
                 return state, None
             residual, norm_after = self._residual(after)

@@ -21,7 +21,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...solution import Reason
 from ..dolfinx_version import MPI, PETSc
 from ..linear.solvers import LinearSolver, hold
-from ..mesh.parallel import IndexMap, anywhere, dot, norm
+from ..mesh.parallel import IndexMap, anywhere, dot, largest_size, norm
 from ..policy import NewtonPolicy
 
 
@@ -201,12 +201,22 @@ class Newton:
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
 
-    def is_stable(self, state: AnyState, shift: float = 0.0) -> bool:
-        """Whether the exact Hessian, with a share of its largest diagonal entry added, is positive definite."""
+    def find_soft_motion(self, state: Any, begin: Floats, shift: float) -> Floats | None:
+        """The motion [1], a vector, along which an indefinite exact Hessian is softest; None where it is definite.
+
+        Inverse iterations from a vector. The Hessian has a share of its largest diagonal entry added.
+        """
         matrix = self._shift(state.hessian(), shift)
-        b = np.zeros(matrix.getLocalSize()[0])
-        hold(matrix, self.held, np.zeros(len(self.held)), b)
-        return self._try(self.fallback, b, 0.0) is not None
+        mode = np.array(begin)
+        mode[self.held] = 0.0
+        hold(matrix, self.held, np.zeros(len(self.held)), np.zeros_like(mode))
+        for _ in range(self.policy.mode_iterations):
+            answer = self.fallback.solve(mode, relative=0.0)
+            size = largest_size(self.problem.comm, answer.x)
+            if answer.converged or size == 0.0:
+                return None
+            mode = answer.x / size
+        return mode
 
     def _step(self, state: AnyState, gradient: Floats, *, exact: bool, relative: float) -> AnyState | Reason:
         """The next state, or why there is none."""
