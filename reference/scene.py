@@ -193,14 +193,28 @@ class Scene:
             raise SceneError("the scene's tets differ from the prepared ones: prepare it anew")
         if [type(t) for t in other.terms] != [type(t) for t in self.terms]:
             raise SceneError("the scene's terms differ from the prepared ones: prepare it anew")
-        for mine, its in zip(self.terms, other.terms, strict=True):
-            for key in mine.__dataclass_fields__:
-                if key in mine.varying and (type(mine), key) not in fixed:
-                    continue
-                a, b = getattr(mine, key), getattr(its, key)
-                same = a is b or (np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b)
-                if not np.all(same):
-                    raise SceneError(f"{mine.name}.{key} differs from the prepared scene's: prepare it anew")
+        for position, key in sorted(self.find_changes(other)):
+            mine = self.terms[position]
+            if key not in mine.varying or (type(mine), key) in fixed:
+                raise SceneError(f"{mine.name}.{key} differs from the prepared scene's: prepare it anew")
+
+    def find_changes(self, other: Scene) -> set[tuple[int, str]]:
+        """Find the fields of terms that another scene of the same kinds of terms has otherwise: place and name."""
+        return {
+            (position, key)
+            for position, (mine, its) in enumerate(zip(self.terms, other.terms, strict=True))
+            for key in mine.__dataclass_fields__
+            if not _are_equal(getattr(mine, key), getattr(its, key))
+        }
+
+    def first(self, kind: type[Term]) -> int:
+        """The place of the first term of a class."""
+        return next(position for position, term in enumerate(self.terms) if isinstance(term, kind))
+
+
+def _are_equal(one, other) -> bool:
+    """Whether two fields of terms, numbers or arrays, are the same."""
+    return one is other or bool(np.all(np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other))
 
 
 def refuse_unknown(

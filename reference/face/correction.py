@@ -35,16 +35,22 @@ class Correction:
         self._linear = face.derivatives
         prepared = self._linear.prepared
         self.size = spring_norm(prepared.scene)
-        motion = _combine(weights, face.goals)
-        self._energy = Energy(
-            tuple(part.shift(motion) if isinstance(part, Springs) else part for part in prepared.energy.parts)
-        )
+        start = predict(face, weights) if start is None else start
+        if face.goals is None:
+            scene = face.scene(weights)
+            prepared.scene.check_prepared_for(scene)
+            self._energy = prepared.energy.for_scene(scene)
+            start = np.where(*scene.dirichlet(), start)
+        else:
+            motion = _combine(weights, face.goals)
+            self._energy = Energy(
+                tuple(part.shift(motion) if isinstance(part, Springs) else part for part in prepared.energy.parts)
+            )
         self._coordinates = prepared.system.coordinates
         self._memory = Memory(self._coordinates.size)
         self._problem = Problem(self._evaluate, self._coordinates.move, self._solve_matrix, bounded=False)
         self._newton = Problem(self._evaluate, self._coordinates.move, self._solve_tangent, bounded=False)
         self.solves = 0
-        start = predict(face, weights) if start is None else start
         self.point = self._evaluate(self._coordinates.start(start - prepared.scene.vertices))
 
     @property

@@ -16,6 +16,7 @@ from ...lhm.head.head import LayeredHead
 from ...lhm.head.skin import check_shapes
 from ..scene import Scene
 from ..solution import OnIteration
+from ..terms import Target
 from . import palsy
 from .derivatives import (
     QUICK_ACCURACY,
@@ -32,6 +33,11 @@ from .local import at_vertices, from_wraps, on_wraps
 from .organs import find_organs
 from .parameters import Parameters
 from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
+
+PROBE = 0.1
+"""Weight of all shapes in an expression that shows which terms of a scene move."""
+STEP = 1e-3
+"""Weight of a shape in difference quotients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,15 +194,25 @@ class Face:
         return rested + settled.displacement
 
     @cached_property
-    def goals(self) -> Floats:
-        """Motion of the springs' ends with each shape [mm], shape (52, springs, 3)."""
+    def goals(self) -> Floats | None:
+        """Motion of the springs' ends with each shape [mm], shape (52, springs, 3).
+
+        None where an expression moves more of its scene than the first Target, as places that are held.
+        """
+        neutral = self.derivatives.prepared.scene
+        if self.scene(np.full(len(self.shapes), PROBE)).find_changes(neutral) - {(neutral.first(Target), "positions")}:
+            return None
         motions = np.stack([self.head.wrap_from_skin @ shape for shape in self.shapes])
         return palsy.Springs.from_head(self.head, self.on_wraps).move(motions)
 
     @cached_property
     def first_order(self) -> Floats:
         """Motion of the scene's vertices with each shape [mm], shape (52, scene's vertices, 3)."""
-        return self.derivatives.tangent.vertices_by_targets(self.goals)
+        if self.goals is not None:
+            return self.derivatives.tangent.vertices_by_targets(self.goals)
+        steps = STEP * np.eye(len(self.shapes))
+        changes = (((self.scene(w), 0.5 / STEP), (self.scene(-w), -0.5 / STEP)) for w in steps)
+        return self.derivatives.tangent.vertices_by_scenes(changes)
 
     @cached_property
     def responses(self) -> Floats:

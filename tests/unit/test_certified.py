@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.reference import Face, Parameters
+from softdeca.reference import Face, Parameters, solve
 from softdeca.surrogate import Surrogate, certify
 from softdeca.surrogate.corpus.spheres import Spheres
 
@@ -42,6 +42,14 @@ def test_the_error_that_is_told_is_the_true_one(face, seed):
     told, true = np.array(seen).T
     assert (told + 1e-5 > 0.8 * true).all() and (told < 1.25 * true + 1e-5).all(), (told, true)
     assert true[-1] < 0.3 * true[0], "what is asked for makes a difference"
+
+
+@pytest.mark.parametrize("choices", [{"region": HEAD.skin_wrap.vertices[:, 2] > 20.0}, {"bones": "prescribed"}])
+def test_a_frame_with_what_an_expression_holds_is_the_simulators(choices):
+    face, weights = Face(HEAD, SPACE.expression_deltas(CODE), P, choices=choices), expression(0)
+    frame = certify(face).frame(weights, 1e-5)
+    truth = face.skin_after(weights, solve(face.scene(weights), tolerance=1e-9).positions)
+    assert frame.certain and np.linalg.norm(frame.skin - truth, axis=1).mean() < 2e-5
 
 
 def test_a_frame_is_never_told_worse_than_before(face):

@@ -34,8 +34,8 @@ def tight(parameters, targets, near):
     return prepare(scene_at(parameters, targets)).solve(start=near.positions, tolerance=1e-10).positions
 
 
-def tight_face(parameters, head=PLAIN):
-    return Face(head, DELTAS, parameters, settling={"tolerance": 1e-10}, accuracy=TIGHT_ACCURACY)
+def tight_face(parameters, head=PLAIN, **choices):
+    return Face(head, DELTAS, parameters, choices=choices, settling={"tolerance": 1e-10}, accuracy=TIGHT_ACCURACY)
 
 
 def frame(face, weights, accuracy=FRAME_ACCURACY):
@@ -67,9 +67,15 @@ def assert_near(derivative, difference, share=1e-3, least=1e-9):
     assert np.abs(derivative - difference).max() < share * np.abs(difference).max()
 
 
-@pytest.mark.parametrize("palsied", [False, True])
-def test_shapes_move_vertices_and_skin_as_frames_do(face, palsied):
-    """With bones that p scales, and where eyes are lined and half of the face is paralysed."""
+HELD = [{"region": _FRONT > 20.0}, {"bones": "prescribed"}]
+"""Choices by which an expression moves what is held."""
+
+
+@pytest.mark.parametrize("palsied, choices", [(False, {}), (True, {}), *((False, held) for held in HELD)])
+def test_shapes_move_vertices_and_skin_as_frames_do(face, palsied, choices):
+    """With bones that p scales, what moves beside the targets, and where half of the face is paralysed."""
+    if choices:
+        face = tight_face(SETTLES, **choices)
     if palsied:
         face = tight_face(ALL, EYED).settled_as(SettledFace(EYED.vertices, NEUTRAL, TARGETS - NEUTRAL))
     vertices, skin = face.first_order, face.responses + DELTAS
