@@ -83,9 +83,6 @@ class SaddlePolicy:
     volume_weight: float = 10.0  # of volumes among the residuals: the springs multiply what is left of them
     step: float = 1e-4  # relative residual of a step of displacement and pressure at once
     following: float = 1e-1  # relative residual of the step that follows it
-    modes: int = 6  # soft motions that are kept
-    mode: float = 1e-2  # relative residual to which GMRES goes to meet them
-    alike: float = 1e-10  # of the largest product of motions: what they have less in common is rounding
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,18 @@ import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
 from ..dolfinx_version import PETSc, free_dropped
-from ..mesh.parallel import dot, irregular_vector
+from ..mesh.parallel import dot
 from ..policy import POLICY, FenicsxPolicy, SaddlePolicy
 from .multigrid import Multigrid, set_options
 from .saddle import (
     SAME_PATTERN,
     FactoredSaddle,
-    PressureSolver,
     SaddleMatrix,
     SaddleStep,
     SaddleWork,
     set_diagonal,
 )
-from .solvers import LinearAnswer, hold, multiply, petsc_vector, solve_with
+from .solvers import LinearAnswer, hold, petsc_vector, solve_with
 
 SADDLES = ("cg", "mumps", "block")
 _PREFIX = "softdeca_block_"
@@ -58,12 +57,10 @@ class Experience:
 
     pace: GMRES' iterations for a decade of the residual, of the hardest projected system so far; 0 before the first.
     has_failed: whether the last solve found no answer, so that the next matrix is a projected one.
-    soft_motions: displacements (k, n) along which the last matrix was softest; None before the first Newton's step.
     """
 
     pace: float = 0.0
     has_failed: bool = False
-    soft_motions: Floats | None = None
 
     @property
     def expects_projected(self) -> bool:
@@ -74,14 +71,13 @@ class Experience:
 class BlockSaddle:
     """See FactoredSaddle: the same system, the same questions.
 
-    Nothing counts the inertia. A matrix with springs counts as positive definite unless one of three signs tells:
+    Nothing counts the inertia. A matrix with springs counts as positive definite unless one of two signs tells:
 
-    - It curves the energy downwards along a soft motion of an earlier Newton's step. GMRES is not asked then.
     - It curves the energy downwards along the answer, which then is no descent direction.
     - GMRES is `patience` times as slow as for the hardest projected matrix. Projected ones get all iterations.
 
-    `newton_step` ends a solve, so it looks further: at the softest motions that GMRES meets. FactoredSaddle, `direct`,
-    takes over for one step where GMRES does not find that. All that a call leaves for later ones is `experience`.
+    FactoredSaddle, `direct`, takes over for one of `newton_step` where GMRES does not find it. All that a call leaves
+    for later ones is `experience`.
     """
 
     def __init__(self, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = POLICY):
@@ -97,9 +93,14 @@ class BlockSaddle:
         return answer
 
     def newton_step(self, residual: Floats) -> SaddleStep | None:
-        """See FactoredSaddle."""
-        step, self.experience = self._newton_step(residual, self.experience)
-        return step
+        """See FactoredSaddle; nothing counts the inertia here, so that it may be a saddle's step."""
+        matrix, policy = self._matrix, self._policy
+        hold(matrix.H, self._held, np.zeros(len(self._held)), np.zeros(matrix.displacements))
+        system = self._set_up()
+        answer = system.solve(-residual, policy.step)
+        if not answer.converged:
+            return self.direct.newton_step(residual)
+        return SaddleStep(answer.x, lambda other: system.solve(-other, policy.following).x)
 
     def _solve(self, b: Floats, relative: float, before: Experience) -> tuple[LinearAnswer, Experience]:
         """The answer, and the experience after it."""
@@ -107,10 +108,6 @@ class BlockSaddle:
         given = np.zeros_like(b)
         given[self._held] = b[self._held] / matrix.H.getDiagonal().array_r[self._held]
         projected = before.expects_projected
-        if not projected and before.soft_motions is not None:
-            stiffness, _ = soften(matrix, self._held, before.soft_motions, matrix.D, self._policy)
-            if stiffness[0] <= 0.0:
-                return LinearAnswer(given, False, 0, "negative curvature"), replace(before, has_failed=True)
         volumes = np.zeros(matrix.pressures)
         matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (given, volumes)))
         known = np.concatenate([b, -volumes])
@@ -125,30 +122,6 @@ class BlockSaddle:
         x[self._held] = given[self._held]
         after = replace(before, pace=pace, has_failed=bool(why))
         return LinearAnswer(x, not why, answer.iterations, why), after
-
-    def _newton_step(self, residual: Floats, before: Experience) -> tuple[SaddleStep | None, Experience]:
-        """The step, None where the tangent is not that of a minimum, and the experience after it."""
-        matrix, policy = self._matrix, self._policy
-        hold(matrix.H, self._held, np.zeros(len(self._held)), np.zeros(matrix.displacements))
-        system = self._set_up()
-        with_springs = matrix.D.copy()
-        with_springs.axpy(-matrix.springs, matrix.mass, structure=SAME_PATTERN)
-        motions = before.soft_motions
-        if motions is None:
-            motions = system.find_motions(policy.mode, policy.patience * before.pace or np.inf)
-        stiffness, motions = soften(matrix, self._held, motions, with_springs, policy)
-        answer: LinearAnswer | None = None
-        if stiffness[0] > 0.0:
-            answer = system.solve(-residual, policy.step)
-            motions = np.concatenate([answer.x[None, : matrix.displacements], motions])
-            stiffness, motions = soften(matrix, self._held, motions, with_springs, policy)
-        with_springs.destroy()
-        after = replace(before, soft_motions=motions)
-        if answer is not None and not answer.converged:
-            return self.direct.newton_step(residual), after
-        if answer is None or not stiffness[0] > 0.0:
-            return None, after
-        return SaddleStep(answer.x, lambda other: system.solve(-other, policy.following).x), after
 
     def _set_up(self) -> BlockSystem:
         """Make GMRES anew for the matrix' present values."""
@@ -239,58 +212,8 @@ class BlockSystem:
         self._work.iterations += iterations
         return LinearAnswer(x, not why, iterations, why)
 
-    def find_motions(self, relative: float, slowest: float) -> Floats:
-        """Displacements (k, n) by which GMRES comes from rest to what irregular forces do.
-
-        They span what it has seen of the matrix. A soft motion takes part in the answer more than in the forces, so
-        GMRES has seen it by the time that the residual is small.
-        """
-        matrix, nodes = self._matrix, self._matrix.problem.numbering
-        forces = np.zeros(matrix.displacements + matrix.pressures)
-        forces[: matrix.displacements] = irregular_vector(matrix.comm, nodes.X[: nodes.nodes.owned]).ravel()
-        forces[self._held] = 0.0
-        places: list[Floats] = []
-
-        def remember(ksp: PETSc.KSP, _iteration: int, _residual: float):
-            places.append(ksp.buildSolution().array_r[: matrix.displacements].copy())
-
-        self._ksp.setMonitor(remember)
-        self.solve(forces, relative, slowest)
-        self._ksp.cancelMonitor()
-        motions = np.diff(places, axis=0)
-        motions[:, self._held] = 0.0
-        return motions
-
     def release(self):
         """Free all that is kept; PETSc's objects outlive Python's until they are destroyed."""
         self._ksp.destroy()
         for part in reversed(self._parts):
             part.destroy()
-
-
-def soften(
-    matrix: SaddleMatrix, held: Ints, motions: Floats, D: PETSc.Mat, policy: SaddlePolicy
-) -> tuple[Floats, Floats]:
-    """Ritz values (k,) [mN/mm] and motions (k, n) of H - B D⁻¹ Bᵀ in the space of some displacements (m, n).
-
-    The softest come first, at most `policy.modes` of them; the first value is infinite where everything is held.
-    """
-    lengths = np.sqrt(matrix.comm.allreduce(np.sum(motions**2, axis=1)))
-    if not lengths.any():
-        return np.full(1, np.inf), motions
-    vectors = motions[lengths > 0.0] / lengths[lengths > 0.0, None]
-    values, turned = np.linalg.eigh(matrix.comm.allreduce(vectors @ vectors.T))
-    distinct = values > policy.alike * values[-1]
-    basis = (turned[:, distinct] / np.sqrt(values[distinct])).T @ vectors
-    bent = np.array([multiply(matrix.H, motion) for motion in basis])
-    pressures = PressureSolver(matrix, policy)
-    pressures.take(D)
-    for row, motion in enumerate(basis):
-        volumes, forces = np.zeros(matrix.pressures), np.zeros(matrix.displacements)
-        matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (motion, volumes)))
-        matrix.B.mult(*(petsc_vector(part, matrix.comm) for part in (pressures.solve(volumes), forces)))
-        forces[held] = 0.0
-        bent[row] += forces
-    products = matrix.comm.allreduce(basis @ bent.T)
-    stiffness, turned = np.linalg.eigh((products + products.T) / 2)
-    return stiffness[: policy.modes], turned[:, : policy.modes].T @ basis
