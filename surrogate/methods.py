@@ -89,11 +89,14 @@ class SolvedRig:
 def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how: Any) -> Binder:
     """Return what binds a face to a solver, prepared at bind; `how` are options of `prepare`.
 
-    Each frame begins at rest. One that does not converge raises InputError with the reason.
+    Each frame begins at rest. One that does not converge raises InputError with the reason. Quadratic elements are
+    those of a face's tets.
     """
 
     def bind(face: AnyFace) -> SolvedRig:
         live = get_live(face)
+        if how.get("element", "P1") != "P1":
+            live = replace(live, choices={**live.choices, "cells": "tets"})
         prepared = prepare(live.neutral_scene(law), solver=solver, **how)
 
         def solve(weights: Floats) -> Floats:

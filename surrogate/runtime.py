@@ -99,9 +99,10 @@ class Surrogate:
         beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
         what the 52 weights add [mm], shape (52, n, 3); by default the built-in space's, for another they are needed.
         With `exact`, offset and responses are the simulator's, on `head` or on one that is fitted to the skin (the
-        default space's only), and the network adds what is not linear. `dynamic` frames follow p's frequency and
-        damping. Raises InputError for a skin of another template, unit, direction or order of vertices, for a code out
-        of range or of another person, and for parameters that are refused, and what the simulator raises.
+        default space's only), by the cells that the network learned from, and it adds what is not linear. `dynamic`
+        frames follow p's frequency and damping. Raises InputError for a skin of another template, unit, direction or
+        order of vertices, for a code out of range or of another person, and for parameters that are refused, and what
+        the simulator raises.
         """
         self._check_skin(skin)
         if exact:
@@ -113,7 +114,8 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         if exact:
             chosen = chosen if isinstance(chosen, Parameters) else _from_array(chosen, skin)
-            whole = Face(self._head(skin, head), shapes.astype(np.float64), chosen, code=code)
+            choices = {"cells": self.weights.note.cells}
+            whole = Face(self._head(skin, head), shapes.astype(np.float64), chosen, code=code, choices=choices)
             return self.bind_face(whole, exact=True, beyond=beyond)
         at_vertices = _check_seen(_map_to_vertices(chosen, skin), self.weights.note.seen, beyond)
         swinging = chosen if isinstance(chosen, Parameters) else Parameters()

@@ -17,7 +17,11 @@ from ...lhm.identities.space import LinearSpace
 from ...lhm.template.template import DEFAULT_LEVEL, LEVELS
 from ...reference import Face, Parameters
 from ...reference.added import all_solvers
+from ...reference.face.tissue import CellKind
 from ..harness.study import Study
+
+CELLS: CellKind = "tets"
+"""Of faces that methods are compared on: those that the shipped network has learned."""
 
 
 def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
@@ -61,8 +65,8 @@ class Person:
     head: LayeredHead
 
     def face(self, parameters: Parameters) -> Face:
-        """Give the face under p, local values one per triangle of the wraps."""
-        return Face(self.head, self.shapes, parameters, per="wraps", code=self.code)
+        """Give the face under p, local values one per triangle of the wraps, by CELLS."""
+        return Face(self.head, self.shapes, parameters, per="wraps", code=self.code, choices={"cells": CELLS})
 
     @property
     def shapes(self) -> Floats:

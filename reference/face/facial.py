@@ -39,8 +39,12 @@ OF_TETS = (
 )
 GAP = 0.1
 """What contact leaves between surfaces [mm], as thin as a film of tears; where they are nearer at rest, that."""
-HOURGLASS = 0.1
-"""Stiffness of prisms' Hourglass over Strain's."""
+HOURGLASS = 0.05
+"""Stiffness of prisms' Hourglass over Strain's.
+
+Of .01, .05, .1 and .2 a face under 3 g is 10.2, 11.5, 12.8 and 14.8 % off quadratic tets, one of 40 % more volume 16.2,
+16.5, 16.9 and 17.9 %. From .05 on its skin is rougher than by quadratic tets by 5 % at the most, at .01 by 9 %.
+"""
 PD_ENERGY = "PD"
 """The law that is projective dynamics' own energy, Strain and Volume."""
 LAWS: dict[str, Callable[[float, float], Material]] = {"neo-Hookean": NeoHookean}
@@ -61,7 +65,7 @@ def facial_scene(
     neutral: Floats | None = None,
     bones: Bones = "rigid",
     layers: tuple[int, int] = (1, 1),
-    cells: CellKind = "tets",
+    cells: CellKind = "prisms",
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
     contact: Sequence[str | np.ndarray] = (),

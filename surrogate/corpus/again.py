@@ -46,7 +46,9 @@ def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnPr
         where = f"{corpus.folder}: person {kept.identity}, a frame of face {k}"
         # As it was drawn: the kept person is rounded to 16 bits.
         person = people.person(corpus.plan.rng(IDENTITY, kept.identity))
-        face = make_face(people, person, people.head(person), kept.parameters, contact=corpus.plan.contact)
+        face = make_face(
+            people, person, people.head(person), kept.parameters, contact=corpus.plan.contact, cells=corpus.plan.cells
+        )
         prepare_face(people, face)
         solution = solve_frame(corpus.plan, face, frames.weights[row])
         answer = describe_answer(corpus.plan, face, frames.weights[row], solution)

@@ -14,6 +14,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
 from ...reference.face.face import Face
+from ...reference.face.tissue import CellKind
 from .mixture import ParameterSet
 
 MOVED = 500.0
@@ -117,7 +118,7 @@ class KeptFace:
     """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
     displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; kept_carried (n, 3) [mm]:
-    how far scaled bones carry it. What is None is asked for anew, of `live`.
+    how far scaled bones carry it. What is None is asked for anew, of `live`. cells: of its simulation.
     """
 
     identity: int
@@ -127,6 +128,7 @@ class KeptFace:
     kept_carried: np.ndarray | None
     derivatives: Derivatives | None = None
     heads: Heads | None = None
+    cells: CellKind = "prisms"
 
     @property
     def code(self) -> Floats:
@@ -159,7 +161,8 @@ class KeptFace:
             raise InputError(f"face of person {self.identity}: a head is needed, but nobody fits it")
         head = self.heads.head(self.person)
         parameters = self.parameters.parameters(head, self.heads.people.mean)
-        return Face(head, np.asarray(self.shapes, dtype=np.float64), parameters, per="wraps", code=self.code)
+        shapes, choices = np.asarray(self.shapes, dtype=np.float64), {"cells": self.cells}
+        return Face(head, shapes, parameters, per="wraps", code=self.code, choices=choices)
 
     def anew(self) -> KeptFace:
         """Return the face without what a corpus keeps of its simulation, and of its head where bones are scaled."""

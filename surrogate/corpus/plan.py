@@ -9,10 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ...lhm.base.checks import one_of
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.text import read_toml
 from ...lhm.base.limits import (
@@ -29,6 +30,7 @@ from ...lhm.base.limits import (
 from ...lhm.base.mesh import Floats32
 from ...lhm.expressions.recordings import Recording, recordings, starts
 from ...lhm.expressions.takes import Take
+from ...reference.face.tissue import CellKind
 from .mixture import KINDS, ParameterSet, draw
 
 Split = Literal["train", "test"]
@@ -79,7 +81,8 @@ class CorpusPlan:
     `kinds` and `sources` are shares, of parameter sets (see `mixture`) and of expressions; sources without a recording
     leave theirs to the others. `takes`: folder of recorded takes. Sequences begin with velocities of one long run of
     `run` frames. `tolerance`: the norm of the gradient over that of springs each 1 mm long. `contact`: lids, lips and
-    what lines them are kept from crossing. Raises InputError for counts and shares out of range.
+    what lines them are kept from crossing. `cells`: what has one deformation each, see `facial_scene`. Raises
+    InputError for counts and shares out of range.
     """
 
     seed: int = 0
@@ -106,6 +109,7 @@ class CorpusPlan:
     max_iterations: int = 200
     inverted_share: float = 1e-3
     contact: bool = True
+    cells: CellKind = "prisms"
 
     def __post_init__(self):
         for name, bound in COUNTS.items():
@@ -114,6 +118,7 @@ class CorpusPlan:
         PERSON_FRAMES.check("corpus plan groups * frames", self.groups * self.frames)
         if not isinstance(self.contact, bool):
             raise InputError(f"corpus plan contact: expected true or false, got {quote(self.contact)}")
+        one_of("corpus plan cells", self.cells, get_args(CellKind))
         if not isinstance(self.takes, str):
             raise InputError(f"corpus plan takes: expected the name of a folder, got {quote(self.takes)}")
         if self.sequences > self.groups:
@@ -330,6 +335,7 @@ PRESETS: dict[str, CorpusPlan] = {
     ),
     # What `make study` tests the surrogate on: other people, parameters and recordings than those of "small".
     "study": CorpusPlan(
+        cells="tets",  # as what the shipped network is trained on
         seed=94,
         identities=6,
         groups=3,
@@ -345,6 +351,7 @@ PRESETS: dict[str, CorpusPlan] = {
     ),
     # What the model card is measured on: people nobody trained on, half of their frames of hard expressions.
     "fresh": CorpusPlan(
+        cells="tets",  # as what the shipped network is trained on
         seed=4711,
         identities=30,
         groups=4,

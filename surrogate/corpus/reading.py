@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
+from ...reference.face.tissue import CellKind
 from .face import Derivatives, Frames, Heads, KeptFace, Person
 from .folder import Corpus
 from .mixture import ParameterSet
@@ -155,7 +156,8 @@ class Table:
         settled, carried = self._people[identity].row("groups/settled", group), self.carried(index)
         derivatives = self.derivatives(index) if self.table == "responses" else None
         person, parameters = self.person(identity), self.parameters(index)
-        return KeptFace(identity, person, parameters, settled, carried, derivatives, self.heads)
+        cells = self.corpus.plan.cells
+        return KeptFace(identity, person, parameters, settled, carried, derivatives, self.heads, cells)
 
     def derivatives(self, index: int) -> Derivatives:
         """Read the face of a row to first order; of the table of responses alone."""
@@ -200,6 +202,11 @@ class Faces(Table):
     def space(self) -> str:
         """The name of the people's space."""
         return self.corpus.space
+
+    @property
+    def cells(self) -> CellKind:
+        """The cells of its simulations; see `facial_scene`."""
+        return self.corpus.plan.cells
 
     @property
     def has_frames(self) -> bool:

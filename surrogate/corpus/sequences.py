@@ -125,7 +125,7 @@ def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progre
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:
     person = people.person(plan.rng(VELOCITIES))
     weights = conversation(plan.rng(VELOCITIES, 1), plan.run, rate=RATE)
-    face = Face(people.head(person), person.shapes)
+    face = Face(people.head(person), person.shapes, choices={"cells": plan.cells})
     running = Sequence(face, time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE)
 
     def expressions():

@@ -102,7 +102,8 @@ class _PersonRows:
             return self._no_head, still, None
         try:
             with self._time_phase("settling"):
-                face = make_face(self.people, self.person, self._head, parameters, contact=self.plan.contact)
+                choices: Any = {"contact": self.plan.contact, "cells": self.plan.cells}
+                face = make_face(self.people, self.person, self._head, parameters, **choices)
                 prepare_face(self.people, face)
         except SoftdecaError as error:
             return f"settling: {error}", still, None

@@ -10,9 +10,10 @@ from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
-from ...reference import Parameters, Solution
+from ...reference import Solution
 from ...reference.face.derivatives import Analysis, spring_norm
 from ...reference.face.face import Face
+from ...reference.face.tissue import CellKind
 from .face import MOVED, People, Person
 from .mixture import ParameterSet
 from .plan import CorpusPlan
@@ -39,11 +40,18 @@ class Answer:
 
 
 def make_face(
-    people: People, person: Person, head: LayeredHead, parameters: ParameterSet, *, contact: bool = False
+    people: People,
+    person: Person,
+    head: LayeredHead,
+    parameters: ParameterSet,
+    *,
+    contact: bool = False,
+    cells: CellKind = "prisms",
 ) -> Face:
     """Make a person's face under a parameter set, with the symbolic work of the last face of the same kind."""
     on_wraps = parameters.parameters(head, people.mean)
-    face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, like=_last.get(_kind(people, on_wraps)))
+    face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, choices={"cells": cells})
+    face = replace(face, like=_last.get(_kind(people, face)))
     return face.in_contact() if contact else face
 
 
@@ -56,7 +64,7 @@ def prepare_face(people: People, face: Face) -> None:
         raise SceneError(reason)
     for kind in [kind for kind in _last if kind[0] != people.name]:
         del _last[kind]
-    _last[_kind(people, face.on_wraps)] = face.derivatives.analysis
+    _last[_kind(people, face)] = face.derivatives.analysis
     _ = face.first_order
 
 
@@ -130,12 +138,12 @@ def _judge(plan: CorpusPlan, head: LayeredHead, solution: Solution, inverted: np
     return reject_moved(corrected) or ACCEPTED
 
 
-def _kind(people: People, parameters: Parameters) -> tuple[str, bool]:
-    """Return what the pattern of a face's matrices follows from: its people, and whether the skin bends."""
-    return people.name, bool(np.any(parameters.skin_bending))
+def _kind(people: People, face: Face) -> tuple[str, CellKind, bool]:
+    """Return what the pattern of a face's matrices follows from: its people, its cells, and whether the skin bends."""
+    return people.name, face.choices["cells"], bool(np.any(face.on_wraps.skin_bending))
 
 
-_last: dict[tuple[str, bool], Analysis] = {}
+_last: dict[tuple[str, CellKind, bool], Analysis] = {}
 """The last faces of a process: what was analysed of their matrices, the same for all heads of a template, serves again.
 
 Of one space's people alone: an analysis takes some tens of megabytes.

@@ -154,6 +154,7 @@ def train_gradients(
         seen=lesson.seen,
         held=tuple(lesson.held.tolist()),
         before=None if start is None else asdict(start.note),
+        cells=faces.cells,
     )
     inputs, arrays = lesson.inputs, first | trainer.arrays()
     looseness = None if start is None else start.looseness

@@ -236,6 +236,7 @@ def _export(
         held=tuple(data.held_out.tolist()),
         neutrals=len(more or ()),
         before=None if start is None else asdict(start.note),
+        cells=corpus.cells,
     )
     looseness = None if start is None else start.looseness
     return Weights(MODAL, corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness)

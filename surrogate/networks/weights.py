@@ -21,6 +21,7 @@ from ...lhm.base.files.atomic import UNSEALED, is_sealed, seal, write_whole
 from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
+from ...reference.face.tissue import CellKind
 from ..corpus.face import surface_hash
 from ..corpus.mixture import STATIC
 from ..rigs.inertia import Looseness
@@ -52,7 +53,7 @@ class TrainingNote:
 
     seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1]. held: numbers of the people that
     were held out for the curve, besides `people`. before: the same of the weights that the training began with, if it
-    did.
+    did. cells: of the simulations that it learned.
     """
 
     people: int
@@ -65,6 +66,7 @@ class TrainingNote:
     seen: Mapping[str, tuple[float, float]]
     held: tuple[int, ...] = ()
     before: Mapping[str, Any] | None = None
+    cells: CellKind = "tets"
 
     @property
     def trainings(self) -> tuple[TrainingNote, ...]:

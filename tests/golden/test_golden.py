@@ -72,7 +72,7 @@ def face() -> Numbers:
     """A face that settles, and an expression of it: projective dynamics, FEniCSx and the neo-Hookean law."""
     code, head = _head(None)
     p = Parameters(soft_volume=1.1, gravity=2.0, mandible_scale_y=1.05)
-    person = Face(head, parameters=p, settling={"tolerance": 1e-9})
+    person = Face(head, parameters=p, choices={"cells": "tets"}, settling={"tolerance": 1e-9})
     neutral = person.settled()
     weights = expressions.weights_of({"mouthSmileLeft": 0.3, "mouthSmileRight": 0.2})
     shape = expressions.blend(_space(), code, weights[None])[0]
@@ -91,7 +91,7 @@ def palsy() -> Numbers:
     """A smile of a face with one half paralysed."""
     code, head = _head(None)
     shape = expressions.blend(_space(), code, expressions.weights_of(SMILE)[None])[0]
-    person = Face(head, parameters=Parameters(paralysis_left=0.8), settling={})
+    person = Face(head, parameters=Parameters(paralysis_left=0.8), choices={"cells": "tets"}, settling={})
     answer = solve(person.expression_scene(shape), tolerance=1e-9, max_iterations=3000)
     assert answer.converged, answer.reason
     return _lengths("palsy", person.expression_skin(shape, answer.positions) - head.skin.vertices)
@@ -135,7 +135,7 @@ def corpus() -> Numbers:
     from softdeca.surrogate.corpus.spheres import Spheres
 
     space = Spheres(1)
-    plan = replace(PRESETS["tiny"], references=0, identities=2)
+    plan = replace(PRESETS["tiny"], references=0, identities=2, cells="tets")
     numbers: Numbers = {}
     with TemporaryDirectory() as folder:
         Corpus.from_plan(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()

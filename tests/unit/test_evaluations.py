@@ -58,7 +58,7 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     method = SubspacePhysics(replace(TRAINING, steps=300))
     method.fit(train)
     row = dict(train[0])
-    assert np.abs(method.play(row, train) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()
+    assert np.abs(method.play(row, train) - row["corrected"]).mean() < 0.4 * np.abs(row["corrected"]).mean()
     before = method.play(row, train)
     row["corrected"] = 0.0 * row["corrected"]  # what it has to find it does not see
     np.testing.assert_array_equal(before, method.play(row, train))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.reference import Parameters, apply_law, facial_scene, terms
+from softdeca.reference import Parameters, apply_law, facial_scene, prepare, terms
 from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
-from softdeca.reference.face.tissue import bone_points, eyeballs
+from softdeca.reference.face.tissue import Guard, bone_points, eyeballs
 
 from ..conftest import with_regions
 
@@ -86,16 +86,43 @@ def test_soft_bones_are_stiff_curved_surfaces_under_springs(sphere_head):
     assert len(scene.of(terms.Target)) == 2
 
 
+def test_cells_are_prisms_or_their_tets(sphere_head):
+    """Attached things hang by tets; what is left of a prism that has folded is tets; a volume mesh is."""
+    head, skin = sphere_head, sphere_head.skin.vertices
+    prisms = facial_scene(head, Parameters(soft_volume=1.2), skin, layers=(2, 1), attached=bone_points(head)[:1])
+    by_tets = facial_scene(
+        head, Parameters(soft_volume=1.2), skin, layers=(2, 1), attached=bone_points(head)[:1], cells="tets"
+    )
+    triangles = len(head.skin_wrap.triangles)
+    assert len(prisms.prisms) == 3 * triangles and not len(by_tets.prisms)
+    assert np.array_equal(prisms.tets, by_tets.tets)
+    whole = [term for term in prisms.of(terms.Solid) if term.on_prisms]
+    assert {type(term) for term in whole} == {terms.Strain, terms.Volume, terms.Hourglass, Guard}
+    assert [len(term.tets) for term in prisms.of(terms.Volume)] == [
+        2 * triangles,
+        triangles,
+        len(prisms.tets) - 9 * triangles,
+    ]
+    stretched = prepare(prisms), prepare(by_tets)
+    motion = prisms.vertices @ np.diag([0.1, -0.05, 0.02])
+    energies = [each.energy.evaluate(motion)[0] for each in stretched]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-12)
+    law = apply_law(facial_scene(head, Parameters(), skin), "neo-Hookean")
+    assert all(term.on_prisms for term in law.of(terms.Hyperelastic)) and law.of(terms.Hourglass)
+
+
 def test_parameters_may_vary_over_the_face(sphere_head):
     head = sphere_head
     faces = len(head.skin_wrap.triangles)
     soft = np.linspace(2.0, 8.0, faces)
-    scene = facial_scene(head, Parameters(soft_stiffness=soft, target_stiffness=soft), head.skin.vertices)
-    strain = scene.of(terms.Strain)[0].stiffness
-    assert strain == pytest.approx(np.repeat(soft, 3))
-    # One value per tet says the same, and the springs' sum is the integral over the skin.
-    again = facial_scene(head, Parameters(soft_stiffness=np.repeat(soft, 3)), head.skin.vertices)
-    assert np.array_equal(again.of(terms.Strain)[0].stiffness, strain)
+    graded = Parameters(soft_stiffness=soft, target_stiffness=soft)
+    for cells, count in (("prisms", 1), ("tets", 3)):
+        scene = facial_scene(head, graded, head.skin.vertices, cells=cells)
+        strain = scene.of(terms.Strain)[0].stiffness
+        assert np.array_equal(strain, np.repeat(soft, count))
+        # One value per tet says the same, and the springs' sum is the integral over the skin.
+        again = facial_scene(head, Parameters(soft_stiffness=np.repeat(soft, 3)), head.skin.vertices, cells=cells)
+        assert np.array_equal(again.of(terms.Strain)[0].stiffness, strain)
     assert scene.of(terms.Target)[0].stiffness.sum() == pytest.approx(soft @ head.skin_wrap.areas)
     uniform = Parameters(soft_stiffness=np.full(faces, 4.0))
     assert uniform == Parameters(soft_stiffness=np.full(faces, 4.0)) != Parameters(soft_stiffness=4.0)

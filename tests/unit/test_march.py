@@ -308,7 +308,7 @@ def test_coefficients_by_the_spectral_radius():
 
 def test_a_shaken_shell_whose_thin_tets_invert_takes_few_iterations(spheres):
     """Newton's exact tangent is tried from a step's beginning on, which is near its end: projected, 19 are needed."""
-    face = Face(spheres(1, (100.0, 97.0, 94.0)), choices={"bones": "prescribed"})
+    face = Face(spheres(1, (100.0, 97.0, 94.0)), choices={"bones": "prescribed", "cells": "tets"})
     areal = float(np.mean(face.parameters.target_stiffness)) / (2 * np.pi * face.parameters.frequency) ** 2
     pace = 2 * np.pi * 2
 

@@ -103,7 +103,7 @@ def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weig
 
 
 def test_networks_of_others_learn_and_are_bound(faces):
-    learner = VerticesOnly(replace(TRAINING, steps=150))
+    learner = VerticesOnly(replace(TRAINING, steps=300))
     scores = score([*learn({"vertices only": learner}, faces["train"]), METHODS[BLENDSHAPES]], faces["train"])
     *learned, nothing = scores.values()
     assert all(one.everywhere < 0.95 * nothing.everywhere for one in learned)

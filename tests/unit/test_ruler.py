@@ -117,7 +117,7 @@ def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces)
     kinds = {kind for _, kind in scores}
     assert {ALL, UNSCALED, "materials", *STRENGTHS} <= kinds
     for kind in kinds:
-        assert scores["bones carried", kind].share == pytest.approx(1.0, rel=1e-5)  # skins in single precision
+        assert scores["bones carried", kind].share == pytest.approx(1.0, rel=1e-4)  # skins in single precision
     settled = scores["settled + blendshapes", "materials"]
     # Without an effect nothing settles, so that rival is blendshapes.
     assert settled.share == pytest.approx(1.0, abs=0.02) and 0.0 < settled.mean < settled.p95 < settled.largest

@@ -60,7 +60,8 @@ def _dragged(spheres, distance: float) -> Scene:
     head = spheres(2, (30.0, 28.0, 26.0))
     skin = head.skin.vertices
     share = np.exp(-((skin - [0.0, 0.0, 30.0]) ** 2).sum(axis=1) / 20.0)[:, None]
-    return facial_scene(head, Parameters(target_stiffness=30.0), skin - share * [0.8 * distance, 0.0, 0.5 * distance])
+    targets = skin - share * [0.8 * distance, 0.0, 0.5 * distance]
+    return facial_scene(head, Parameters(target_stiffness=30.0), targets, cells="tets")
 
 
 def _unguarded(scene: Scene) -> Scene:
@@ -145,7 +146,7 @@ def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
     # Its own prisms, told as a volume.
     head = replace(sphere_head, volume=(sphere_head.soft, sphere_head.muscle))
     targets = head.skin.vertices * 1.05
-    own, told = (facial_scene(h, Parameters(), targets, bones="prescribed") for h in (sphere_head, head))
+    own, told = (facial_scene(h, Parameters(), targets, bones="prescribed", cells="tets") for h in (sphere_head, head))
     assert np.array_equal(own.tets, told.tets) and np.array_equal(own.vertices, told.vertices)
     for a, b in zip(own.terms, told.terms, strict=True):
         assert type(a) is type(b)

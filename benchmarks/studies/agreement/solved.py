@@ -121,9 +121,10 @@ class SolvedCase:
         """Return the neutral face that a solver settles, and the case's scene on it."""
         if self.case.scene is not None:
             return None, apply_law(self.case.scene(self.person.head), law)
-        settled = settle(self.person.head, self.face.on_wraps, law=law, solver=solver, tolerance=TIGHT)
-        choices = {"contact": self.case.contact} if self.case.contact else {}
-        face = replace(self.face, choices=choices).settled_as(settled)
+        how: dict[str, Any] = {"law": law, "solver": solver, "tolerance": TIGHT, **self.face.choices}
+        settled = settle(self.person.head, self.face.on_wraps, **how)
+        contact = {"contact": self.case.contact} if self.case.contact else {}
+        face = replace(self.face, choices={**self.face.choices, **contact}).settled_as(settled)
         return settled, face.scene(self.case.weights, law)
 
     def _skin(self, settled: SettledFace | None, solution: Solution) -> Floats:

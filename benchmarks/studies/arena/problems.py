@@ -160,7 +160,7 @@ def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float 
     Muscle is `contrast` times as stiff as what lies over it. With the jaw, only bones hold the inner side.
     """
     layered = person(seed=seed, level=level).head
-    scene = facial_scene(layered, Parameters(), layered.skin.vertices)
+    scene = facial_scene(layered, Parameters(), layered.skin.vertices, cells="tets")
     X, count = scene.vertices, len(layered.bone)
     inner = np.arange(len(X) - count, len(X))
     places, loads = np.array(X[inner]), []
@@ -187,7 +187,12 @@ def face(level: int, membrane: bool = True) -> Problem:
     mean_person, parameters = person(seed=None, level=level), Parameters(muscle_strain_ratio=1.0)
     without = () if membrane else ("skin",)
     scene = facial_scene(
-        mean_person.head, parameters, mean_person.shape(EXPRESSION), bones="prescribed", without=without
+        mean_person.head,
+        parameters,
+        mean_person.shape(EXPRESSION),
+        bones="prescribed",
+        without=without,
+        cells="tets",
     )
     (bones,), (strain, *_), (volume, *_) = (scene.of(kind) for kind in (terms.Fixed, terms.Strain, terms.Volume))
     assert bones.values is not None
@@ -202,7 +207,7 @@ def pull_handles(head: LayeredHead, targets: Floats) -> Problem:
 
     The latter go where an expression's skin [mm], (n, 3), draws them, as markers of motion capture do.
     """
-    scene = facial_scene(head, Parameters(), targets)
+    scene = facial_scene(head, Parameters(), targets, cells="tets")
     held, places = scene.dirichlet()
     marks = np.arange(0, len(head.bone), EVERY)
     places[marks] = head.wrap_targets(targets)[marks]

@@ -270,7 +270,7 @@ def _pose(study: WorkPrecision, text: str, energy: str) -> Posed:
     person = study.person()
     shape = person.shape(text)
     handles = pull_handles(person.head, shape) if energy == ARAP else None
-    scene = facial_scene(person.head, Parameters(), shape) if handles is None else handles.scene(RIGID)
+    scene = facial_scene(person.head, Parameters(), shape, cells="tets") if handles is None else handles.scene(RIGID)
     law = next((added.of_moduli for name, added in added_laws().items() if name_law_energy(name) == energy), None)
     if law is not None:
         scene = apply_law(scene, law)

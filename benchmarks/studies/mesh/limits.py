@@ -80,7 +80,7 @@ def compare_finer_meshes(head: LayeredHead, shape: Floats) -> dict[str, Any]:
 
 
 def _solve_pd(head: LayeredHead, shape: Floats, count: int) -> Answer:
-    scene = facial_scene(head, Parameters(), shape, bones="prescribed", layers=(count, count))
+    scene = facial_scene(head, Parameters(), shape, bones="prescribed", layers=(count, count), cells="tets")
     return find_answer(head, shape, scene, tolerance=LINEAR_TOLERANCE)
 
 
@@ -119,7 +119,8 @@ def solve_linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple
 
 def make_law_scene(head: LayeredHead, shape: Floats, poisson: float, layers: tuple[int, int] = (1, 1)) -> Scene:
     """Make an expression's neo-Hookean scene of a Poisson's ratio, with prescribed bones."""
-    scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
+    by_tets = facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers, cells="tets")
+    scene = apply_law(by_tets, "neo-Hookean")
     parts: list[terms.Term] = []
     for term in scene.terms:
         if isinstance(term, terms.Hyperelastic):

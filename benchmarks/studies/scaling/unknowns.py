@@ -162,7 +162,7 @@ class Unknowns(OfPerson):
         level, layers, _ = mesh
         person = self.person(level)
         shape = person.shape(self.expression)
-        return facial_scene(person.head, Parameters(), shape, bones="prescribed", layers=(layers, layers))
+        return facial_scene(person.head, Parameters(), shape, bones="prescribed", layers=(layers, layers), cells="tets")
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all converge, and the default mesh in time."""

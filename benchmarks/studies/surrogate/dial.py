@@ -29,6 +29,7 @@ from ....surrogate.methods import DERIVATIVES, DIAL, METHODS, NETWORK, NETWORK_A
 from ....surrogate.rigs.rig import Rig
 from ....surrogate.ruler import MOVES
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_least, at_most
+from ..person import CELLS
 
 HELD_OUT, EXTERNAL, BEYOND = "held-out", "external", "out of range"
 KINDS = ("materials", "single", "both", "default", "single", "effects")
@@ -120,7 +121,7 @@ class Dial(Study):
             parameters = Parameters()
         else:
             parameters = draw(rng, kind, field=False).parameters(head, people.mean)
-        face = certify(Face(head, who.shapes, parameters, per="wraps", code=who.code))
+        face = certify(Face(head, who.shapes, parameters, per="wraps", code=who.code, choices={"cells": CELLS}))
         return face, kind, rng
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:

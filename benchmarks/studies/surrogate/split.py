@@ -278,7 +278,7 @@ def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
     """Settle a neutral face by the law with quadratic tets, from where linear ones settled it."""
     if linear.solution is None:
         return linear
-    head, scene = face.head, apply_law(neutral_scene(face.head, face.on_wraps), linear.law)
+    head, scene = face.head, apply_law(neutral_scene(face.head, face.on_wraps, **face.choices), linear.law)
     positions = _solve_fem(scene, linear.positions, QUADRATIC_NEUTRAL)
     motion = positions[: len(head.bone)] - head.skin_wrap.vertices
     return replace(linear, positions=positions, displacement=head.skin_from_wrap @ motion)
