@@ -110,7 +110,7 @@ def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
     if organs is None:
         return None
     mesh = to_polydata(load_pyvista(), organs.place(skin.vertices, weights), organs.triangles)
-    how = {"smooth_shading": True, "specular": 0.5, "specular_power": 30, "reset_camera": False}
+    how: dict[str, Any] = {"smooth_shading": True, "specular": 0.5, "specular_power": 30, "reset_camera": False}
     plotter.add_mesh(mesh, scalars=organs.colours, rgb=True, **how)
     return mesh
 
@@ -118,7 +118,8 @@ def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
 def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
     how: dict[str, Any] = {"specular": 0.1, "specular_power": 8, "ambient": 0.12}
-    return how | ({"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"})
+    own: dict[str, Any] = {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
+    return how | own
 
 
 def light_share(surface: Surface) -> Floats:

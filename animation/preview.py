@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..lhm.base.errors import InputError, MissingDependencyError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.geometry.topology import close_openings
-from ..lhm.base.mesh import Floats, Surface
+from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head.detail import FineSkin
 from .eyes_and_teeth import find_eyes_and_teeth
 from .pictures import (
@@ -48,7 +48,7 @@ def choose_frames(count: int, rate: float, kind: Preview) -> range:
 
 def render_frames(
     neutral: Surface,
-    pairs: Iterable[tuple[Floats, Floats]],
+    pairs: Iterable[tuple[Floats | Floats32, Floats | Floats32]],
     captions: Sequence[str],
     *,
     framed: Floats | None = None,

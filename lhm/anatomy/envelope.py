@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -214,7 +215,7 @@ def closed_surface(field: Floats, origin: Floats, spacing: float, *, most: int |
     values = np.where(values < 0, np.minimum(values, -1e-3 * spacing), np.maximum(values, 1e-3 * spacing))
     grid = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=tuple(origin - spacing))
     grid["field"] = values.ravel(order="F")  # type: ignore[assignment]
-    mesh = grid.contour([0.0], scalars="field", method="flying_edges")
+    mesh: Any = grid.contour([0.0], scalars="field", method="flying_edges")
     if most is not None:
         mesh = mesh.smooth_taubin(n_iter=16, pass_band=0.1)
         if mesh.n_cells > most:

@@ -34,7 +34,7 @@ from scipy.spatial import cKDTree
 
 from ...lhm.base.checks import array_of_kind
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.head.flesh import LEAN_REGIONS, flesh_share
 from ...lhm.head.head import FREE, LayeredHead
 from .parameters import Parameters, spread_to_vertices
@@ -250,12 +250,12 @@ def find_pivot(head: LayeredHead) -> Floats:
     return x[neck].mean(axis=0) if neck is not None and neck.any() else x.mean(axis=0)
 
 
-def turn_skin(head: LayeredHead, skin: Floats, base: Floats) -> Floats:
+def turn_skin(head: LayeredHead, skin: Floats | Floats32, base: Floats) -> Floats:
     """Turn positions of the head's own frame [mm], shape (n, 3), into the room."""
     return turn_about(find_pivot(head), skin, base)
 
 
-def turn_about(pivot: Floats, skin: Floats, base: Floats) -> Floats:
+def turn_about(pivot: Floats, skin: Floats | Floats32, base: Floats) -> Floats:
     """Turn positions [mm], shape (n, 3), by a rotation (3, 3) about a point (3,)."""
     return pivot + (skin - pivot) @ np.asarray(base, dtype=np.float64).T
 

@@ -170,8 +170,9 @@ class _Tissue:
             self.terms += [terms.Strain(w, e, tets=ids), terms.Volume(v, t, tets=ids)]
             if cells.ndim == 2:
                 self.terms.append(terms.Hourglass(HOURGLASS * w, ids))
-            if np.any(g):
-                self.guards.append(Guard(g[g > 0.0], POLICY.free_stretch, tets=ids[g > 0.0]))
+            thin = np.flatnonzero(g)
+            if thin.size:
+                self.guards.append(Guard(np.take(g, thin), POLICY.free_stretch, tets=ids[thin]))
 
 
 def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, kind: CellKind) -> _Tissue:

@@ -67,7 +67,7 @@ class Springs:
         """The springs of a Target: quadratic elements have them spread over its triangles, if it has some."""
         places = np.array(scene.vertices)
         places[term.vertices] = term.positions
-        if discretisation.element == "P1" or term.triangles is None:
+        if discretisation.element == "P1" or not term.triangles.size:
             return cls.at_vertices(term.vertices, term.positions, term.stiffness, discretisation)
         alone, density, _ = term.spread(scene)
         stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[alone]

@@ -27,31 +27,29 @@ class Target(Term):
     vertices: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
-    triangles: np.ndarray | None = field(default=None, repr=False)
+    triangles: Ints = field(default_factory=lambda: np.empty((0, 3), dtype=np.int64), repr=False)
 
     def __post_init__(self):
         count = len(self._set_ids("vertices"))
         self._set(positions=as_places("Target.positions", self.positions, count))
         self._set_amounts({"stiffness": Amount(0.0)}, count)
-        if self.triangles is not None:
-            self._set(triangles=as_triangles("Target.triangles", self.triangles))
+        self._set(triangles=as_triangles("Target.triangles", self.triangles))
 
     def check(self, mesh: Mesh):
         """See Term; triangles have an area, and vertices of the term."""
         super().check(mesh)
-        if self.triangles is not None:
-            check_areas(self.triangles, mesh.vertices)
-            strange = np.setdiff1d(self.triangles, self.vertices)
-            if strange.size:
-                raise SceneError(f"triangles: vertex {strange[0]} is none of the term's")
+        check_areas(self.triangles, mesh.vertices)
+        strange = np.setdiff1d(self.triangles, self.vertices)
+        if strange.size:
+            raise SceneError(f"triangles: vertex {strange[0]} is none of the term's")
 
     def spread(self, mesh: Mesh) -> tuple[np.ndarray, Floats, Floats]:
         """Return what quadratic elements integrate: which vertices (k,) have no triangle, and values at corners.
 
         These are the springs' stiffness per area [mN/mm³], shape (t, 3), and places [mm], shape (t, 3, 3).
         """
-        triangles = np.empty((0, 3), dtype=np.int64) if self.triangles is None else self.triangles
-        n, areas = len(mesh.vertices), triangle_areas(mesh.vertices, triangles)
+        triangles, n = self.triangles, len(mesh.vertices)
+        areas = triangle_areas(mesh.vertices, triangles)
         around = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=n)
         stiffness, places = np.zeros(n), np.zeros((n, 3))
         stiffness[self.vertices], places[self.vertices] = self.stiffness, self.positions

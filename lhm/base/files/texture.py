@@ -6,7 +6,7 @@ import io
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -60,14 +60,14 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
     with naming_file(path):
         scene = _read_scene(path)
         placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
-        parts = [(mesh, matrix, picture) for mesh, matrix in placed if (picture := _picture_of(mesh)) is not None]
+        parts = [(mesh, matrix) for mesh, matrix in placed if _picture_of(mesh) is not None]
         if not parts:
             return None
-        mesh, matrix, picture = max(parts, key=lambda part: len(part[0].faces))
+        mesh, matrix = max(parts, key=lambda part: len(part[0].faces))
         vertices = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         if not np.ptp(vertices, axis=0).any():  # trimesh has zeros in place of what Draco packed
             raise InputError("its texture lies on a mesh packed by Draco, and is not read")
-        return Texture(_decode(picture), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
+        return Texture(_decode(_picture_of(mesh)), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
 
 
 class _Beside(dict):
@@ -102,7 +102,7 @@ def _read_scene(path: Path):
     return scene
 
 
-def _picture_of(mesh) -> Image | None:
+def _picture_of(mesh) -> Any:
     """Return the picture of a part, if it has one from the file, and places in it."""
     material = getattr(mesh.visual, "material", None)
     picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)

@@ -116,7 +116,7 @@ class Springs(NodalEnergy):
         springs = []
         for term in scene.of(Target):
             at_vertices = np.ones(len(term.vertices), dtype=bool)
-            if numbering.degree == 2 and term.triangles is not None:
+            if numbering.degree == 2 and term.triangles.size:
                 at_vertices, density, places = term.spread(scene)
                 springs.append(cls.over_triangles(term, scene, numbering, density, places))
             stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[at_vertices]

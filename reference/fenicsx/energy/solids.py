@@ -209,7 +209,8 @@ class Solids:
         if group[0].term.on_prisms:
             return Kernel(Elements.from_prisms(self.prisms, cells), laws)
         elements = Elements.from_tets(self._order, cells, degree)
-        return Kernel(elements, laws, pressure_dofs[cells] if group[0].mixed else None)
+        at_corners = None if pressure_dofs is None or not group[0].mixed else pressure_dofs[cells]
+        return Kernel(elements, laws, at_corners)
 
     def points(self, cells: Ints) -> Ints:
         """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
