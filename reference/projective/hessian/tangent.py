@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from ....lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_defini
 from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...terms import Contact, Target
-from ..terms.energy import Energy
+from ..terms.energy import ENERGIES, Energy
 from ..unknowns.coordinates import Coordinates, Place
 from ..unknowns.sparsity import Sparsity
 
@@ -119,6 +120,50 @@ class Tangent:
             force[target.vertices] = np.reshape(target.stiffness, (-1, 1)) * move
             right[:, k] = self.coordinates.pull(force, self.place)
         return np.stack([self._move(step) for step in self.solve(right).T])
+
+    def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
+        """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
+
+        Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
+        ((ahead, 1/(2h)), (behind, -1/(2h))). They may differ in all numbers, also in what is Fixed and in bodies' rest,
+        but not in vertices, tets and what is held; SceneError says where they do.
+        """
+        right, base = [], []
+        for change in changes:
+            force, carried = np.zeros(self.coordinates.size), np.zeros_like(self.place.u)
+            for scene, weight in change:
+                gradient, u = self._gradient_in(scene)
+                force -= weight * gradient
+                carried += weight * (u - self.place.u)
+            right.append(force)
+            base.append(carried)
+        if not right:
+            return np.zeros((0, *self.place.u.shape))
+        steps = self.solve(np.stack(right, axis=1))
+        return np.stack([carried + self._move(step) for carried, step in zip(base, steps.T, strict=True)])
+
+    def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
+        """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
+        coordinates = Coordinates.from_scene(scene)
+        mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
+        same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
+        bodies = [body.vertices for body in self.coordinates.bodies]
+        if not same or len(bodies) != len(coordinates.bodies):
+            raise SceneError("a scene to differentiate by has other vertices, tets, bodies or held components")
+        held, values = scene.dirichlet()
+        u = np.where(held, values - scene.vertices, self.place.u)
+        for body, its, rotation in zip(self.coordinates.bodies, coordinates.bodies, self.place.rotations, strict=True):
+            its.put(u, body.shift(self.place.u), rotation)
+        gradient = self._energy_of(scene).evaluate(u)[1]
+        return coordinates.pull(gradient, Place(u, self.place.rotations)), u
+
+    def _energy_of(self, scene: Scene) -> Energy:
+        """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
+        mine, its = (
+            [type(t) for t in which.terms if t.element_vertices(which).size and isinstance(t, ENERGIES)]
+            for which in (self.scene, scene)
+        )
+        return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
 
     def _move(self, step: Floats) -> Floats:
         """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""

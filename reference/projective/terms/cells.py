@@ -136,6 +136,9 @@ class CellBlocks(Part):
         places = tuple(replace(place, term=term) for place, term in zip(self.places, terms, strict=True))
         return replace(self, parameters=parameters, kinds=_kinds_of(parameters), places=places)
 
+    def rebuilt(self, scene: Scene) -> Self:
+        return self.for_scene(scene)
+
     def separate(self) -> Self:
         """Return the same rows over vertices of their own: those of row r follow those of row r - 1."""
         corners = np.zeros_like(self.corners)

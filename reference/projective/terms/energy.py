@@ -65,6 +65,11 @@ class Energy:
         """Take another scene's numbers that are `varying`."""
         return Energy(tuple(part.for_scene(scene) for part in self.parts))
 
+    def rebuilt(self, scene: Scene) -> Energy:
+        """Take all numbers of another scene of the same terms."""
+        parts = (part.rebuilt(scene) for part in self.parts)
+        return Energy(tuple(part for part in parts if part is not None))
+
     def part(self, kind: type[AnyPart]) -> AnyPart | None:
         """Return the part of a class, None if there is none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)

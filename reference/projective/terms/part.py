@@ -34,6 +34,10 @@ class Part(ABC):
         """Return the same elements with a scene's numbers that are `varying`."""
         return self
 
+    def rebuilt(self, scene: Scene) -> Part | None:
+        """Return the same elements with all numbers of a scene of the same terms."""
+        return self.from_scene(scene)
+
     def add_anchors(self, anchored: Floats):
         """Add the stiffness [mN/mm] that ties vertices to places in space, to an array (n,)."""
         return

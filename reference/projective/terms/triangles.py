@@ -142,6 +142,10 @@ class Triangles(Part):
         )
         return replace(self, weights=self.areas * stiffness, scale=np.sqrt(growth))
 
+    def rebuilt(self, scene: Scene) -> Triangles | None:
+        same_shape = all(term.rest is None for term in scene.of(SurfaceStrain))
+        return self.for_scene(scene) if same_shape else Triangles.from_scene(scene)
+
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
         return total + _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
 
