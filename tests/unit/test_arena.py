@@ -138,7 +138,7 @@ def test_the_answer_of_quadratic_tets_is_that_of_another_code(small):
 def test_a_posed_face_is_the_face_of_the_simulator():
     face, of = problems.face(1), person(seed=None, level=1)
     targets = of.shape(problems.EXPRESSION)
-    scene = facial_scene(of.head, Parameters(muscle_strain_ratio=1.0), targets, bones="prescribed")
+    scene = facial_scene(of.head, Parameters(muscle_strain_ratio=1.0), targets, bones="prescribed", cells="tets")
     guards = {id(term) for term in scene.of(terms.Strain) if isinstance(term, Guard)}
     scene = replace(scene, terms=tuple(term for term in scene.terms if id(term) not in guards))
     end = solve(scene, tolerance=1e-9).positions
