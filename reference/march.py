@@ -22,8 +22,6 @@ from .solution import Reason, Solution
 from .solve import prepare, solve
 from .terms import Amount, Fixed, RigidBody, Target
 
-DEFAULTS = {"fenicsx": {"linear_solver": "chord"}}
-"""Options of solvers that suit steps which differ little."""
 SCHEMES = ("implicit Euler", "Newmark", "generalised-alpha")
 
 LONGEST = 1e6
@@ -141,7 +139,7 @@ def march(
         acceleration,
         tolerance,
         solver,
-        DEFAULTS.get(solver, {}) | options,
+        options,
     )
     return marcher.run(
         MARCH_STEPS.check("steps", steps),

@@ -5,8 +5,7 @@ How to read it, from what is asked to what is solved:
 - `prepared`: prepare and solve; which strategy a scene takes. A `run` is one call of solve, with
   the record of what its solves spend. `fields` gives stresses and functions inside the tets.
 - The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, for
-  elements with a pressure), `load_steps` (of the equations of `equilibrium`, for follower pressure). `chord` is
-  Newton's method by factors that are kept from solve to solve.
+  elements with a pressure), `load_steps` (of the equations of `equilibrium`, for follower pressure).
 - What they solve: `problem` has energy, gradient and Hessian of a scene, and the table of terms: `solids` (`kernels`
   integrate laws that `law_code` writes as C; `hyperelastic` has those with a pressure as UFL's forms), and
   what is `nodal`: `surface_strain`, `bending`, springs and following pressure of `loads`. `bodies` makes parts rigid.

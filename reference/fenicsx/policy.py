@@ -96,14 +96,6 @@ class LinearPolicy:
 
 
 @dataclass(frozen=True)
-class ChordPolicy:
-    """Newton's method by kept factors; see `chord`."""
-
-    fast: float = 0.3  # of the gradient norm that an iteration may leave for its factors to be kept
-    rounding: float = 1e-12  # of the energy's scale, that an iteration may raise it by
-
-
-@dataclass(frozen=True)
 class FenicsxPolicy:
     """All constants of the solver, and which strategies and linear solvers a scene gets; see `prepared`."""
 
@@ -113,7 +105,6 @@ class FenicsxPolicy:
     multipliers: MultiplierPolicy = MultiplierPolicy()
     saddle: SaddlePolicy = SaddlePolicy()
     linear: LinearPolicy = LinearPolicy()
-    chord: ChordPolicy = ChordPolicy()
     start_bulk: float = 10.0  # lmbda by mu of a large scene's start: volumes nearly keep, linear tets do not lock yet
     # (2 mu + lmbda) / mu of a law, Poisson's ratio .49987, from which on CG's answer to a share of the forces is far
     # off. By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG

@@ -32,7 +32,6 @@ from .mesh.parallel import anywhere, check_same
 from .policy import POLICY, FenicsxPolicy
 from .run import Attempt, Record, Run
 from .strategies.bodies import RigidProblem
-from .strategies.chord import KeptFactors
 from .strategies.load_steps import LoadSteps
 from .strategies.minimise import Minimisation
 from .strategies.multipliers import Condensed, MultiplierDescent
@@ -40,7 +39,6 @@ from .strategies.multipliers import Condensed, MultiplierDescent
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
 """Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""
 FORCE_DEGREE = 6
-CHORD = "chord"
 
 
 def prepare(
@@ -49,11 +47,10 @@ def prepare(
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
-    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes), "mumps" (direct) or "chord"
-    (direct, by factors that are kept from solve to solve, for solves that differ little, as time steps do). "cg" is
-    direct too for nearly incompressible laws (see `policy.stiff`) below `policy.large_stiff` unknowns. With "P2P1",
-    "cg" means a direct solver below `policy.saddle.large` unknowns and GMRES with a block preconditioner above; "block"
-    asks for the latter at any size. Scenes with Pressure always take factors. `policy` has all other constants.
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct).
+    "cg" is direct too for nearly incompressible laws (see `policy.stiff`) below `policy.large_stiff` unknowns. With
+    "P2P1", "cg" means a direct solver below `policy.saddle.large` unknowns and GMRES with a block preconditioner above;
+    "block" asks for the latter at any size. Scenes with Pressure always take factors. `policy` has all other constants.
 
     Raises SceneError for another element or linear solver, and for a term or law that this solver or element cannot
     model.
@@ -61,7 +58,7 @@ def prepare(
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
     _check_terms(scene, element)
-    names = SADDLES if element == "P2P1" else (*LINEAR_SOLVERS, CHORD)
+    names = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
     if linear_solver not in names:
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {', '.join(names)}")
     if linear_solver == "block" and scene.of(Pressure):
@@ -101,14 +98,13 @@ class PreparedFenicsx:
         # Multigrid leaves too much of volumes in steps by a displacement alone.
         stiff = any(t.material.stiffness > policy.stiff * t.material.shear_modulus for t in scene.of(Hyperelastic))
         small = 3 * self._numbering.nodes.total < policy.large_stiff
-        by_factors = linear_solver in ("mumps", CHORD) or (linear_solver == "cg" and stiff and small)
+        by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
         problem = self._problem
         self._direct = Mumps(problem.matrix, policy=linear)
         self._linear: LinearSolver = self._direct
         if not by_factors:
             self._linear = ConjugateGradients(problem.matrix, problem.levels, policy=linear)
-        self._kept = KeptFactors(problem.matrix, linear) if linear_solver == CHORD else None
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)
@@ -158,7 +154,7 @@ class PreparedFenicsx:
         if run.scene.of(Pressure):
             end = LoadSteps(run, problem, saddle=self._saddle, policy=policy).attempt()
         elif self._condensed is None:
-            end = Minimisation(run, problem, self._linear, self._direct, self._rigid, policy, self._kept).attempt()
+            end = Minimisation(run, problem, self._linear, self._direct, self._rigid, policy).attempt()
         else:
             find_start = self._start_from_linear if self._large and not run.is_given else None
             kind = self._linear_solver

@@ -16,7 +16,6 @@ from ..mesh.parallel import irregular_vector, largest_size
 from ..policy import POLICY, FenicsxPolicy
 from ..run import Attempt, Run
 from .bodies import RigidProblem
-from .chord import Chord, KeptFactors
 from .newton import AnyState, Newton, Work
 
 
@@ -24,8 +23,8 @@ class Minimisation:
     """From a run's start towards what is held.
 
     `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
-    the problem with bodies and its two, `kept` the factors of earlier solves where they are to be used. Bodies are
-    brought to their first poses like held vertices, and set free once all that is held is in place.
+    the problem with bodies and its two. Bodies are brought to their first poses like held vertices, and set free once
+    all that is held is in place.
     """
 
     def __init__(
@@ -36,7 +35,6 @@ class Minimisation:
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
         policy: FenicsxPolicy = POLICY,
-        kept: KeptFactors | None = None,
     ):
         self._policy = policy
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
@@ -60,8 +58,7 @@ class Minimisation:
         near = np.abs(self._goal - run.u) <= rounding
         self._goal[near] = run.u[near]
         held_dofs = np.flatnonzero(held[:owned])
-        given = (problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
-        self._newton = Newton(*given) if kept is None else Chord(*given, factors=kept, chord=policy.chord)
+        self._newton = Newton(problem, held_dofs, linear, direct, self._report, self._work, policy.newton)
 
     def attempt(self) -> Attempt:
         """Bring what is held to its goal, in load steps if need be, and minimise."""
