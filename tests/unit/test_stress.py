@@ -1,6 +1,7 @@
 """Stresses and reactions: closed forms, balance of forces, and the three solvers against one another."""
 
 import pickle
+from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -26,6 +27,19 @@ def rolling(term):
 def stretched(term, ratio):
     top = X[HIGH] * [1.0, 1.0, ratio]
     return Scene(X, TETS, [*rolling(term), terms.Fixed(HIGH, top, components=2)])
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_bar_of_prisms_is_stretched_as_one_of_tets(solver):
+    """The patch test: an affine answer and its stresses, with some tets left alone among the prisms."""
+    prisms = np.arange(len(TETS)).reshape(-1, 6)[:, [0, 1, 4, 2, 3, 5]].reshape(-1, 3)[3:]
+    rest = np.setdiff1d(np.arange(len(TETS)), prisms)
+    parts = [replace(term, tets=tets) for term in PD for tets in (prisms, rest)]
+    by_tets = solve_by(solver, stretched(PD, 1.3))
+    by_prisms = solve_by(solver, stretched([*parts, terms.Hourglass(0.3, prisms)], 1.3))
+    assert by_prisms.positions == pytest.approx(by_tets.positions, abs=1e-8)
+    assert by_prisms.first_piola == pytest.approx(by_tets.first_piola, abs=1e-7)
+    assert by_prisms.volume_ratio == pytest.approx(by_tets.volume_ratio, abs=1e-8)
 
 
 @pytest.mark.parametrize(("solver", "element"), FEM)
