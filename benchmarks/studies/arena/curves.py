@@ -18,6 +18,7 @@ WIDE = 3
 """Panels side by side."""
 COLOURS = {
     "FElupe": "#444444",
+    "sfepy": "#ff9896",
     "torch-fem": "#e377c2",
     "JAX-FEM": "#f7b6d2",
     "MuJoCo flex": "#0b5d1e",

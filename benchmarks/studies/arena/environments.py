@@ -12,7 +12,7 @@ from .study import load_file
 
 SHARED = ("jax_fem_newton",)
 """Solvers that need what the system brings FEniCSx with, petsc4py and basix, but their own versions of the rest."""
-APART = ("torch_fem", *SHARED)
+APART = ("torch_fem", "sfepy_newton", *SHARED)
 """Solvers whose packages need others than softdeca does, such as a newer pyvista."""
 
 

@@ -5,6 +5,7 @@ A solver's file needs numpy and its own package, nothing of softdeca, so that an
 
 NAMES = (
     "felupe_newton",
+    "sfepy_newton",
     "mujoco_flex",
     "newton_vbd",
     "torch_fem",
