@@ -17,12 +17,14 @@ from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.corpus.schedule import count_processors, make_schedule
 from .harness import Results, RunRequest, Study, run_together
+from .harness.first_screen import PRISMS, TETS
 from .harness.processes import read_cpu_seconds
 from .harness.report import ReportPart, write_report
 from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
 from .studies.arena.work_precision import FACE, WorkPrecision
 from .studies.cases import WEIGHTS_AND_LOADS, parse_expression
+from .studies.mesh.study import MeshError
 from .studies.surrogate.dial import Dial
 from .studies.surrogate.split import Split
 from .studies.surrogate.study import SurrogateOnCorpus
@@ -34,6 +36,8 @@ PLAN = PRESETS["study"]
 SMALL_PLAN = replace(PLAN, identities=2, groups=2, frames=2, conversations=2, hard=2)
 BESIDE_EXPRESSIONS = (*(case.name for case in WEIGHTS_AND_LOADS), "bells-palsy", "weight-40")
 """Cases of the main study beside the expressions that are asked for."""
+MESH_CASE = "3 g, 2 kPa, seed 900"
+"""The main study's one case of `mesh`, whose quadratic tets take half a minute."""
 SMALL_CASES = ("cheekPuff", "jaw")
 """Cases in which the coarsest head has no inverted tet."""
 
@@ -55,6 +59,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         (Verification(), "two layers" if small else ""),
         (Hard(solvers=("projective",)), "flattened" if small else ""),
         (Material(poisson=("0.45",)), ""),
+        (MeshError(identities=whose, level=level, people=1, refined=(), methods=(TETS, PRISMS)), MESH_CASE),
     ]
     if learned and not agreement.weights:
         frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")

@@ -134,7 +134,7 @@ def write_report(
 
 
 def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
-    """The question, five sentences, one figure, and one picture by caption."""
+    """The question, six sentences, one figure, and one picture by caption."""
     rows = {part.results.study: [row for row in part.results.rows if row.done] for part in ordered.values()}
     figure = first_screen.draw_figure(rows)
     pictures = (

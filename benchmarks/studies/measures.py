@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -249,21 +248,14 @@ def load_kernels(law: str = PD_ENERGY, **how) -> None:
     prepare(apply_law(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), law), **how).solve()
 
 
-LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0
-"""Orders used for extrapolation; one that is seen outside of them is brought to the nearer end."""
-
-
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """The limit of a sequence of answers.
+    """The limit of two answers: `positions` [mm], shape (n, 3), and `index` [mm], the GCI.
 
-    `positions` [mm], shape (n, 3), of the limit; `observed` order (None where two answers are the same or there are
-    only two), the order `used`, and `index` [mm]: the GCI, a bound of the finest answer's RMS error.
+    That bounds the finer answer's RMS error.
     """
 
     positions: Floats
-    observed: float | None
-    used: float
     index: float
 
 
@@ -272,20 +264,8 @@ def rms(difference: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
-def limit_of_three(coarse: Floats, middle: Floats, fine: Floats) -> Limit:
-    """Extrapolate answers (n, 3) [mm] on meshes each of half the last one's size, by the order that they show."""
-    first, second = rms(middle - coarse), rms(fine - middle)
-    if second == 0.0:
-        return Limit(fine, None, GREATEST_ORDER, 0.0)
-    observed = math.log2(first / second) if first > 0.0 else -math.inf
-    used = min(max(observed, LEAST_ORDER), GREATEST_ORDER)
-    step = (fine - middle) / (2.0**used - 1.0)
-    # Roache's factor of safety.
-    return Limit(fine + step, observed if math.isfinite(observed) else None, used, 1.25 * rms(step))
-
-
 def limit_of_two(coarse: Floats, fine: Floats, order: float) -> Limit:
     """Extrapolate answers (n, 3) [mm] on a mesh and one of half its size, by an order that is assumed."""
     step = (fine - coarse) / (2.0**order - 1.0)
     # Roache's factor of safety: three meshes show their order, with two it is taken on trust.
-    return Limit(fine + step, None, order, 3.0 * rms(step))
+    return Limit(fine + step, 3.0 * rms(step))

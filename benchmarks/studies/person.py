@@ -31,14 +31,14 @@ def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
             raise InputError(f"unknown {name} {value!r}; there are {', '.join(known)}")
 
 
-def parse_poisson(text: str, most: float = 0.5) -> float:
-    """Read a Poisson's ratio between 0 and `most`; InputError for another text."""
+def parse_poisson(text: str) -> float:
+    """Read a Poisson's ratio between 0 and 0.5; InputError for another text."""
     try:
         ratio = float(text)
     except ValueError:
         ratio = -1.0
-    if not 0.0 < ratio < most:
-        raise InputError(f"Poisson's ratio {text!r}: expected a number between 0 and {most:g}")
+    if not 0.0 < ratio < 0.5:
+        raise InputError(f"Poisson's ratio {text!r}: expected a number between 0 and 0.5")
     return ratio
 
 

@@ -82,6 +82,8 @@ def settle(
     *,
     law: FaceLaw = PD_ENERGY,
     solver: str | None = None,
+    element: str | None = None,
+    start: Floats | None = None,
     tolerance: float = TOLERANCE,
     max_iterations: int | None = None,
     on_iteration: OnIteration | None = None,
@@ -93,6 +95,7 @@ def settle(
     `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
     Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
     another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
+    `element` is the solver's; `start` [mm] is a stack's positions, as of a face that has settled by another one.
     `choices` go to `facial_scene`; other solvers than PD take contact as the pairs near in PD's answer. A head without
     the regions that tell where it has flesh is held everywhere. An answer that has not converged says so by `reason`.
     `on_iteration` may interrupt it; see `solve`. Raises what `facial_scene`, `apply_law` and the solver raise.
@@ -108,14 +111,17 @@ def settle(
         kept = apply_law(facial_scene(head, parameters, head.skin.vertices, **choices), law)
         return SettledFace(kept.vertices, head.skin.vertices, np.zeros_like(head.skin.vertices), law=law)
     scene = neutral_scene(head, parameters, **choices)
-    start = np.array(scene.vertices)
-    start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
+    given = start is not None
+    if start is None:
+        start = np.array(scene.vertices)
+        start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
     if solver != "projective" and scene.of(terms.Contact):  # others take the pairs that projective dynamics finds
         prepared = projective.prepare(scene)
         scene = prepared.freeze_contact(prepared.solve(start=start, tolerance=ROUGH).positions)
     if law != PD_ENERGY:
-        start, scene = _start_of_law(scene, start), apply_law(scene, law)
-    solution = prepare(scene, solver=solver).solve(
+        start, scene = start if given else _start_of_law(scene, start), apply_law(scene, law)
+    options = {} if element is None else {"element": element}
+    solution = prepare(scene, solver=solver, **options).solve(
         start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
     )
     displacement = solution.positions[: len(head.bone)] - head.skin_wrap.vertices

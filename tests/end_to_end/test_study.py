@@ -10,7 +10,7 @@ from softdeca.benchmarks.harness import runner
 
 pytest.importorskip("dolfinx")
 
-STUDIES = ["agreement", "verification", "hard", "material", "split", "surrogate", "dial", "work-precision"]
+STUDIES = ["agreement", "verification", "hard", "material", "mesh", "split", "surrogate", "dial", "work-precision"]
 OF_THE_NETWORK = ("surrogate", "split", "dial")
 """Their gates are shares over more frames and of a finer head than this study has."""
 

@@ -20,10 +20,11 @@ pytestmark = pytest.mark.usefixtures("measured_here")
 CHEAP = {
     "SphereUnknowns": {"up_to": 50_000},
     "SphereMeshError": {
-        "level": 1,
-        "expressions": ("jawOpen",),
-        "poisson": ("0.45", "0.499"),
-        "finer": (),
+        "people": 1,
+        "effects": ("volume +40 %",),
+        "expressions": (),
+        "refined": ("volume +40 %",),
+        "methods": ("PD, tets", "PD, prisms"),
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},

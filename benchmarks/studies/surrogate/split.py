@@ -18,8 +18,7 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference import Face, Parameters, Scene
-from ....reference.face.facial import apply_law
-from ....reference.face.settle import SettledFace, neutral_scene
+from ....reference.face.settle import SettledFace, settle
 from ....surrogate import Surrogate
 from ....surrogate import methods as m
 from ...harness.first_screen import find_lost_effects
@@ -276,12 +275,11 @@ def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Float
 
 def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
     """Settle a neutral face by the law with quadratic tets, from where linear ones settled it."""
-    if linear.solution is None:
-        return linear
-    head, scene = face.head, apply_law(neutral_scene(face.head, face.on_wraps, **face.choices), linear.law)
-    positions = _solve_fem(scene, linear.positions, QUADRATIC_NEUTRAL)
-    motion = positions[: len(head.bone)] - head.skin_wrap.vertices
-    return replace(linear, positions=positions, displacement=head.skin_from_wrap @ motion)
+    how = {"solver": "fenicsx", "element": "P2", "start": linear.positions, "tolerance": QUADRATIC_NEUTRAL}
+    settled = settle(face.head, face.on_wraps, law=linear.law, **how, **face.choices)
+    if not settled.converged:
+        raise SoftdecaError(f"FEniCSx: {settled.reason}")
+    return settled
 
 
 def _solve_fem(scene: Scene, start: Floats, tolerance: float) -> Floats:

@@ -1,0 +1,78 @@
+"""A scene on tets that are split into eight: the same problem on a finer mesh."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from ....lhm.base.geometry.topology import midpoints
+from ....lhm.base.mesh import Floats, Ints, TetMesh
+from ....lhm.head.remesh import EDGES, refine_tets
+from ....reference import Scene, terms
+from ....reference.problems.meshes import boundary_triangles
+from ....reference.terms.solids import Solid
+from ....reference.terms.term import triangle_areas
+
+
+def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
+    """Split every tet of a face by tets into eight; also the edges (e, 2) whose middles come after its vertices.
+
+    Terms keep their values, springs theirs per area, linear along an edge. A middle is held where quadratic tets hold
+    it: on boundary triangles whose corners are held. A head that is refined in place of its scene would be another
+    problem: guards go by the height of a tet, and shares of flesh by paths along edges.
+    """
+    count = len(scene.vertices)
+    finer, _ = refine_tets(TetMesh(scene.vertices, scene.tets))
+    ends, _ = midpoints(scene.tets, EDGES, count)
+    keys = ends @ [count, 1]
+
+    def middles(a: Ints, b: Ints) -> Ints:
+        return count + np.searchsorted(keys, np.minimum(a, b) * count + np.maximum(a, b))
+
+    def split(triangles: Ints) -> Ints:
+        a, b, c = triangles.T
+        ab, bc, ca = middles(a, b), middles(b, c), middles(c, a)
+        parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+        return np.stack(parts, axis=1).reshape(-1, 3)
+
+    def refine_term(term: terms.Term) -> terms.Term:
+        if isinstance(term, Solid):
+            tets = (8 * scene.tets_of(term)[:, None] + np.arange(8)).ravel()
+            return replace(term, tets=tets, **_repeat(term, 8))
+        if isinstance(term, terms.SurfaceStrain | terms.Bending):
+            return replace(term, triangles=split(term.triangles), **_repeat(term, 4))
+        if isinstance(term, terms.Target):
+            return _refine_springs(term, scene, ends, finer.vertices, split(term.triangles))
+        return term
+
+    held, places = scene.dirichlet()
+    border = boundary_triangles(scene.tets)
+    on_held = split(border[held.all(axis=1)[border].all(axis=1)])
+    ids = np.unique(np.concatenate([np.flatnonzero(held.all(axis=1)), on_held.ravel()]))
+    parts = [refine_term(term) for term in scene.terms if not isinstance(term, terms.Fixed)]
+    parts.append(terms.Fixed(ids, carry(places, ends)[ids]))
+    return Scene(finer.vertices, finer.tets, tuple(parts)), ends
+
+
+def carry(values: Floats, ends: Ints) -> Floats:
+    """Append the means over edges (e, 2) to values of vertices."""
+    return np.concatenate([values, values[ends].mean(axis=1)])
+
+
+def _repeat(term: terms.Term, times: int) -> dict[str, Floats]:
+    """The values of each of a term's elements, for all parts into which they are split."""
+    values = {each.name: getattr(term, each.name) for each in fields(term) if each.name in term.amounts}
+    return {name: np.repeat(value, times) for name, value in values.items() if np.ndim(value)}
+
+
+def _refine_springs(term: terms.Target, scene: Scene, ends: Ints, vertices: Floats, triangles: Ints) -> terms.Target:
+    """Springs of the same stiffness per area on finer triangles (4 t, 3) of finer `vertices`."""
+    n, areas = len(scene.vertices), triangle_areas(scene.vertices, term.triangles)
+    around = np.bincount(term.triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=n)
+    density, places = np.zeros(n), np.zeros((n, 3))
+    density[term.vertices] = term.stiffness / around[term.vertices]
+    places[term.vertices] = term.positions
+    ids = np.unique(triangles)
+    finer = np.bincount(triangles.ravel(), np.repeat(triangle_areas(vertices, triangles) / 3.0, 3), len(vertices))
+    return terms.Target(ids, carry(places, ends)[ids], (carry(density, ends) * finer)[ids], triangles)
