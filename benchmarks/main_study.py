@@ -59,7 +59,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         (Verification(), "two layers" if small else ""),
         (Hard(solvers=("projective",)), "flattened" if small else ""),
         (Material(poisson=("0.45",)), ""),
-        (MeshError(identities=whose, level=level, people=1, refined=(), methods=(TETS, PRISMS)), MESH_CASE),
+        (MeshError(identities=whose, level=level, refined=(), methods=(TETS, PRISMS)), MESH_CASE),
     ]
     if learned and not agreement.weights:
         frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")

@@ -137,7 +137,7 @@ class MeshError(OfPerson):
     bounds: ClassVar[Mapping[str, float]] = {"effects": 0.12, "expressions": 0.1, "truth": 0.05, "tets": 1.0}
     """Bounds of the prisms' mean error, and of the truth's own, of the motion; and of tets' error over prisms'."""
 
-    people: int = option(2, "how many people's neutral faces settle", bound=STUDIED_PEOPLE)
+    people: int = option(1, "how many people's neutral faces settle", bound=STUDIED_PEOPLE)
     seed: int = option(900, "seed of the first person", bound=SEED)
     effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
     expressions: tuple[str, ...] = option(EXPRESSIONS, "as jawOpen*0.5+cheekPuff; repeat for several")
