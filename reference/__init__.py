@@ -1,7 +1,7 @@
 """Scenes, the solvers that consume them, and the problems that verify them."""
 
 from ..lhm.base.errors import MissingDependencyError, SceneError
-from . import materials, ranks, terms
+from . import materials, terms
 from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.face import Face
 from .face.facial import apply_law, facial_scene
@@ -43,7 +43,6 @@ __all__ = [
     "open_jaw_scene",
     "prepare",
     "push_cheek_scene",
-    "ranks",
     "settle",
     "solve",
     "terms",

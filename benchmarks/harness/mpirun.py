@@ -37,7 +37,7 @@ def run_by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict
     with tempfile.TemporaryDirectory() as folder:
         question, reply = Path(folder) / "given", Path(folder) / "reply"
         question.write_bytes(pickle.dumps((work, given)))
-        python = [sys.executable, "-c", START, str(question), str(reply)]
+        python = [sys.executable, "-m", "mpi4py", "-c", START, str(question), str(reply)]
         command = ["mpirun", "--bind-to", "none", "--oversubscribe", "-n", str(count), *python]
         outer = {key: value for key, value in os.environ.items() if not key.startswith(INHERITED)}
         done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
