@@ -376,7 +376,7 @@ if __name__ == "__main__":
         away = abs(last - closing.rest)[closing.jaw].max()
         print(f"frame {frame} after the mouth is let go: the jaw is {away:.1f} mm away")
 
-    face = Face(layered, layered.rig.deltas)
+    face = Face(layered, layered.rig.deltas, choices={"cells": "tets"})
     theirs = solve(face.scene(weights), absolute=1e-6).positions
     apart = np.abs(T - face.skin_after(weights, theirs)).max()
     print(f"the package's skin is at most {apart:.0e} mm from this one's")

@@ -98,7 +98,7 @@ def test_a_scene_on_it_moves_as_on_prisms(gmsh, sphere_head):
     targets = sphere_head.skin.vertices * [1.0, 1.0, 1.03]
     skins = []
     for head in (sphere_head, remesh(sphere_head, 10.0)):
-        scene = facial_scene(head, Parameters(), targets, bones="prescribed")
+        scene = facial_scene(head, Parameters(), targets, bones="prescribed", cells="tets")
         # Besides, a guard of the few tets that gmsh may leave flat.
         assert {len(head.soft.tets), len(head.muscle.tets)} <= {len(strain.tets) for strain in scene.of(terms.Strain)}
         solution = solve(scene)

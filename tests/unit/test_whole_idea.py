@@ -58,7 +58,7 @@ def test_the_method_is_one_sheet_of_numpy_and_scipy():
 def test_its_energy_is_the_packages(sheet, heads, changed):
     arrays, head = heads
     weights = expressions.parse_weights("jawOpen+mouthSmileLeft*0.5")
-    face = Face(head, head.rig.deltas, Parameters(**changed))
+    face = Face(head, head.rig.deltas, Parameters(**changed), choices={"cells": "tets"})
     problem = sheet.facial_problem(arrays, sheet.PARAMETERS | changed, sheet.blend(arrays, weights))
     u = np.random.default_rng(0).normal(scale=0.5, size=problem.rest.shape)
     energy, gradient = problem.energy(problem.rest + u)
@@ -71,7 +71,8 @@ def test_its_derivatives_are_the_packages(sheet, heads):
     arrays, head = heads
     problem = sheet.facial_problem(arrays, sheet.PARAMETERS, head.skin.vertices)
     _, by_weights = sheet.derivatives(arrays, problem, problem.rest)
-    assert np.abs(by_weights - Face(head, head.rig.deltas).first_order).max() < 1e-8
+    face = Face(head, head.rig.deltas, choices={"cells": "tets"})
+    assert np.abs(by_weights - face.first_order).max() < 1e-8
 
 
 def test_its_recurrence_is_the_packages(sheet, heads):
