@@ -105,7 +105,7 @@ def march(
 ) -> Iterator[Moment]:
     """March a scene through `steps` of `time_step` [s]: M (a + c v) + f(x) = 0 by an implicit scheme.
 
-    Yields the start and a moment per step; one whose solution has not converged is the last. scheme is a name of
+    Yields the start and a moment per step; one whose forces do not balance is the last. scheme is a name of
     SCHEMES or a Scheme. Mass is `density` [kg/mm³] of the tets, one or one per tet, and `skin_density` [kg/mm²] of
     triangles `skin` (k, 3), one or one per triangle, lumped at vertices; vertices without mass follow in balance, from
     the start on. damping c [1/s] is by mass. `scenes` gives the scene by time [s]: it may differ in targets, held
@@ -172,7 +172,7 @@ class _March:
         for step in range(1, steps + 1):
             now = self._step(now, step * self.h)
             yield now
-            if not now.solution.converged:
+            if not now.solution.is_balanced:
                 return
 
     def _with_springs(self, scene: Scene, places: Floats) -> Scene:
@@ -193,7 +193,7 @@ class _March:
         v = np.where(held & (self.scenes is None), 0.0, v)
         pinned = replace(scene, terms=(*scene.terms, Fixed(self.heavy, x[self.heavy])))
         found = self.solve_at_start(pinned, start=x)
-        if not found.converged:
+        if not found.is_balanced:
             raise SceneError(f"march: the start has no balance of forces; {found.reason}")
         heavy = self.mass > 0.0
         gradient = np.where(heavy, found.reactions, 0.0)

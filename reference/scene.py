@@ -159,7 +159,10 @@ class Scene:
         return self._unit_force() / max(len(self.vertices), 1)
 
     def rounding(self) -> float:
-        """The norm [mN] of a gradient that is rounding, which is independent from vertex to vertex: by their root."""
+        """A gradient norm [mN] below which all may be rounding, independent from vertex to vertex: by their root.
+
+        It is a hint: beside great stiffness elsewhere the loads on soft tissue are smaller.
+        """
         return 1e-14 * self._unit_force() / max(len(self.vertices), 1) ** 0.5
 
     def _unit_force(self) -> float:

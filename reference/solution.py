@@ -26,8 +26,9 @@ SUFFIXES = (".vtu", ".vtk")
 class Reason(str, Enum):
     """Why a solver stopped; each value says what to change."""
 
-    CONVERGED = "converged: the gradient norm fell below tolerance times its start"
+    CONVERGED = "converged: the gradient norm fell to what was asked"
     MAX_ITERATIONS = "iteration limit: raise max_iterations, loosen tolerance, or start nearer to the answer"
+    ROUNDING = "rounding: the gradient norm is above what was asked, but rounding lets it fall no further"
     STAGNATED = "stagnated: no step lowers the energy further; the tolerance is below what rounding allows"
     LINE_SEARCH = "line search failed: apply the load or the motion in smaller steps"
     LINEAR_SOLVER = "the linear solver failed: use a direct one, or look for a part that nothing holds"
@@ -37,6 +38,11 @@ class Reason(str, Enum):
 
     def __str__(self) -> str:
         return self.value
+
+    def at_rounding(self, scene: Scene, norm: float) -> Reason:
+        """Return ROUNDING for a solve that found no step at a gradient norm [mN] of rounding's size, else the same."""
+        found_none = self in (Reason.STAGNATED, Reason.LINE_SEARCH)
+        return Reason.ROUNDING if found_none and norm <= scene.rounding() else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +119,11 @@ class Solution:
     def converged(self) -> bool:
         """Whether the tolerance was reached."""
         return self.reason is Reason.CONVERGED
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether the tolerance was reached, or all that rounding allows."""
+        return self.reason in (Reason.CONVERGED, Reason.ROUNDING)
 
     @property
     def first_piola(self) -> Floats:
@@ -213,9 +224,9 @@ class Limits:
         if self.iterations is not None and not self.iterations >= 0:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
-    def threshold(self, scene: Scene, first: float) -> float:
-        """Return the gradient norm [mN] at which to stop, from the first one; not below rounding."""
-        return max(self.tolerance * first if self.absolute is None else self.absolute, scene.rounding())
+    def threshold(self, first: float) -> float:
+        """Return the gradient norm [mN] at which to stop, from the first one."""
+        return self.tolerance * first if self.absolute is None else self.absolute
 
 
 def first_positions(scene: Scene, start: Floats | None) -> Floats:

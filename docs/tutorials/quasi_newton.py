@@ -127,7 +127,7 @@ class Prepared:
         gradient[held] = 0
         reason = Reason.CONVERGED if np.isfinite(value) else Reason.NOT_FINITE
         norm = np.linalg.norm(gradient)
-        threshold, stop = limits.threshold(scene, norm), recorder.record(x, value, norm)
+        threshold, stop = limits.threshold(norm), recorder.record(x, value, norm)
         while reason is Reason.CONVERGED and norm > threshold:
             if stop or count == (
                 MAX_ITERATIONS if max_iterations is None else max_iterations

@@ -64,7 +64,7 @@ class SettledFace:
     @property
     def converged(self) -> bool:
         """Whether it came to rest."""
-        return self.solution is None or self.solution.converged
+        return self.solution is None or self.solution.is_balanced
 
     @property
     def reason(self) -> Reason:

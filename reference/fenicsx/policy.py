@@ -26,6 +26,7 @@ class NewtonPolicy:
     dampings: tuple[float, ...] = (1e-3, 1e-2, 1e-1)  # of the largest diagonal entry, where no direction descends
     mode_iterations: int = 5  # inverse iterations that find the softest motion
     shifts: tuple[float, ...] = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry, where nothing holds a part
+    patience: int = 3  # iterations whose gain may be rounding, while the gradient norm falls no more
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ class Run:
 
     def threshold(self, first: float) -> float:
         """Give the gradient norm [mN] at which to stop, from the first one."""
-        return self.limits.threshold(self.scene, first)
+        return self.limits.threshold(first)
 
     def report(self, u: Floats, energy: float, norm: float) -> bool:
         """Record an iteration; whether any rank's caller asks to stop."""
@@ -94,15 +94,18 @@ class Run:
     def solution(self, end: Attempt, preparation: Seconds, recovery: Callable[[], Stresses] | None = None) -> Solution:
         """Give an attempt's answer, after so many seconds of preparation."""
         positions = self._positions(end.u)
-        if end.reason is Reason.CONVERGED:
+        history = self.record.recorder.history()
+        last = history.gradient_norm[-1] if len(history.gradient_norm) else np.inf
+        reason = end.reason.at_rounding(self.scene, float(last))
+        if reason in (Reason.CONVERGED, Reason.ROUNDING):
             positions[self._held] = self._places[self._held]
         record = self.record
         return Solution(
             positions,
-            end.reason,
+            reason,
             record.iterations,
             end.energy,
-            record.recorder.history(),
+            history,
             volume_ratio(self.scene, positions),
             dict(record.detail),
             recovery=recovery,

@@ -118,7 +118,7 @@ class Attempt:
     def count(self, solution: Solution) -> Solution:
         """Add a solution's iterations, and keep why it stopped if it is the first that did not converge."""
         self.iterations += solution.iterations
-        if not solution.converged and self.stopped is None:
+        if not solution.is_balanced and self.stopped is None:
             self.stopped = solution.reason
         return solution
 

@@ -73,7 +73,10 @@ class Observer(Protocol):
 
 
 class Watch:
-    """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation."""
+    """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation.
+
+    `rounding` [mN]: a gradient norm below which no better point is soon a sign of rounding.
+    """
 
     def __init__(
         self,
@@ -82,7 +85,10 @@ class Watch:
         threshold: float,
         max_iterations: int,
         policy: DescentPolicy = POLICY.descent,
+        *,
+        rounding: float = 0.0,
     ):
+        self._rounding = rounding
         self._recorder, self._rest, self._policy = recorder, rest, policy
         self._threshold, self._max_iterations = threshold, max_iterations
         self.iteration = -1
@@ -111,7 +117,8 @@ class Watch:
             or (point.energy <= self.best.energy + rounding and norm < self.best.norm)
         ):
             self.best, self._best_at = point, self.iteration
-        if self.iteration - self._best_at >= self._policy.patience:
+        patience = self._policy.patience if norm > self._rounding else self._policy.patience_at_rounding
+        if self.iteration - self._best_at >= patience:
             return Reason.STAGNATED
         return Reason.MAX_ITERATIONS if self.iteration >= self._max_iterations else None
 

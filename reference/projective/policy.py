@@ -16,6 +16,7 @@ class DescentPolicy:
     halvings: int = 6  # of an L-BFGS step, before one along -A⁻¹ ∇E is taken
     safe_halvings: int = 40  # of a step along -A⁻¹ ∇E
     patience: int = 200  # iterations without a better point, after which a descent has stagnated
+    patience_at_rounding: int = 20  # the same where the gradient is as small as rounding may be
     mixed: int = 10  # steps that Anderson's method mixes
     rounding: float = 1e-13  # of the energy: lesser differences are rounding
     untangled: float = 1e-5  # of the gradient: tets have come out as far as they will

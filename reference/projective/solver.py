@@ -136,7 +136,8 @@ class ProjectivePrepared:
             problem = replace(problem, untangling=untangling)
         first = problem.at(place)
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
-        watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most, policy.descent)
+        threshold, rounding = limits.threshold(first.norm), scene.rounding()
+        watch = Watch(recorder, scene.vertices, threshold, most, policy.descent, rounding=rounding)
         descend = METHODS[self.method]
         if self.contact is not None:
             apart = partial(self.contact.descend, solve=work.solve)
@@ -153,7 +154,7 @@ class ProjectivePrepared:
                 reason = Reason.CONTACT
         return Solution(
             positions=positions,
-            reason=reason,
+            reason=reason.at_rounding(scene, point.norm),
             iterations=watch.iteration,
             energy=point.energy,
             history=recorder.history(),

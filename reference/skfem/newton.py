@@ -22,10 +22,11 @@ OnStep = Callable[[Floats, float, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """A scene's scales: a length [mm] that no step exceeds, and a vertex' stiffness [mN/mm]."""
+    """A scene's scales: a length [mm] that no step exceeds, a vertex' stiffness [mN/mm], a gradient's rounding [mN]."""
 
     length: float
     stiffness: float
+    rounding: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +62,13 @@ def minimise(
     while True:
         norm = float(np.linalg.norm(state.gradient))
         stop = on_step(state.x, state.value, norm)
-        if norm <= goal:
-            return state.x, Reason.CONVERGED, iteration
         if stop:
             return state.x, Reason.INTERRUPTED, iteration
+        if norm <= goal:
+            return state.x, Reason.CONVERGED, iteration
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
-        near = norm < policy.near * first
+        near = norm < policy.near * first or norm <= scales.rounding
         after = _step(energy, state, unknowns, scales, policy, near=near)
         if isinstance(after, Reason):
             return state.x, Reason.STAGNATED if near and after is Reason.LINE_SEARCH else after, iteration

@@ -58,7 +58,8 @@ class Prepared:
         limit = self.policy.max_iterations if max_iterations is None else max_iterations
         discretisation = self.discretisation
         energy, size = Energy(scene, discretisation), float(np.ptp(scene.vertices, axis=0).max())
-        scales = Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
+        stiffness = scene.force_scale() / float(np.cbrt(scene.volumes).mean())
+        scales = Scales(size, stiffness, scene.rounding())
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin, at_rest = first_positions(scene, start), start is None
@@ -80,7 +81,7 @@ class Prepared:
         answer = x[discretisation.vertex_dofs]
         return Solution(
             answer,
-            reason,
+            reason.at_rounding(scene, float(history.gradient_norm[-1])),
             iterations,
             float(history.energy[-1]),
             history,

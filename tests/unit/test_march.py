@@ -25,7 +25,7 @@ DOWN = np.array([0.0, 0.0, -9810.0])
 def marched(scene, **choices):
     """A march to its end, all of whose steps converge."""
     moments = list(march(scene, **choices))
-    assert moments[-1].solution.converged
+    assert moments[-1].solution.is_balanced
     return SimpleNamespace(
         moments=moments,
         positions=np.array([moment.positions for moment in moments]),

@@ -86,6 +86,8 @@ class LoadSteps:
             norm = equations.norm(forces)
             if iteration == 0:
                 last = self._run.threshold(max(norm, equations.norm(self._free(point.residual))))
+                if share < 1.0:  # on the way, what rounding leaves does
+                    last = max(last, self._run.scene.rounding())
             if self._run.report(point.state.u, point.state.energy, norm):
                 return point, Reason.INTERRUPTED
             if norm <= last and not moves:

@@ -228,7 +228,7 @@ class MultiplierDescent:
             if not (converged or norm_after <= fall * norm):
                 following = step.follow(residual)
                 if not self._norm(following[:m]) <= fall * self._norm(step.x[:m]):
-                    return state, None
+                    return state, Reason.STAGNATED if norm <= self._run.scene.rounding() else None
             state, norm = after, norm_after
             self._iterations += 1
             if self._report(state, norm):

@@ -182,7 +182,7 @@ class Newton:
         """
         gradient = self.free_gradient(state)
         norm = first = self.norm(gradient)
-        last = threshold(first)
+        last, stalled = threshold(first), 0
         for iteration in range(max_iterations + 1):
             if self.report(state, norm):
                 return state, Reason.INTERRUPTED, iteration
@@ -196,8 +196,12 @@ class Newton:
                 return state, after, iteration
             gradient = self.free_gradient(after)
             norm_after = self.norm(gradient)
-            if state.energy - after.energy <= self._find_rounding(state) and norm_after >= norm:
-                return state, Reason.STAGNATED, iteration
+            fall = state.energy - after.energy
+            if fall <= self._find_rounding(state) and norm_after >= norm:
+                # Rounding of great stiffness may hide what soft tissue still gains.
+                stalled += 1
+                if fall <= 0.0 or stalled > self.policy.patience:
+                    return state, Reason.STAGNATED, iteration
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
 
