@@ -211,7 +211,8 @@ class ProjectivePrepared:
         if self.contact is not None:
             scene = self._freeze(positions, scene, pressed=True)
             pairs = Pairs.from_scene(scene)
-            energy = energy if pairs is None else Energy((*energy.parts, pairs))
+            others = tuple(part for part in energy.parts if not isinstance(part, Pairs))
+            energy = Energy(others if pairs is None else (*others, pairs))  # which has the scene's own Gaps, too
         return Tangent.from_scene(scene, energy, coordinates, coordinates.start(positions - scene.vertices), **how)
 
     def estimate_left(

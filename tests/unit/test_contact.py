@@ -207,6 +207,19 @@ def test_frozen_pairs_have_the_energy_and_the_forces_that_contact_has():
     np.testing.assert_allclose(tangent.solve(slope), step, atol=1e-3 * np.abs(step).max())
 
 
+def test_a_tangent_beside_contact_counts_known_pairs_once():
+    """With an idle Contact beside Gaps the tangent's energy is at rest where the answer is."""
+    scene, _, _ = two_bars(thickness=0.05)
+    prepared = prepare(scene)
+    frozen = prepared.freeze_contact(prepared.solve(tolerance=1e-10).positions)
+    some = meshes.boundary_triangles(scene.tets)[:1]
+    both = prepare(replace(frozen, terms=[*frozen.terms, terms.Contact(some)]))
+    answer = both.solve(tolerance=1e-10)
+    tangent = both.tangent(answer)
+    gradient = tangent.coordinates.pull(tangent.energy.evaluate(tangent.place.u)[1], tangent.place)
+    assert np.linalg.norm(gradient) == pytest.approx(answer.history.gradient_norm[-1], rel=1e-3, abs=1e-9)
+
+
 def test_a_step_ends_before_it_meets_anything():
     """A corner falls on a triangle, and an edge across another: to a fifth of their distance, by closed form."""
     x = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, 2.0], [1.0, -3, 2], [1, 3, 2], [-3, 0, 0], [3, 0, 0]])

@@ -8,6 +8,7 @@ import pytest
 from softdeca.reference import Face, Parameters, SettledFace, facial_scene, prepare, solve, terms
 from softdeca.reference.face.correction import predict
 from softdeca.reference.face.derivatives import FRAME_ACCURACY, TIGHT_ACCURACY, spring_norm
+from softdeca.reference.problems import meshes
 from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
@@ -16,6 +17,7 @@ _FRONT = PLAIN.skin_wrap.vertices[:, 2]
 EYED = replace(PLAIN, regions={"lids": (_FRONT > 50.0) & (_FRONT <= 80.0), "eyes": _FRONT > 80.0})
 DELTAS = SPACE.expression_deltas(CODE)
 NEUTRAL = PLAIN.skin.vertices
+X, TETS = meshes.block(2)
 TARGETS = NEUTRAL + 1.5 * DELTAS[3]
 SETTLES = Parameters(soft_volume=1.1, gravity=1.5, soft_stiffness=2.0, mandible_scale_y=1.05)
 ALL = Parameters(

@@ -203,12 +203,25 @@ def test_a_march_by_three_processes_is_the_serial_one(tmp_path):
 
 FAILING = """
 import os, pickle, sys
+from dataclasses import replace
+import numpy as np
 from mpi4py import MPI
-from softdeca.reference import solve, terms
+from softdeca.reference import SceneError, materials, solve, terms
 rank, scene, how = MPI.COMM_WORLD.rank, pickle.load(open(sys.argv[1], "rb")), sys.argv[2]
 if how == "other scenes":
     moved = scene.with_fixed(scene.of(terms.Fixed)[0].values + rank) if rank else scene
     solve(moved, solver="fenicsx")
+if how == "other laws":
+    solid = terms.Hyperelastic(materials.NeoHookean(1.0 + rank, 5.0))
+    solve(replace(scene, terms=[solid, *scene.terms[1:]]), solver="fenicsx")
+if how == "a pair on both":
+    far = terms.Gaps([[0, *np.argsort(scene.vertices.sum(axis=1))[-3:]]], np.array([False]), 1.0, 9.0)
+    refused = False
+    try:
+        solve(replace(scene, terms=[*scene.terms, far]), solver="fenicsx")
+    except SceneError:
+        refused = True
+    raise RuntimeError(f"refused in {MPI.COMM_WORLD.allreduce(refused)} processes")
 if rank == 1:
     if how == "broken":
         raise RuntimeError("one process alone")
@@ -222,6 +235,8 @@ solve(scene, solver="fenicsx")
     ("how", "status", "error"),
     [
         ("other scenes", 1, "SceneError: the ranks of mpirun were given different scenes"),
+        ("other laws", 1, "SceneError: the ranks of mpirun were given different scenes"),
+        ("a pair on both", 1, "RuntimeError: refused in 2 processes"),
         ("broken", 1, "RuntimeError: one process alone"),
         ("dead", 137, ""),
     ],

@@ -15,6 +15,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Gaps
 from ..mesh.numbering import Numbering
+from ..mesh.parallel import anywhere
 from .assembly import add_forces
 from .nodal import NodalEnergy
 
@@ -44,7 +45,7 @@ class Distances(NodalEnergy):
     def _from_term(cls, term: Gaps, numbering: Numbering) -> Distances:
         nodes = numbering.dofs_of(term.name, term.pairs)
         own = (nodes[:, 0] >= 0) & (nodes[:, 0] < numbering.nodes.owned)
-        if (nodes[own] < 0).any():
+        if anywhere(numbering.comm, nodes[own] < 0):  # so that all ranks raise
             raise SceneError("Gaps: a pair lies on two processes; solve it on one")
         stiffness, offset = (np.broadcast_to(amount, len(nodes))[own] for amount in (term.stiffness, term.offset))
         shares, places = (None if values is None else values[own] for values in (term.shares, term.places))

@@ -111,7 +111,6 @@ def check_same(comm: MPI.Intracomm, scene: Scene):
     values: list[Any] = [scene.vertices, scene.tets]
     for term in scene.terms:
         values += [term.name, *(getattr(term, key) for key in term.__dataclass_fields__)]
-    plain = [value for value in values if isinstance(value, (np.ndarray, str, float, int, tuple))]
-    sums = tuple(crc32(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()) for value in plain)
+    sums = tuple(crc32(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()) for value in values)
     if len(set(comm.allgather(sums))) > 1:
         raise SceneError("the ranks of mpirun were given different scenes; each makes the same calls")

@@ -160,10 +160,14 @@ class Tangent:
     def _energy_of(self, scene: Scene) -> Energy:
         """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
         mine, its = (
-            [type(t) for t in which.terms if t.element_vertices(which).size and isinstance(t, ENERGIES)]
+            [(type(t), t.element_vertices(which)) for t in which.terms if isinstance(t, ENERGIES)]
             for which in (self.scene, scene)
         )
-        return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
+        same = len(mine) == len(its) and all(
+            kind is its_kind and np.array_equal(elements, its_elements)
+            for (kind, elements), (its_kind, its_elements) in zip(mine, its, strict=True)
+        )
+        return self.energy.rebuilt(scene) if same else Energy.from_scene(scene)
 
     def _move(self, step: Floats) -> Floats:
         """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
