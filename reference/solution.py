@@ -16,9 +16,10 @@ import numpy as np
 
 from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.files.atomic import replaced
-from ..lhm.base.mesh import Floats, tet_volumes
+from ..lhm.base.mesh import Floats, Ints, tet_volumes
 from .clock import Clock, Seconds
 from .scene import Scene
+from .terms import Hyperelastic
 
 SUFFIXES = (".vtu", ".vtk")
 
@@ -33,6 +34,9 @@ class Reason(str, Enum):
     LINE_SEARCH = "line search failed: apply the load or the motion in smaller steps"
     LINEAR_SOLVER = "the linear solver failed: use a direct one, or look for a part that nothing holds"
     NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
+    INVERTED = (
+        "cells of a hyperelastic law are inside out: no answer; load in steps, each from the last, or refine there"
+    )
     CONTACT = "surfaces cross that are held where they do: hold them apart, or leave them out of Contact"
     INTERRUPTED = "interrupted by the caller"
 
@@ -43,6 +47,13 @@ class Reason(str, Enum):
         """Return ROUNDING for a solve that found no step at a gradient norm [mN] of rounding's size, else the same."""
         found_none = self in (Reason.STAGNATED, Reason.LINE_SEARCH)
         return Reason.ROUNDING if found_none and norm <= scene.rounding() else self
+
+    def if_inverted(self, scene: Scene, inverted: np.ndarray) -> Reason:
+        """Return INVERTED for a balance of forces in which cells (m,) of a hyperelastic law are, else the same."""
+        balanced = self in (Reason.CONVERGED, Reason.ROUNDING)
+        if balanced and any(inverted[scene.tets_of(term)].any() for term in scene.of(Hyperelastic)):
+            return Reason.INVERTED
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +111,10 @@ class Solution:
 
     positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
     attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,), where the
-    tets of a prism have its F; `detail` holds counts that only one solver has, such as linear iterations; `times` is
-    None unless a solver made it. Stresses [kPa], one per tet, and reactions [mN] are worked out by the same solver when
-    they are first asked for, from its own nodes and integration points.
+    tets of a prism have its F; least_ratio (m,) is the least J inside quadratic tets, None for linear ones; `detail`
+    holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
+    [kPa], one per tet, and reactions [mN] are worked out by the same solver when they are first asked for, from its own
+    nodes and integration points.
     """
 
     positions: Floats
@@ -114,6 +126,12 @@ class Solution:
     detail: dict[str, float] = field(default_factory=dict)
     recovery: Callable[[], Stresses] | None = field(default=None, repr=False)
     times: Times | None = None
+    least_ratio: Floats | None = None
+
+    @property
+    def inverted(self) -> np.ndarray:
+        """Which tets are inside out somewhere, shape (m,)."""
+        return (self.volume_ratio if self.least_ratio is None else self.least_ratio) <= 0.0
 
     @property
     def converged(self) -> bool:
@@ -122,8 +140,8 @@ class Solution:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether the tolerance was reached, or all that rounding allows."""
-        return self.reason in (Reason.CONVERGED, Reason.ROUNDING)
+        """Whether forces balance to the tolerance, or as far as rounding allows, if in cells that are inside out."""
+        return self.reason in (Reason.CONVERGED, Reason.ROUNDING, Reason.INVERTED)
 
     @property
     def first_piola(self) -> Floats:
@@ -205,6 +223,31 @@ def volume_ratio(scene: Scene, positions: Floats) -> Floats:
     return ratios
 
 
+def least_quadratic_ratio(scene: Scene, positions: Floats, ends: Ints, nodes: Floats) -> Floats:
+    """Return the least J of quadratic tets, shape (m,), at their corners, middles of edges and centre.
+
+    nodes (k, 3) [mm] lie between two vertices, `ends` (k, 2), each; positions (n, 3) [mm] are the vertices'.
+    """
+    n, pairs = len(positions), [(i, j) for i in range(4) for j in range(i)]
+    keys = ends.min(axis=1) * n + ends.max(axis=1)
+    order = np.argsort(keys)
+    middle = np.empty((len(scene.tets), 4, 4, 3))
+    for i, j in pairs:
+        low, high = np.sort(scene.tets[:, [i, j]], axis=1).T
+        middle[:, i, j] = middle[:, j, i] = nodes[order[np.searchsorted(keys[order], low * n + high)]]
+    corner, eye = positions[scene.tets], np.eye(4)
+    places = [*eye, *(0.5 * (eye[i] + eye[j]) for i, j in pairs), np.full(4, 0.25)]
+    least = np.full(len(scene.tets), np.inf)
+    for shares in places:  # derivatives of x by the shares λ, with shape functions λi (2 λi - 1) and 4 λi λj
+        slopes = (4.0 * shares - 1.0)[:, None] * corner
+        for i, j in pairs:
+            slopes[:, i] += 4.0 * shares[j] * middle[:, i, j]
+            slopes[:, j] += 4.0 * shares[i] * middle[:, i, j]
+        volumes = np.linalg.det(slopes[:, 1:] - slopes[:, :1]) / 6.0
+        least = np.minimum(least, volumes / scene.volumes)
+    return least
+
+
 @dataclass(frozen=True)
 class Limits:
     """When a solve ends: at a gradient norm of `tolerance` times its start's or, if given, of `absolute` [mN].
@@ -243,9 +286,9 @@ def first_positions(scene: Scene, start: Floats | None) -> Floats:
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with its solution, whole or not at all.
 
-    Per vertex `displacement` and `reaction`, per tet `J`, `von_mises`, `cauchy` and `first_piola` (nine components,
-    row by row); NaN for what is not finite, as Cauchy's stress of a flat tet. Raises InputError for another suffix, a
-    solution of another scene, and a place that cannot be written.
+    Per vertex `displacement` and `reaction`, per tet `J`, `inverted` (0 or 1), `von_mises`, `cauchy` and `first_piola`
+    (nine components, row by row); NaN for what is not finite, as Cauchy's stress of a flat tet. Raises InputError for
+    another suffix, a solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -256,7 +299,7 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
             f"{len(scene.vertices)} and {len(scene.tets)}"
         )
     tensors = {"cauchy": solution.cauchy, "first_piola": solution.first_piola}
-    quantities = {"J": solution.volume_ratio, "von_mises": solution.von_mises}
+    quantities = {"J": solution.volume_ratio, "inverted": 1.0 * solution.inverted, "von_mises": solution.von_mises}
     quantities |= {name: tensor.reshape(-1, 9) for name, tensor in tensors.items()}
     mesh = meshio.Mesh(
         scene.vertices,

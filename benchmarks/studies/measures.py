@@ -206,7 +206,7 @@ def count_work(solution: Solution) -> dict:
     return {
         "iterations": solution.iterations,
         "linear_iterations": solution.detail.get("linear_iterations"),
-        "converged": solution.converged,
+        "converged": solution.is_balanced,
         "reason": solution.reason.name,
     }
 

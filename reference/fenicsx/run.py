@@ -11,7 +11,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ..clock import Seconds
 from ..scene import Scene
-from ..solution import Limits, OnIteration, Reason, Recorder, Solution, Stresses, volume_ratio
+from ..solution import Limits, OnIteration, Reason, Recorder, Solution, Stresses, least_quadratic_ratio, volume_ratio
 from .mesh.numbering import Numbering
 from .mesh.parallel import anywhere
 
@@ -93,21 +93,27 @@ class Run:
 
     def solution(self, end: Attempt, preparation: Seconds, recovery: Callable[[], Stresses] | None = None) -> Solution:
         """Give an attempt's answer, after so many seconds of preparation."""
+        numbering = self.numbering
         positions = self._positions(end.u)
         history = self.record.recorder.history()
         last = history.gradient_norm[-1] if len(history.gradient_norm) else np.inf
         reason = end.reason.at_rounding(self.scene, float(last))
         if reason in (Reason.CONVERGED, Reason.ROUNDING):
             positions[self._held] = self._places[self._held]
+        ratio, least = volume_ratio(self.scene, positions), None
+        if numbering.degree == 2:
+            ends, nodes = numbering.all_nodes(numbering.X + end.u)
+            least = least_quadratic_ratio(self.scene, positions, ends, nodes)
         record = self.record
         return Solution(
             positions,
-            reason,
+            reason.if_inverted(self.scene, (ratio if least is None else least) <= 0.0),
             record.iterations,
             end.energy,
             history,
-            volume_ratio(self.scene, positions),
+            ratio,
             dict(record.detail),
             recovery=recovery,
+            least_ratio=least,
             times=record.recorder.times(preparation),
         )

@@ -68,6 +68,7 @@ def run(problem: Problem, solver: str) -> Outcome:
     value, reference = float(problem.quantity(scene, solution)), float(problem.reference)
     error = abs(value - reference) / (abs(reference) or 1.0)
     bound = problem.bound(solver)
+    ended = Reason.CONVERGED if solution.reason is Reason.ROUNDING else solution.reason
     return Outcome(
         problem.name,
         problem.source,
@@ -76,7 +77,7 @@ def run(problem: Problem, solver: str) -> Outcome:
         reference,
         error,
         bound,
-        solution.reason is problem.reason and error <= bound,
+        ended is problem.reason and error <= bound,
         solution.reason.name,
         seconds,
         solution.iterations,

@@ -12,7 +12,16 @@ from ...lhm.base.mesh import Floats
 from ..clock import Clock, Seconds
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import Limits, OnIteration, Recorder, Solution, Stresses, first_positions, volume_ratio
+from ..solution import (
+    Limits,
+    OnIteration,
+    Recorder,
+    Solution,
+    Stresses,
+    first_positions,
+    least_quadratic_ratio,
+    volume_ratio,
+)
 from ..terms import Contact
 from .barrier import load_ipctk
 from .descent import Descent, carry
@@ -79,13 +88,18 @@ class Prepared:
         x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
         history = recorder.history()
         answer = x[discretisation.vertex_dofs]
+        ratio, least = volume_ratio(scene, answer), None
+        if discretisation.element == "P2":
+            least = least_quadratic_ratio(scene, answer, discretisation.ends, x[discretisation.dofs])
+        inverted = (ratio if least is None else least) <= 0.0
         return Solution(
             answer,
-            reason.at_rounding(scene, float(history.gradient_norm[-1])),
+            reason.at_rounding(scene, float(history.gradient_norm[-1])).if_inverted(scene, inverted),
             iterations,
             float(history.energy[-1]),
             history,
-            volume_ratio(scene, answer),
+            ratio,
+            least_ratio=least,
             recovery=partial(recover, scene, discretisation.element, x),
             times=recorder.times(self.spent),
         )

@@ -7,8 +7,9 @@ from scipy.spatial.distance import pdist
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Reason, Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
+from softdeca.reference.solution import least_quadratic_ratio
 
-from .by_solver import SOLVERS, WAYS, element_options, prepare_by, solve_by
+from .by_solver import ELEMENTS, SOLVERS, WAYS, element_options, prepare_by, solve_by
 
 X, TETS = meshes.unstructured(2)
 SOFT = terms.Hyperelastic(materials.NeoHookean.from_young(1.0, 0.3))
@@ -89,6 +90,33 @@ def test_a_small_load_is_solved_for_beside_great_stiffness(solver, element, stif
     assert answer.converged == (last <= 1e-9 * first) and (answer.is_balanced or answer.reason is Reason.STAGNATED)
     share = 1e-5 if element == "P1" else 2e-3  # quadratic springs are spread otherwise than nodes are held
     assert np.abs(answer.positions - fixed).max() < share * np.abs(fixed - X).max()
+
+
+CLAMPED = terms.Fixed(np.concatenate([LOW, HIGH]), np.vstack([X[LOW], X[HIGH] - [0, 0, 0.9]]))
+LAWS = {"St. Venant-Kirchhoff": materials.StVenantKirchhoff, "neo-Hookean": materials.NeoHookean}
+
+
+@pytest.mark.parametrize(("solver", "element"), ELEMENTS)
+@pytest.mark.parametrize("law", LAWS)
+def test_no_answer_is_inside_out_and_called_converged(solver, element, law):
+    """A clamped cube pressed by 90 % in one go: a law without an energy there keeps linear tets, not quadratic ones."""
+    scene = Scene(X, TETS, [terms.Hyperelastic(LAWS[law].from_young(1.0, 0.3)), CLAMPED])
+    answer = prepare_by(solver, scene, element=element).solve(max_iterations=300)
+    assert answer.converged == (answer.is_balanced and not answer.inverted.any())
+    if (law, element) == ("neo-Hookean", "P1"):
+        assert answer.converged
+    else:
+        assert answer.reason is Reason.INVERTED or not answer.is_balanced
+
+
+def test_the_least_volume_ratio_of_a_quadratic_tet_is_its_polynomials():
+    """x -> x (1 - a x): J = 1 - 2 a x, least at x = 1, where linear tets have 1 - a."""
+    corners, tets = meshes.block(1)
+    ends = np.array([(i, j) for i in range(len(corners)) for j in range(i + 1)])
+    bend = lambda x: x * np.where(np.arange(3) == 0, 1.0 - 0.7 * x[:, :1], 1.0)  # noqa: E731
+    scene = Scene(corners, tets, [terms.Strain(1.0)])
+    least = least_quadratic_ratio(scene, bend(corners), ends, bend(corners[ends].mean(axis=1)))
+    np.testing.assert_allclose(least, 1.0 - 1.4 * corners[tets][:, :, 0].max(axis=1), atol=1e-12)
 
 
 @each_way
