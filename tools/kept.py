@@ -26,7 +26,7 @@ from typing import Any
 
 from softdeca.benchmarks.harness import Results, run
 from softdeca.benchmarks.harness.inputs import find_inputs
-from softdeca.benchmarks.harness.results import find_moved, read_results
+from softdeca.benchmarks.harness.results import find_middle, is_number, read_results, refuse_other_versions
 from softdeca.benchmarks.harness.study import Study
 from softdeca.benchmarks.studies import load_study
 from softdeca.cli.terminal import show_progress
@@ -88,7 +88,7 @@ CORPORA: Mapping[str, KeptCorpus] = {
 }
 KEPT: Mapping[str, Kept] = {
     "agreement": Kept("agreement"),
-    "arena": Kept("arena", {"whole": True, "seeds": 5}),
+    "arena": Kept("arena", {"whole": True}),
     "contact": Kept("contact"),
     "dial": Kept("dial", {"faces": 4, "external": f"ict:{ICT}"}, files=(ICT,)),
     "face-benchmark": Kept("face-benchmark"),
@@ -97,7 +97,7 @@ KEPT: Mapping[str, Kept] = {
     "material": Kept("material"),
     "mesh": Kept("mesh"),
     "minimal": Kept("minimal"),
-    "ranks": Kept("ranks", {"processes": ("1", "2")}),
+    "ranks": Kept("ranks", {"processes": (1, 2)}),
     "split": Kept("split"),
     "throughput": Kept("throughput"),
     "unknowns": Kept("unknowns"),
@@ -247,6 +247,54 @@ def check(name: str, progress: OnProgress = silent) -> Check:
         run(study, Path("anew"), workers=1, match=study.cheap, progress=progress)
         moved = find_moved(read_results(find_path(name)), read_results(Path("anew")), type(study))
     return Check(state, tuple(moved))
+
+
+UNSEEN = 1e-5
+"""In the units of all columns, as mm: what moves by less is rounding, such as the distance of two converged answers."""
+
+
+def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Study]) -> list[str]:
+    """Name the answers of rows measured anew that differ from the kept ones by more than the study allows, in words.
+
+    Both are contents of results files. Of a row's many lines the first that moved is told, and how many more did. A row
+    that is not done anew, that `kept` lacks, or that has another number of lines has moved.
+    """
+    moved: list[str] = []
+    rows = {(row["case"], row["method"]): row for row in kept["rows"] if row["status"] == "done"}
+    answers = [column for column in kind.columns if not column.cost]
+    with refuse_other_versions(f"results of {kind.name}"):
+        for row in anew["rows"]:
+            task = f"{row['case']}, {row['method']}"
+            before = rows.get((row["case"], row["method"]))
+            if before is None:
+                moved.append(f"{task}: not among the kept rows")
+                continue
+            if row["status"] != "done":
+                moved.append(f"{task}: {row['status']}, {row['reason']}")
+                continue
+            old_lines, new_lines = kind.lines(before["values"]), kind.lines(row["values"])
+            if len(old_lines) != len(new_lines):
+                moved.append(f"{task}: {len(old_lines)} -> {len(new_lines)} lines")
+            pairs = list(zip(old_lines, new_lines, strict=False))
+            for column in answers:
+                values = [(old.get(column.key), new.get(column.key)) for old, new in pairs]
+                apart = [(a, b) for a, b in values if not _is_same(a, b, kind.allowed)]
+                if apart:
+                    (a, b), more = apart[0], f", and {len(apart) - 1} more lines" if len(apart) > 1 else ""
+                    moved.append(f"{task}, {column.title}: {_shorten(a)} -> {_shorten(b)}{more}")
+    return moved
+
+
+def _is_same(a: Any, b: Any, share: float) -> bool:
+    """Whether two values of an answer are one but for a share of them, or rounding."""
+    if is_number(a) and is_number(b):
+        middle, middle_after = find_middle(a)[0], find_middle(b)[0]
+        return abs(middle_after - middle) <= max(share * abs(middle), UNSEEN)
+    return bool(a == b)
+
+
+def _shorten(value: Any) -> str:
+    return f"{find_middle(value)[0]:.6g}" if is_number(value) else str(value)
 
 
 def _find(name: str) -> Kept:

@@ -8,15 +8,14 @@ from typing import Any
 from .limits import Bound
 
 
-def option(default: Any, help: str, *, chooses: bool = False, bound: Bound | None = None, **more: Any) -> Any:
+def option(default: Any, help: str, *, bound: Bound | None = None, **more: Any) -> Any:
     """Make a dataclass' field that is an option of a command.
 
     default: value where the option is not given; a tuple may be given repeatedly, False makes a flag. help: the words
-    of `--help`. chooses: it only chooses what a study does, and rows that were made under another value are kept.
-    bound: of a count.
+    of `--help`. bound: of a count.
     more: `name` of the option, as --json, where it is not the field's; and words of click, such as `type`.
     """
-    return field(default=default, repr=not chooses, metadata={"help": help, "bound": bound, **more})
+    return field(default=default, metadata={"help": help, "bound": bound, **more})
 
 
 def argument(shown: str, default: Any = MISSING, **more: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -29,7 +29,6 @@ STANDARD_GRAVITY = 9810.0
 FLESH_YOUNG, FLESH_POISSON = 15.0, 0.45
 """[kPa] and 1."""
 EXPRESSION = "jawOpen*0.5+mouthSmileLeft*0.7+mouthSmileRight*0.7"
-SEEDS = 5
 EVERY = 16
 """Of the skin wrap's vertices, one in so many is a handle."""
 
@@ -154,12 +153,12 @@ def beam(turns: int) -> Problem:
     return Problem(X, scene.tets, ends.vertices, ends.values, [], MU * full, BULK * full, skin, begin=begin)
 
 
-def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float = 1.0, seed: int | None = None):
+def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float = 1.0):
     """Make the head's flesh with its skull held: under 2 g, its jaw moved 5 mm down, or its cheek pushed by 0.1 kPa.
 
     Muscle is `contrast` times as stiff as what lies over it. With the jaw, only bones hold the inner side.
     """
-    layered = person(seed=seed, level=level).head
+    layered = person(seed=None, level=level).head
     scene = facial_scene(layered, Parameters(), layered.skin.vertices, cells="tets")
     X, count = scene.vertices, len(layered.bone)
     inner = np.arange(len(X) - count, len(X))
@@ -228,14 +227,9 @@ class Case:
     """Whether solvers also start from FEniCSx' answer, which shows a bias."""
     quadratic: bool = False
     """Whether quadratic tets are solved too, in the whole study."""
-    settings: int | None = None
-    """How many settings of a solver are tried, by default all."""
-    mean: str = ""
-    """Of one of several random heads: what they are summed up as."""
-    seed: int = 0
 
 
-SIZES = {1: "14.5 k tets", 2: "58 k tets", 3: "232 k tets"}
+SIZES = {1: "14.5 k tets", 2: "58 k tets"}
 """By the template's level."""
 
 
@@ -262,16 +256,7 @@ def _cases() -> tuple[Case, ...]:
     )
 
 
-def _heads() -> Iterator[Case]:
-    """Random heads whose jaw is opened, on three meshes."""
-    for level, size in SIZES.items():
-        for seed in range(SEEDS):
-            mean = f"random heads' jaws opened, {size}"
-            make_one = partial(head, "jaw", level, seed=seed)
-            yield Case(f"{mean}, seed {seed}", make_one, settings=2, mean=mean, seed=seed)
-
-
-CASES = {case.name: case for case in (*_cases(), *_heads())}
+CASES = {case.name: case for case in _cases()}
 
 
 @lru_cache(maxsize=4)

@@ -13,7 +13,7 @@ from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....reference.added import NotModelledError, added_solvers
-from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, SKFEM
+from ....surrogate.methods import FENICSX_P2, FENICSX_P2P1
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from . import problems
 from .contest import (
@@ -32,14 +32,11 @@ from .contest import (
 )
 from .curves import Panel, plot_curves
 from .laws import NEO_HOOKEAN
-from .problems import LINEAR, SEEDS
+from .problems import LINEAR
 from .solvers import NAMES
 from .solvers.__main__ import load
 from .solvers.protocol import SolverFile
-from .summaries import FACES, JAWS, tabulate_best, tabulate_series, tabulate_spread, tabulate_times
-
-ARRIVING = (FENICSX, SKFEM, PD, PD_ANDERSON, "FElupe")
-"""Those that reach 0.1 mm on the larger head, whose jaw is opened; random heads are for them."""
+from .summaries import FACES, JAWS, tabulate_best, tabulate_series, tabulate_times
 
 
 @dataclass(frozen=True)
@@ -80,9 +77,6 @@ class Arena(Study):
     timed = True
 
     whole: bool = option(False, "all problems with large heads, Poisson's ratios and stiffness contrasts: an hour")
-    seeds: int = option(
-        0, f"random heads (--whole) on each of three meshes, up to {SEEDS}, for the spread of times", chooses=True
-    )
     budget: float = 0.0
     files: tuple[str, ...] = option(
         (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
@@ -92,18 +86,15 @@ class Arena(Study):
         """List each problem by each solver, setting and start; InputError for options out of range."""
         if self.budget < 0:
             raise InputError(f"budget: expected at least 0 s, got {self.budget:g}")
-        if not 0 <= self.seeds <= (SEEDS if self.whole else 0):
-            raise InputError(f"seeds: expected 0 to {SEEDS}, and 0 without --whole, got {self.seeds}")
         return [
             Task(case.name, f"{title}; {setting}; {start}")
             for case in problems.CASES.values()
-            if (case.seed < self.seeds if case.mean else self.whole or case.quick)
+            if self.whole or case.quick
             for title, settings in self._rivals().items()
             if title not in (FENICSX_P2, FENICSX_P2P1) or (self.whole and case.quadratic)
-            if title in ARRIVING or not case.mean
             for start in (REST, ANSWER)
             if start == REST or (case.start_at_answer and title not in OWN)
-            for setting in settings[: case.settings if self.whole else 2]
+            for setting in settings[: None if self.whole else 2]
         ]
 
     def measure(self, task: Task) -> Values:
@@ -166,7 +157,7 @@ class Arena(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell who was first to 0.01 mm on each problem."""
-        sentences, rows = [], _without_seeds(rows)
+        sentences = []
         for case in dict.fromkeys(row.case for row in rows):
             times = sorted(
                 (row.values["set_up_s"] + row.values["to_hundredth_s"], row.values["solver"])
@@ -179,7 +170,7 @@ class Arena(Study):
         return "First to 0.01 mm of their own law, set-up counted. " + "; ".join(sentences) + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate times to accuracies, who leaves the answer, series of moduli, and the spread."""
+        """Tabulate times to accuracies, who leaves the answer, and series of moduli."""
         biases = [
             (row.case, row.values["solver"], row.values["setting"], row.values["max_mm"], row.values["solve_s"])
             for row in rows
@@ -192,12 +183,11 @@ class Arena(Study):
             tabulate_best(rows, "Heads whose jaw is opened", JAWS),
             tabulate_best(rows, "The face of an expression", FACES),
             tabulate_series(rows),
-            tabulate_spread(rows),
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
-        figure = plot_curves(Panel.by_case([(row.case, row.values) for row in _without_seeds(rows)]))
+        figure = plot_curves(Panel.by_case([(row.case, row.values) for row in rows]))
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
     def _name_solvers(self) -> Mapping[str, SolverFile]:
@@ -229,11 +219,6 @@ def load_file(name: str) -> SolverFile:
             raise InputError(f"solver {name}: it defines no {', '.join(lacks)}; see docs/arena.md")
         _loaded[name] = module
     return _loaded[name]
-
-
-def _without_seeds(rows: Sequence[Row]) -> list[Row]:
-    """Leave out random heads, which the table of their spread has."""
-    return [row for row in rows if row.case not in problems.CASES or not problems.CASES[row.case].mean]
 
 
 def _largest(a: Floats, b: Floats, problem: problems.Problem) -> float:

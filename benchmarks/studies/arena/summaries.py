@@ -1,4 +1,4 @@
-"""What the arena's rows say together: times over Poisson's ratio and contrast, and their spread over random heads."""
+"""What the arena's rows say together: times over Poisson's ratio and contrast."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...harness.study import Row, Table
-from . import problems
 from .contest import ACCURACIES, HUNDREDTH, REST, TENTH
 
 SERIES = {
@@ -104,30 +103,3 @@ def tabulate_series(rows: Sequence[Row]) -> Table:
             lines.append((solver, ACCURACIES[accuracy], *(best.get(case) for case in SERIES.values())))
     head = ["solver", "to [mm]", *(f"{name} [s]" for name in SERIES)]
     return Table("Time with set-up over Poisson's ratio and contrast, best setting", head, lines)
-
-
-def tabulate_spread(rows: Sequence[Row]) -> Table:
-    """Tabulate medians and ranges of times with set-up, and of errors at the end, over random heads."""
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        case = problems.CASES.get(row.case)
-        if case is not None and case.mean:
-            groups.setdefault((case.mean, row.values["solver"], row.values["setting"]), []).append(row)
-    lines = []
-    for names, group in groups.items():
-        line: list = [*names, len(group)]
-        for accuracy in (TENTH, HUNDREDTH):
-            times = [seconds for row in group if (seconds := find_time(row, accuracy)) is not None]
-            line += [len(times), *_spread(times)]
-        ends = [row.values["max_mm"] for row in group if row.values["max_mm"] is not None]
-        lines.append((*line, *_spread(ends)))
-    head = ["problem", "solver", "setting", "heads"]
-    for accuracy in (TENTH, HUNDREDTH):
-        head += [f"reach {ACCURACIES[accuracy]:g} mm", "median [s]", "least [s]", "most [s]"]
-    head += ["end, median [mm]", "least [mm]", "most [mm]"]
-    return Table("Spread over random heads", head, lines, "Times are of those heads that reach the accuracy.")
-
-
-def _spread(values: Sequence[float]) -> tuple[float | None, float | None, float | None]:
-    """Median, least and largest value; None without values."""
-    return (float(np.median(values)), min(values), max(values)) if values else (None, None, None)
