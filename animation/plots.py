@@ -55,26 +55,6 @@ def plot_costs(scores: Sequence):
     return figure
 
 
-def draw_histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
-    """Draw how often each value occurs, a panel per (name, unit, values, bound); the bound, if any, as a red line."""
-    columns = min(4, len(panels))
-    rows = math.ceil(len(panels) / columns)
-    figure, axes = subplots(rows, columns, figsize=(3.1 * columns, 2.3 * rows), squeeze=False)
-    for axis in axes.ravel()[len(panels) :]:
-        axis.set_visible(False)
-    for axis, (name, unit, values, bound) in zip(axes.ravel(), panels, strict=False):
-        axis.hist(values, bins=min(40, max(5, round(2 * math.sqrt(len(values))))), color="#4c78a8")
-        if bound is not None:
-            axis.axvline(bound, color="#b3261e", lw=1.2)
-        axis.set_title(name, fontsize=9)
-        axis.set_xlabel(unit, fontsize=8)
-        axis.tick_params(labelsize=7)
-        axis.yaxis.get_major_locator().set_params(integer=True)
-        axis.spines[["top", "right"]].set_visible(False)
-    figure.supylabel("heads", fontsize=9)
-    return to_svg(figure)
-
-
 def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float] = (6.4, 4.8), **more):
     """A figure and its axes, as pyplot.subplots makes them, in the style that all share; Matplotlib loads here."""
     plt = _pyplot()

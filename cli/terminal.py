@@ -18,35 +18,32 @@ def show_progress() -> Iterator[OnProgress]:
     Of "stage: detail" the stage is timed.
     """
     if not sys.stderr.isatty():
-        yield _Lines()
+        yield _write_lines()
         return
     columns = (TextColumn("{task.description:<56}"), BarColumn(), TimeElapsedColumn())
+    tasks: dict[str, TaskID] = {}
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        yield _Bars(bars)
+
+        def show(what: str, fraction: float) -> None:
+            stage = what.partition(": ")[0]
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(what, total=1.0)
+            bars.update(tasks[stage], completed=min(fraction, 1.0), description=what)
+
+        yield show
 
 
-class _Bars:
-    def __init__(self, bars: Progress):
-        self._bars = bars
-        self._tasks: dict[str, TaskID] = {}
+def _write_lines() -> OnProgress:
+    begun: dict[str, float] = {}
+    said: dict[str, float] = {}
 
-    def __call__(self, what: str, fraction: float) -> None:
-        stage = what.partition(": ")[0]
-        if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(what, total=1.0)
-        self._bars.update(self._tasks[stage], completed=min(fraction, 1.0), description=what)
-
-
-class _Lines:
-    def __init__(self):
-        self._begun: dict[str, float] = {}
-        self._said: dict[str, float] = {}
-
-    def __call__(self, what: str, fraction: float) -> None:
+    def show(what: str, fraction: float) -> None:
         now, stage = time.monotonic(), what.partition(": ")[0]
-        self._begun.setdefault(stage, now)
-        if fraction < 1.0 and now - self._said.get(stage, -1e9) < 0.5:
+        begun.setdefault(stage, now)
+        if fraction < 1.0 and now - said.get(stage, -1e9) < 0.5:
             return
-        self._said[stage] = now
-        seconds = now - self._begun[stage]
+        said[stage] = now
+        seconds = now - begun[stage]
         print(f"{what}: {100 * min(fraction, 1.0):.0f} % ({seconds:.0f} s)", file=sys.stderr, flush=True)
+
+    return show

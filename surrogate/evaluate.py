@@ -20,6 +20,7 @@ from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import KeptFace
 from .corpus.reading import Faces, Row
+from .methods import Method
 from .rigs.rig import Needs, Rig
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
@@ -88,24 +89,6 @@ class Answers:
     frame_seconds: Sequence[float] = ()
 
 
-class Binds(Protocol):
-    """A method, such as those of METHODS; see `methods.Method`."""
-
-    @property
-    def name(self) -> str:
-        """Its label."""
-        ...
-
-    @property
-    def needs(self) -> Needs:
-        """The needs of a bind."""
-        ...
-
-    def bind(self, face: KeptFace, /) -> Rig:
-        """Bind a face."""
-        ...
-
-
 class Learns(Protocol):
     """A method that learns from a corpus' training faces before it binds others."""
 
@@ -129,7 +112,7 @@ class Contender:
     needs: Needs = "nothing"
 
 
-def by_frame(method: Binds) -> Contender:
+def by_frame(method: Method) -> Contender:
     """Answer with a method, fitted, one frame at a time by its weights alone."""
 
     def answer(trial: Trial) -> Answers:
@@ -209,7 +192,7 @@ class Distances:
         return replace(costs.get(contender.name, Cost()), frame_ms=frame)
 
 
-def measure_bind(method: Binds, faces: Sequence[KeptFace]) -> Cost:
+def measure_bind(method: Method, faces: Sequence[KeptFace]) -> Cost:
     """Measure what a user waits for before the first frame: the medians over some faces, after one that is not counted.
 
     A head is fitted, and the simulator runs, where the method needs them. InputError where nobody fits heads.
@@ -289,7 +272,7 @@ def score_distances(
 
 
 def evaluate(
-    methods: Sequence[Binds],
+    methods: Sequence[Method],
     trials: Iterable[Trial],
     costs: Mapping[str, Cost] = MappingProxyType({}),
     on_progress: OnProgress = silent,

@@ -17,7 +17,8 @@ from .corpus.face import KeptFace
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE
 from .corpus.reading import Row, Table
-from .evaluate import Answers, Binds, Contender, Score, Trial, by_frame, measure_frames
+from .evaluate import Answers, Contender, Score, Trial, by_frame, measure_frames
+from .methods import Method
 from .rigs.inertia import DynamicRig, Looseness
 from .rigs.rig import Needs
 from .trials import CorpusTrials
@@ -25,7 +26,7 @@ from .trials import CorpusTrials
 STILL = "dynamic, by its static answer"
 
 
-def in_motion(method: Binds, looseness: Looseness, mean: Surface) -> Contender:
+def in_motion(method: Method, looseness: Looseness, mean: Surface) -> Contender:
     """Answer with Eq. 21 over a method's frames, by the swing that its rig has learned, or where people are loose.
 
     A sequence begins at the method's own static answer with the simulation's velocity; the head turns as it did there.
@@ -88,7 +89,7 @@ def as_played(name: str, method: Plays, table: Table) -> Contender:
 
 
 def evaluate_motion(
-    methods: Sequence[Binds], tested: CorpusTrials, looseness: Looseness, on_progress: OnProgress = silent
+    methods: Sequence[Method], tested: CorpusTrials, looseness: Looseness, on_progress: OnProgress = silent
 ) -> list[Score]:
     """Score each method, which is ready, over all frames of the sequences: of kinds DYNAMIC, and STILL without inertia.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...reference import Face, Parameters
-from ...reference.face.derivatives import Analysis
+from ...reference.projective import Pattern
 from ...surrogate import CertifiedFace, Surrogate, certify
 from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES, PD
 from .messages import Change, DerivativesFound, Frame
@@ -34,7 +34,7 @@ class Refinement:
     def __init__(self, face: Face):
         self._face, self._network = face.in_contact(), Surrogate.load()
         self._now: tuple[Parameters, CertifiedFace] | None = None
-        self._analysis: Analysis | None = None
+        self._analysis: Pattern | None = None
 
     def is_prepared_for(self, parameters: Parameters) -> bool:
         """Return whether derivatives under this p are there."""

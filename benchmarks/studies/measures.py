@@ -14,7 +14,6 @@ from ...lhm.base.mesh import Floats
 from ...reference import Scene, Solution, apply_law, prepare, solve, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
-from ..harness.processes import held_megabytes, peak_megabytes, reset_peak
 from ..harness.study import Column, Values
 
 
@@ -173,7 +172,6 @@ COUNTS = (
     Column("linear_iterations", "CG iterations", cost=True),
 )
 ENDED = Column("reason", "ended")
-MEMORY = Column("scene_mb", "scene and solver [MB]", cost=True)
 
 
 def time_solve(
@@ -216,23 +214,9 @@ def count_unfinished(rows: Sequence[Values]) -> int:
     return sum(not values["converged"] for values in rows)
 
 
-def fit_slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
-    """Fit the exponent of a figure over sizes by least squares of logarithms; None for one size or a missing figure."""
-    if len(set(sizes)) < 2 or not all(values):
-        return None
-    return float(np.polyfit(np.log(sizes), np.log(np.asarray(values, dtype=np.float64)), 1)[0])
-
-
-def measure_megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
-    """Measure the most memory [MB] that making, preparing and solving a scene takes beside what is held.
-
-    To be called in a process of its own, before other scenes: what is freed is used again unseen.
-    """
-    load_kernels(**how)
-    reset_peak()
-    before = held_megabytes()
-    prepare(make(), **how).solve(max_iterations=iterations)
-    return peak_megabytes() - before
+def fit_slope(sizes: Sequence[float], values: Sequence[float]) -> float:
+    """Fit the exponent of a figure over two sizes or more, by least squares of logarithms."""
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
 def load_kernels(law: str = PD_ENERGY, **how) -> None:

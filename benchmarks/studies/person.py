@@ -14,7 +14,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
-from ...lhm.template.template import DEFAULT_LEVEL, LEVELS
+from ...lhm.template.template import DEFAULT_LEVEL
 from ...reference import Face, Parameters
 from ...reference.added import all_solvers
 from ...reference.face.tissue import CellKind
@@ -46,14 +46,6 @@ def parse_solvers(solvers: Sequence[str]) -> tuple[str, ...]:
     """Give these solvers, or all where none is named; InputError for an unknown one."""
     check_known("solver", solvers, all_solvers())
     return tuple(solvers) or all_solvers()
-
-
-def check_person(seed: int | None, level: int) -> None:
-    """Refuse a negative seed, and a level that the default template has not, by an InputError."""
-    if seed is not None and seed < 0:
-        raise InputError(f"seed: must be at least 0, got {seed}")
-    if level not in LEVELS:
-        raise InputError(f"level: there are {', '.join(map(str, LEVELS))}, got {level}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +97,8 @@ class OfPerson(Study):
         return person(self.identities, self.seed if seed is None else seed, level or self.level)
 
     def check(self, texts: Sequence[str] = ()) -> None:
-        """Refuse a space that cannot be read, a seed or level out of range, and expressions likewise."""
+        """Refuse a space or expressions that cannot be read."""
         identities.from_text(self.identities)
-        check_person(self.seed, self.level)
         for text in texts:
             expressions.parse_weights(text)
 

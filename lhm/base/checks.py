@@ -16,6 +16,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .errors import InputError, SoftdecaError, quote
 
@@ -171,13 +172,7 @@ def rotations_from_quaternions(name: str, quaternions: Any) -> Floats:
     wrong = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT))
     if len(wrong):
         raise InputError(f"{name}: quaternion {wrong[0]} has length {lengths[wrong[0], 0]:.3g}; expected 1")
-    x, y, z, w = (q / lengths).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), 2, 0)
+    return Rotation.from_quat(q).as_matrix()
 
 
 def _place(flat: int, array: np.ndarray) -> str:

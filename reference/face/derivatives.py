@@ -8,7 +8,6 @@ before.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,18 +25,8 @@ BY_MATRIX = 400
 """Iterations of the PD matrix before the tangent takes over."""
 
 
-@dataclass(frozen=True, eq=False)
-class Analysis:
-    """The symbolic work on a face, which serves every other of the same template and choices."""
-
-    pattern: Pattern
-
-
-class Rested(NamedTuple):
-    """A settled face's neutral scene, prepared, and its answer by the PD matrix, which may not have converged."""
-
-    prepared: ProjectivePrepared
-    answer: Solution
+Rested = tuple[ProjectivePrepared, Solution]
+"""A settled face's neutral scene, prepared, and its answer by the PD matrix, which may not have converged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +43,9 @@ class FaceDerivatives:
         return self.tangent.is_exact
 
     @property
-    def analysis(self) -> Analysis:
+    def analysis(self) -> Pattern:
         """Symbolic work for `Face.like`, kept when the numbers are let go."""
-        return Analysis(self.tangent.pattern)
+        return self.tangent.pattern
 
 
 def rest_among_targets(
@@ -70,16 +59,14 @@ def rest_among_targets(
     # By cholespy: its factor takes a tenth of a second more than CHOLMOD's from an analysis, each solve a third less.
     prepared = prepare(scene)
     first = max(accuracy, FRAME_ACCURACY if accuracy < QUICK_ACCURACY else 0.0) * spring_norm(scene)
-    return Rested(
-        prepared, prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)
-    )
+    return prepared, prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)
 
 
 def differentiate(
     rested: Rested,
     *,
     accuracy: float = QUICK_ACCURACY,
-    like: Analysis | None = None,
+    like: Pattern | None = None,
     on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
     """Factor the Hessian at a neutral answer, which goes on by that where it is not accurate yet.
@@ -88,7 +75,7 @@ def differentiate(
     another face of the same template and choices, lends its symbolic work.
     """
     prepared, near = rested
-    tangent = prepared.tangent(near, like=None if like is None else like.pattern)
+    tangent = prepared.tangent(near, like=like)
     if accuracy >= QUICK_ACCURACY and near.converged:
         return FaceDerivatives(prepared, near, tangent)
     answer = prepared.solve(

@@ -14,13 +14,13 @@ from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
 from ...lhm.head.skin import check_shapes
+from ..projective import Pattern
 from ..scene import Scene
 from ..solution import OnIteration
 from ..terms import Target
 from . import palsy
 from .derivatives import (
     QUICK_ACCURACY,
-    Analysis,
     FaceDerivatives,
     Rested,
     carry_to_skin,
@@ -63,7 +63,7 @@ class Face:
     choices: Mapping[str, Any] = field(default_factory=dict)
     settling: Mapping[str, Any] = field(default_factory=lambda: TARGET_OPTIONS)
     accuracy: float = QUICK_ACCURACY
-    like: Analysis | None = None
+    like: Pattern | None = None
     on_iteration: OnIteration | None = None
     _settled: dict[FaceLaw, SettledFace] = field(default_factory=dict, init=False, repr=False)
 
@@ -187,7 +187,7 @@ class Face:
     @cached_property
     def offset(self) -> Floats:
         """T - S at w = 0 [mm], shape (n, 3): how the neutral face settles, and then rests among its targets."""
-        settled, answer = self.settled(), self._rested.answer
+        settled, (_, answer) = self.settled(), self._rested
         if not answer.converged:
             answer = self.derivatives.answer
         rested = self.expression_skin(self.head.skin.vertices, answer.positions) - settled.skin

@@ -192,20 +192,6 @@ class KeptFace:
         return self.offset.astype(np.float32) - self.displacement
 
 
-class FirstOrder(Protocol):
-    """What is linear in w of a face [mm]: see `KeptFace`."""
-
-    @property
-    def offset(self) -> np.ndarray:
-        """T - S at w = 0 [mm], shape (n, 3)."""
-        ...
-
-    @property
-    def responses(self) -> np.ndarray:
-        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Frames:
     """Static frames of a face: weights (F, 52), and T - S (F, n, 3) [mm]."""
@@ -213,7 +199,7 @@ class Frames:
     weights: Floats32
     corrected: np.ndarray
 
-    def remainder(self, face: FirstOrder) -> Floats32:
-        """T - S beyond the face's first order [mm], shape (F, n, 3)."""
-        linear = np.tensordot(self.weights, face.responses.astype(np.float32), axes=1)
-        return self.corrected.astype(np.float32) - face.offset.astype(np.float32) - linear
+    def remainder(self, offset: np.ndarray, responses: np.ndarray) -> Floats32:
+        """T - S beyond the face's first order [mm], shape (F, n, 3); see `Derivatives`."""
+        linear = np.tensordot(self.weights, responses.astype(np.float32), axes=1)
+        return self.corrected.astype(np.float32) - offset.astype(np.float32) - linear

@@ -11,9 +11,10 @@ from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head.head import LayeredHead
 from ...reference import Solution
-from ...reference.face.derivatives import Analysis, spring_norm
+from ...reference.face.derivatives import spring_norm
 from ...reference.face.face import Face
 from ...reference.face.tissue import CellKind
+from ...reference.projective import Pattern
 from .face import MOVED, People, Person
 from .mixture import ParameterSet
 from .plan import CorpusPlan
@@ -143,7 +144,7 @@ def _kind(people: People, face: Face) -> tuple[str, CellKind, bool]:
     return people.name, face.choices["cells"], bool(np.any(face.on_wraps.skin_bending))
 
 
-_last: dict[tuple[str, CellKind, bool], Analysis] = {}
+_last: dict[tuple[str, CellKind, bool], Pattern] = {}
 """The last faces of a process: what was analysed of their matrices, the same for all heads of a template, serves again.
 
 Of one space's people alone: an analysis takes some tens of megabytes.

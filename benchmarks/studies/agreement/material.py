@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
@@ -99,23 +98,6 @@ class Material(Study):
             nearest = min(worst, key=lambda law: worst[law])
             parts.append(f"up to {100 * most:.0f} % strain the {nearest} law, to {worst[nearest]:.0f} % of its stress")
         return f"PD's energy stands nearest for: {'; '.join(parts)}."
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw stress against stretch: a panel per mode and ratio, PD's energy in black."""
-        cases = list(dict.fromkeys(row.case for row in rows))
-        columns = len(self.modes)
-        lines = -(-len(cases) // columns)
-        figure, axes = subplots(lines, columns, figsize=(3.6 * columns, 2.6 * lines), squeeze=False)
-        for axis, case in zip(axes.ravel(), cases, strict=False):
-            for row in (row for row in rows if row.case == case):
-                axis.plot(row.values["stretch"], row.values["law_kpa"], lw=1.0, label=row.method)
-            axis.plot(row.values["stretch"], row.values["pd_kpa"], "k--", lw=1.6, label="PD's energy")
-            low, high = np.min(row.values["pd_kpa"]), np.max(row.values["pd_kpa"])
-            axis.set_ylim(1.5 * low, 1.5 * high)
-            axis.set_title(case, fontsize=9)
-        axes[0][0].legend(fontsize=7)
-        axes[-1][0].set(xlabel="stretch", ylabel="nominal stress [kPa]")
-        return {"Nominal stress against stretch.": to_svg(figure)}
 
 
 def _list_stresses(energies: Sequence[Law], mode: str) -> list[float]:

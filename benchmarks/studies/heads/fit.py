@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from ....animation import plots
 from ....animation.head_pictures import FRONT, LARGEST_GAP
 from ....animation.pictures import Panel, draw_cut_away, draw_strip
 from ....lhm import (
@@ -24,13 +22,13 @@ from ....lhm import (
     identities,
     load_template,
 )
-from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.limits import DRAWN_HEADS, SEED, STUDIED_HEADS
 from ....lhm.base.option import option
 from ....lhm.head.file import load_head
 from ....lhm.head.gates import Figure
-from ....lhm.identities.space import CLIP, LinearSpace
+from ....lhm.identities.space import LinearSpace
 from ....reference import Parameters, facial_scene, solve
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import Stopwatch
@@ -59,17 +57,13 @@ def draw_moving_head(head: LayeredHead) -> Values:
 
 
 WORST = 5
-PLOTTED = (
-    "smallest_dihedral", "share_below_5_degrees", "aspect_95", "aspect_max", "least_thickness", "mean_thickness",
-    "wrap_to_skin_mean", "wrap_to_skin_95", "wrap_to_skin_max", "skin_to_wrap_mean", "lip_path", "lid_detour",
-)  # fmt: skip
 SECONDS = ("fit_s", "fit_cpu_s", "check_s", "check_cpu_s")
 FITTED, DRAWN = "fit and check", "simulated and drawn"
 
 
 @dataclass(frozen=True)
 class Heads(OfPerson):
-    """Random identities, of seeds from the study's on; a code of 2.5 standard deviations is scaled to `sigma`."""
+    """Random identities, of seeds from the study's on."""
 
     name = "heads"
     heading = "Does every person get a valid head?"
@@ -83,25 +77,19 @@ class Heads(OfPerson):
     )
     note = (
         "Each head counts once, with its smallest, mean or largest value. `softdeca bench heads --seed N --count 1` "
-        "repeats seed N; at 2.5 standard deviations `softdeca head fit --seed N` does too. The gallery shows "
+        "repeats seed N, and `softdeca head fit --seed N` does too. The gallery shows "
         "expressions at full weight, simulated by projective dynamics with default parameters."
     )
 
     identities: str = option("anny", WHOSE)
     seed: int = option(0, "seed of the first identity", bound=SEED)
     count: int = option(1000, "how many random identities", bound=STUDIED_HEADS)
-    sigma: float = CLIP
     gallery: int = option(2, "how many of them are simulated and drawn", bound=DRAWN_HEADS)
     heads: tuple[str, ...] = option((), "a head file, drawn as well; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
-        """List each identity, and the gallery; InputError for a value out of range, and for a file without a head."""
+        """List each identity, and the gallery; InputError for a file without a head."""
         self.check()
-        for name, least in (("count", 1), ("gallery", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name}: must be at least {least}, got {getattr(self, name)}")
-        if not (math.isfinite(self.sigma) and 0 < self.sigma <= 10):
-            raise InputError(f"sigma: must be above 0 and at most 10, got {self.sigma:g}")
         for path in self.heads:
             load_head(Path(path))
         seeds = [f"seed {seed}" for seed in range(self.seed, self.seed + self.count)]
@@ -114,8 +102,8 @@ class Heads(OfPerson):
         seed = None if task.case in self.heads else int(task.case.split()[1])
         if task.method == FITTED:
             assert seed is not None
-            return try_fit(template, sample(space, seed, self.sigma))
-        head = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
+            return try_fit(template, sample(space, seed))
+        head = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed))
         return draw_moving_head(head)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
@@ -148,15 +136,6 @@ class Heads(OfPerson):
             *([Table("Distributions", head, figures)] if figures else []),
         ]  # fmt: skip
 
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw how often each value occurs."""
-        panels = [
-            (_name_figure(figure), figure.unit, [value for value, _ in values], figure.bound)
-            for figure, values in collect_figures(_select_fits(rows))
-            if figure.name in PLOTTED or figure.name in SECONDS[::2]
-        ]
-        return {"Distributions; red: the bound of a gate.": plots.draw_histograms(panels)} if panels else {}
-
 
 @lru_cache(maxsize=1)
 def _load_space(whose: str, level: int) -> tuple[LinearSpace, Template]:
@@ -166,10 +145,9 @@ def _load_space(whose: str, level: int) -> tuple[LinearSpace, Template]:
     return space, template
 
 
-def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
-    """Sample the neutral skin [mm] of one identity; at the default sigma that of `softdeca head fit --seed`."""
-    code, skin = space.sample(np.random.default_rng(seed))
-    return skin if sigma == CLIP else space.skin(code * (sigma / CLIP))
+def sample(space: LinearSpace, seed: int) -> Surface:
+    """Sample the neutral skin [mm] of one identity, that of `softdeca head fit --seed`."""
+    return space.sample(np.random.default_rng(seed))[1]
 
 
 def try_fit(template: Template, skin: Surface) -> dict:

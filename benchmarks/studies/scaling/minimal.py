@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
@@ -16,7 +15,7 @@ from ....lhm.head.head import LayeredHead
 from ....reference import Face, Parameters, solve
 from ....reference.face.tissue import bone_points
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
-from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, distances, measure_megabytes, time_solve
+from ..measures import COUNTS, ENDED, TIMES, Stopwatch, distances, time_solve
 from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -102,19 +101,16 @@ class Minimal(OfPerson):
         *TIMES[:-1],
         Column("cpu_s", "processor time of all [s]", cost=True),
         *COUNTS,
-        MEMORY,
         Column("mean_mm", "changes the skin, mean [mm]"),
         Column("max_mm", "max [mm]"),
         ENDED,
     )
     note = (
-        "Projective dynamics solves from rest to a gradient norm of 1e-6 of its start, in its own process. Memory is "
-        "beside head and libraries. Under an effect the neutral face settles first, by the same scene as the "
-        "expression. The change is the distance of the skin's vertices to those of the whole scene. The whole scene "
-        "has three wraps, membrane, rigid cranium and mandible."
+        "Projective dynamics solves from rest to a gradient norm of 1e-6 of its start. Under an effect the neutral "
+        "face settles first, by the same scene as the expression. The change is the distance of the skin's vertices to "
+        "those of the whole scene. The whole scene has three wraps, membrane, rigid cranium and mandible."
     )
     timed = True
-    alone = True
     version = 2
     needed: ClassVar[float] = 0.8
     """[mm] 3 g moves the settled face by 1 mm; a study that lets targets hold the face finds .02."""
@@ -140,9 +136,8 @@ class Minimal(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """Measure costs, and the change from the whole."""
-        whole, expression = self.face(task.case), self.expression(task.case)
-        change = {**LEFT_OUT, **ADDED}.get(task.method)
-        return _measure_costs(whole if change is None else change(whole), whole, expression)
+        change = {**LEFT_OUT, **ADDED}.get(task.method, replace)
+        return _measure_costs(change(self.face(task.case)), self.face(task.case), self.expression(task.case))
 
     def face(self, case: str) -> Face:
         """Make the face of a case, whose scenes are whole."""
@@ -172,41 +167,17 @@ class Minimal(OfPerson):
             sentences.append(f"{case} {', or '.join(spare) or 'with all'}")
         return f"Within {ALLOWED:g} mm of the whole: {'; '.join(sentences)}."
 
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw the change by each piece against what it costs, a mark per scene."""
-        figure, axis = subplots(figsize=(9, 4.6))
-        for method in (*LEFT_OUT, *ADDED):
-            points = [
-                (_find_cost(rows, row.case, method) / whole, row.values["max_mm"])
-                for row in rows
-                if row.method == method and row.values["max_mm"] > 0 and (whole := _find_cost(rows, row.case, WHOLE))
-            ]
-            if points:
-                axis.plot(*zip(*points, strict=True), "o", label=method)
-        axis.axhline(ALLOWED, color="#bbbbbb", lw=0.8, ls=":")
-        axis.set(xlabel="processor time over the whole scene's", ylabel="largest change of the skin [mm]", yscale="log")
-        if not axis.lines[1:]:
-            return {}
-        figure.legend(loc="outside right upper")
-        return {"What a piece changes, against the time with or without it. Dotted: 0.1 mm.": to_svg(figure)}
-
-
-def _find_cost(rows: Sequence[Row], case: str, method: str) -> float:
-    return next((row.values["cpu_s"] for row in rows if (row.case, row.method) == (case, method)), 0.0)
-
 
 def _measure_costs(model: Face, whole: Face, expression: Floats) -> dict:
-    scene_mb = measure_megabytes(lambda: replace(model).expression_scene(expression))
     watch = Stopwatch()
-    face = replace(model)  # one that has not settled yet
-    settled = face.settled()
+    settled = model.settled()
     if not settled.converged:
         raise SoftdecaError(f"the neutral face: {settled.reason}")
     _, settle_cpu = watch.lap()
-    solution, costs = time_solve(lambda: face.expression_scene(expression), TOLERANCE)
+    solution, costs = time_solve(lambda: model.expression_scene(expression), TOLERANCE)
     if not solution.converged:
         raise SoftdecaError(str(solution.reason))
     costs |= {"settle_s": settle_cpu, "cpu_s": costs["cpu_s"] + settle_cpu}
-    apart = distances(face.expression_skin(expression, solution.positions), solve_skin(whole, expression))
-    return {"tets": len(face.expression_scene(expression).tets), **costs, "scene_mb": scene_mb,
-            "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}  # fmt: skip
+    apart = distances(model.expression_skin(expression, solution.positions), solve_skin(whole, expression))
+    tets = len(model.expression_scene(expression).tets)
+    return {"tets": tets, **costs, "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}

@@ -7,12 +7,11 @@ machine spoils little.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene
@@ -47,35 +46,26 @@ class Ranks(OfPerson):
     note = "All solves end at a gradient norm of 1e-12 of their start."
     timed = True
 
-    processes: tuple[str, ...] = option(
-        ("1", "2", "4"), "counts to compare, the first is 1; repeat", name="--processes"
+    processes: tuple[int, ...] = option(
+        (1, 2, 4), "counts to compare, the first is 1; repeat", name="--processes", type=int
     )
     expression: str = "jawOpen*0.5"
     rounds: int = 2
     repeats: int = 5
 
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Counts of processes; InputError for other than 1 and others."""
-        wanted = f"processes: expected 1 and others, got {', '.join(self.processes) or 'none'}"
-        if not all(text.isdecimal() for text in self.processes):
-            raise InputError(wanted)
-        counts = tuple(map(int, self.processes))
-        if not counts or counts[0] != 1 or min(counts) < 1:
-            raise InputError(wanted)
-        return counts
-
     def tasks(self) -> Sequence[Task]:
-        """List an energy of the head each; InputError for options out of range."""
+        """List an energy of the head each; InputError for counts that do not begin with 1."""
         self.check([self.expression])
-        return [Task(case, f"{', '.join(map(str, self.counts))} processes") for case in (NEO_HOOKEAN, PD_ENERGY)]
+        if self.processes[:1] != (1,) or min(self.processes) < 1:
+            raise InputError(f"processes: expected 1 and others, got {self.processes}")
+        return [Task(case, f"{', '.join(map(str, self.processes))} processes") for case in (NEO_HOOKEAN, PD_ENERGY)]
 
     def measure(self, task: Task) -> Values:
         """Measure a row per count of processes."""
         person = self.person()
         scene = facial_scene(person.head, Parameters(), person.shape(self.expression), bones="prescribed")
         scene = apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene
-        return {"rows": compare_counts(scene, self.counts, self.rounds, self.repeats)}
+        return {"rows": compare_counts(scene, self.processes, self.rounds, self.repeats)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that there is one answer, and that all converged."""
@@ -93,16 +83,6 @@ class Ranks(OfPerson):
             for row in rows
             for line in row.values["rows"][1:]
         )
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw the gain of a whole solve by the number of processes, a line per energy."""
-        figure, axis = subplots(figsize=(5.2, 3.4))
-        for row in rows:
-            axis.plot(*zip(*((line["processes"], line["gain"]) for line in row.values["rows"]), strict=True), "o-",
-                      label=row.case)  # fmt: skip
-        axis.set(xlabel="processes", ylabel="times as fast as one process")
-        axis.legend()
-        return {"What several processes gain in a whole solve.": to_svg(figure)}
 
 
 def compare_counts(scene: Scene, counts: Sequence[int], rounds: int, repeats: int) -> list[dict]:

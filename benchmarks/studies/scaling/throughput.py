@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.mesh import Floats
 from ....reference import Face, Parameters, Prepared, facial_scene, prepare
@@ -141,7 +140,6 @@ class Throughput(OfPerson):
             "solve_s": walls,
             "cpu_s": cpus,
             "iterations": float(np.mean(iterations)),
-            "frame_iterations": iterations,
             "error_mm": max(errors),
             "per_hour": 3600.0 / float(np.mean(walls)),
             "tolerance": tolerance,
@@ -194,20 +192,3 @@ class Throughput(OfPerson):
             elif row.case == SEQUENCE:
                 sentences.append(f"{row.values['rows'][0]['per_hour']:,.0f} frames of a sequence")
         return f"A core simulates, per hour, {', '.join(sentences)}." if sentences else ""
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw milliseconds and iterations of each frame of the sequence."""
-        line = next((row.values["rows"][0] for row in rows if row.case == SEQUENCE), None)
-        if line is None:
-            return {}
-        figure, axis = subplots(figsize=(8, 3))
-        frames = range(1, len(line["solve_s"]) + 1)
-        axis.plot(frames, [1e3 * seconds for seconds in line["solve_s"]], label="wall time")
-        axis.plot(frames, [1e3 * seconds for seconds in line["cpu_s"]], label="processor time", ls="--")
-        axis.set(xlabel="frame (60 Hz)", ylabel="ms", ylim=(0, None))
-        right = axis.twinx()
-        right.grid(False)
-        right.plot(frames, line["frame_iterations"], color="#999999", lw=0.9)
-        right.set(ylabel="iterations (grey)", ylim=(0, None))
-        axis.legend(loc="upper right")
-        return {"A sequence of talk.": to_svg(figure)}

@@ -22,7 +22,7 @@ from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
 from ....surrogate.methods import FENICSX, FENICSX_NEO_HOOKEAN, PD
 from ...harness.processes import peak_megabytes, reset_peak
-from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import (
     COUNTS,
     ENDED,
@@ -54,7 +54,6 @@ METHODS = {
     PD: Method("projective", PD_ENERGY, ("P1",)),
 }
 TOLERANCE = 1e-8
-GROWING = ("cpu_s", "cpu_per_linear_iteration", "linear_iterations", "peak_mb")
 
 Mesh = tuple[int, int, str]
 """Level of the template, sub-layers of each tissue, and element."""
@@ -175,28 +174,13 @@ class Unknowns(OfPerson):
         ]  # fmt: skip
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell the exponents."""
-        sentences = [
-            f"{method}, {element}: unknowns^{slopes['cpu_s']:.2f}" for method, element, _, slopes in fit_exponents(rows)
-        ]
+        """Tell the exponents, where there are two meshes or more."""
+        sentences = []
+        for (method, element), solves in _group_solves(rows).items():
+            if len(solves) > 1:
+                slope = fit_slope([values["unknowns"] for values in solves], [values["cpu_s"] for values in solves])
+                sentences.append(f"{method}, {element}: unknowns^{slope:.2f}")
         return f"Processor time grows as {'; '.join(sentences)}." if sentences else ""
-
-    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate the exponents of all that grows."""
-        head = [
-            "method",
-            "element",
-            "meshes",
-            "processor time",
-            "time of a CG iteration",
-            "CG iterations",
-            "most memory",
-        ]
-        lines = [
-            [method, element, count, *(slopes[key] for key in GROWING)]
-            for method, element, count, slopes in fit_exponents(rows)
-        ]
-        return [Table("Exponents over unknowns", head, lines)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw processor time per unknown, and memory, against unknowns: a line per method and element."""
@@ -220,7 +204,7 @@ def measure(method: Method, scene: Scene, element: str, find_start: Callable[[st
     how = {"solver": method.solver} | ({"element": element} if method.solver == "fenicsx" else {})
     solution, costs = time_solve(lambda: apply_law(scene, method.law), TOLERANCE, start=start, **how)
     costs["cpu_s"] += coarse_cpu_s
-    unknowns, linear = 3 * count_nodes(scene, element), costs["linear_iterations"]
+    unknowns = 3 * count_nodes(scene, element)
     return {
         "unknowns": unknowns,
         "tets": len(scene.tets),
@@ -229,7 +213,6 @@ def measure(method: Method, scene: Scene, element: str, find_start: Callable[[st
         "coarse_cpu_s": coarse_cpu_s,
         "assemblies": solution.detail.get("assemblies"),
         "fallback_solves": solution.detail.get("fallback_solves"),
-        "cpu_per_linear_iteration": None if linear is None else costs["cpu_s"] / max(linear, 1),
         "cpu_us_per_unknown": 1e6 * costs["cpu_s"] / unknowns,
         "peak_mb": peak_megabytes(),
     }
@@ -250,17 +233,3 @@ def _group_solves(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
     for row in sorted(rows, key=lambda row: row.values["unknowns"]):
         groups.setdefault((row.method, row.values["element"]), []).append(row.values)
     return groups
-
-
-def fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
-    """Fit slopes over unknowns by method and element, where there are two meshes or more; their count comes third."""
-    return [
-        (
-            method,
-            element,
-            len(solves),
-            {key: fit_slope([v["unknowns"] for v in solves], [v[key] for v in solves]) for key in GROWING},
-        )
-        for (method, element), solves in _group_solves(rows).items()
-        if len(solves) > 1
-    ]

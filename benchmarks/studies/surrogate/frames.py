@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ....animation.contact_sheet import draw_face_strip
@@ -22,15 +20,6 @@ SHOWN = 6
 SIZE = 230
 
 
-@dataclass(frozen=True)
-class Worst:
-    """A frame of a face, by its number there, and the network's mean error [mm] over the vertices that move."""
-
-    face: int
-    frame: int
-    error: float
-
-
 def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each.
 
@@ -45,8 +34,8 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     except InputError:
         solved = {}  # a corpus without references
     rows = []
-    for number, worst in enumerate(find_worst_frames(faces, network)):
-        face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
+    for number, (worst, frame, error) in enumerate(find_worst_frames(faces, network)):
+        face, frames = faces.face(worst), faces.frames(worst, np.array([frame]))
         skin, weights_now = face.skin, frames.weights[0]
         blended = face.blend(weights_now)
         truth, carried = frames.corrected[0].astype(np.float64), face.carried
@@ -60,12 +49,12 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
         panels = [
             Panel("blendshapes: S", skin.with_vertices(blended)),
             Panel(f"T: {kind_of_coefficients(face.coefficients)}", simulated),
-            Panel(f"network {worst.error:.2f} mm", skin.with_vertices(blended + own)),
+            Panel(f"network {error:.2f} mm", skin.with_vertices(blended + own)),
             Panel("|bones carried - T|", simulated, off(carried), top),
             Panel("|settled face - T|", simulated, off(still), top),
             Panel("|network - T|", simulated, off(own), top),
         ]
-        answer = solved.get((worst.face, weights_now.tobytes()))
+        answer = solved.get((worst, weights_now.tobytes()))
         if answer is not None:
             panels.insert(2, Panel(FENICSX, skin.with_vertices(blended + answer)))
             panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
@@ -74,8 +63,11 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     return rows
 
 
-def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[Worst]:
-    """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
+def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[tuple[int, int, float]]:
+    """Find the faces with the worst frames of a method, the worst first: face, frame there and its mean error [mm].
+
+    Errors are over the vertices that move.
+    """
     worst = []
     for index in range(len(faces)):
         face, frames = faces.face(index), faces.frames(index)
@@ -87,5 +79,5 @@ def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[
         errors = np.linalg.norm(answers - blended - truth, axis=2)
         motions = np.linalg.norm(truth - face.carried, axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
-        worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
-    return sorted(worst, key=lambda frame: -frame.error)[:count]
+        worst.append((index, int(np.argmax(means)), float(np.max(means))))
+    return sorted(worst, key=lambda frame: -frame[2])[:count]

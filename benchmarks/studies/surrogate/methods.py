@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 from ....lhm.base.errors import InputError
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
-from ....surrogate.evaluate import Binds, Cost, Learns, measure_bind
+from ....surrogate.evaluate import Cost, Learns, measure_bind
 from ....surrogate.methods import VERTICES_ONLY, Method, ready_methods
 from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
 
-@lru_cache(maxsize=1)
-def list_learners() -> Mapping[str, Callable[[], Learns]]:
-    """Return what is fitted to a corpus' training people in minutes, by name; torch, which they need, is an extra.
+def list_learners() -> Mapping[str, Callable[[float | None], Learns]]:
+    """Return what makes each learner, by name, for hours of a processor or, with None, for its usual minutes.
 
-    The paper's networks, which take longer, are in `table_1.py`.
+    It is fitted to a corpus' training people. Torch, which it needs, is an extra. The paper's networks, which take
+    longer, are in `table_1.py`.
     """
-    from ....surrogate.networks.vertices_only import VerticesOnly
+    from ....surrogate.networks.vertices_only import TRAINING, VerticesOnly
 
-    return {VERTICES_ONLY: VerticesOnly}
+    return {VERTICES_ONLY: lambda hours: VerticesOnly(replace(TRAINING, hours=hours))}
 
 
 def parse_people(people: str) -> Split | None:
@@ -60,7 +60,7 @@ class Contest:
         """Whether the corpus has sequences, and somebody knows where its people are loose."""
         return bool(self.tested.corpus.plan.sequences) and self.looseness is not None
 
-    def measure_cost(self, method: Binds) -> dict[str, Cost]:
+    def measure_cost(self, method: Method) -> dict[str, Cost]:
         """Measure what a bind costs, by the method's name; nothing where nobody fits the heads that it needs."""
         if method.needs == "nothing":
             return {}

@@ -176,7 +176,7 @@ def score_static(contest: Contest, name: str) -> list[Score]:
     ready = contest.methods.get(name)
     if ready is not None:
         return evaluate([ready], contest.tested.static(), contest.measure_cost(ready))
-    learner, begin = list_learners()[name](), time.process_time()
+    learner, begin = list_learners()[name](None), time.process_time()
     learner.fit(contest.tested.training)
     fitted = time.process_time() - begin
     method = Method(name, learner.bind, learner.needs)

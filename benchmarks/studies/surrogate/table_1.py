@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -58,8 +58,6 @@ GRADIENTS = {
 TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
 LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_BEGUN)
 """Networks that learn Eq. 21 where the corpus has sequences, in a tenth of the time."""
-STEPWISE = (*GRADIENTS, NETWORK_ALIKE, VERTICES_ONLY)
-"""What learns static frames by steps, as many as fit into the time."""
 SEPARATE = (SOFTDECA, VERTICES_ONLY)
 """Networks of the form z(w) L(p, h, π(i)) alone, whose z has a floor."""
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
@@ -156,14 +154,13 @@ class Table1(Study):
         ready = contest.methods | {TABLES: Method(TABLES, use_tables(contest.network))}
         if name in ready:
             return about | {"rows": [asdict(score) for score in self._scores(ready[name], contest)]}
-        rows: list[Score] = []
-        if name in STEPWISE:
-            method, _ = train(name, contest, 0.25 * self.hours)
-            rows += [replace(score, kind=EARLY) for score in score_static(method, tested)[:1]]
+        learner = LEARNERS.get(name, train_rival)
+        method, _ = learner(name, contest, 0.25 * self.hours)
+        early = [replace(score, kind=EARLY) for score in score_static(method, tested)[:1]]
         begin = time.process_time()
-        method, said = train(name, contest, self.hours)
+        method, said = learner(name, contest, self.hours)
         seconds = time.process_time() - begin
-        rows = [*self._scores(method, contest), *rows]
+        rows = [*self._scores(method, contest), *early]
         return about | said | {"rows": [asdict(replace(score, fit_seconds=seconds)) for score in rows]}
 
     def _scores(self, method: Method, contest: Contest) -> Iterator[Score]:
@@ -220,30 +217,19 @@ def use_tables(network: Surrogate) -> Binder:
     return bind
 
 
-def train(name: str, contest: Contest, hours: float) -> tuple[Method, dict[str, Any]]:
-    """Train a method on the corpus' training people; return it, ready, and what is said of its training."""
-    faces = contest.tested.training
-    if name == NETWORK_ALIKE:
-        from ....surrogate.networks.modal_training import ModalTraining, train_modal
-
-        weights = train_modal(faces, ModalTraining(hours=hours))
-        return Method(name, use_network(Surrogate(weights))), {"steps": weights.note.steps}
-    if name in GRADIENTS:
-        surrogate = train_gradients_in(name, contest, hours)
-        numbers = sum(int(np.prod(array.shape)) for array in surrogate.weights.network.values())
-        return Method(name, use_network(surrogate)), {"steps": surrogate.weights.note.steps, "numbers": numbers}
-    if name == VERTICES_ONLY:
-        from ....surrogate.networks.vertices_only import TRAINING, VerticesOnly
-
-        at_vertices = VerticesOnly(replace(TRAINING, hours=hours))
-        at_vertices.fit(faces)
-        return Method(name, at_vertices.bind, at_vertices.needs), {"steps": at_vertices.steps}
-    learner = list_learners()[name]()
-    learner.fit(faces)
-    return Method(name, learner.bind, learner.needs), {}
+Trained = tuple[Method, dict[str, Any]]
+"""A method, ready, and what is said of its training."""
 
 
-def train_gradients_in(name: str, contest: Contest, hours: float) -> Surrogate:
+def train_alike(name: str, contest: Contest, hours: float) -> Trained:
+    """Train the network itself on the corpus' training people."""
+    from ....surrogate.networks.modal_training import ModalTraining, train_modal
+
+    weights = train_modal(contest.tested.training, ModalTraining(hours=hours))
+    return Method(name, use_network(Surrogate(weights))), {"steps": weights.note.steps}
+
+
+def train_form(name: str, contest: Contest, hours: float) -> Trained:
     """Train a network of GRADIENTS for some hours, and where it learns Eq. 21, that in a tenth of them."""
     from ....surrogate.networks.gradient_training import NETWORKS, train_gradients
     from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
@@ -254,7 +240,23 @@ def train_gradients_in(name: str, contest: Contest, hours: float) -> Surrogate:
         table, pivot = tested.table("sequences", "train"), find_mean_pivot(tested.faces.heads)
         config = RecurrenceTraining(hours=0.1 * hours)
         weights = train_recurrence(weights, Surrogate(weights).bind_face, table, pivot, config)
-    return Surrogate(weights)
+    numbers = sum(int(np.prod(array.shape)) for array in weights.network.values())
+    return Method(name, use_network(Surrogate(weights))), {"steps": weights.note.steps, "numbers": numbers}
+
+
+def train_rival(name: str, contest: Contest, hours: float) -> Trained:
+    """Train one of `list_learners`."""
+    learner = list_learners()[name](hours)
+    learner.fit(contest.tested.training)
+    said = {"steps": learner.steps} if hasattr(learner, "steps") else {}
+    return Method(name, learner.bind, learner.needs), said
+
+
+LEARNERS: Mapping[str, Callable[[str, Contest, float], Trained]] = {
+    NETWORK_ALIKE: train_alike,
+    **dict.fromkeys(GRADIENTS, train_form),
+}
+"""Trainings of the paper's networks and of ours for some hours, by label; all others are rivals."""
 
 
 def play(name: str, tested: CorpusTrials, hours: float) -> tuple[Score, int]:
