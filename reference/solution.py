@@ -14,6 +14,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from ..lhm.base.checks import finite
 from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.mesh import Floats, Ints, tet_volumes
@@ -274,13 +275,8 @@ class Limits:
 
 def first_positions(scene: Scene, start: Floats | None) -> Floats:
     """Return where a solve begins [mm], shape (n, 3): a start, or rest; SceneError for another shape."""
-    positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
-    if positions.shape != scene.vertices.shape:
-        raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")
-    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-    if bad.size:
-        raise SceneError(f"start: {bad.size} rows are not finite, the first is {bad[0]}")
-    return positions
+    shape = scene.vertices.shape
+    return np.array(scene.vertices if start is None else finite("start", start, shape, error=SceneError))
 
 
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:

@@ -13,17 +13,17 @@ from __future__ import annotations
 import numbers
 import sys
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .errors import InputError, SoftdecaError, quote
 
-if TYPE_CHECKING:
-    # The folder of compiled code (`files.cache`) has to be known before `mesh` compiles, and `files` imports this.
-    from .mesh import Floats, Ints
-
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
 Shape = tuple[int | None, ...]
 """Lengths of an array's axes; None for any."""
 Error = type[SoftdecaError]

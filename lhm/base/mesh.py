@@ -6,52 +6,26 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from .checks import Floats as Floats
+from .checks import Floats32 as Floats32
+from .checks import Ints as Ints
+from .checks import finite, indices_below
 from .errors import MeshError
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 
 def as_points(name: str, values) -> Floats:
-    """Return a read-only float64 copy of shape (n, 3); MeshError names the first bad row."""
-    try:
-        # numpy would drop masks and imaginary parts, and read texts as numbers.
-        if isinstance(values, np.ma.MaskedArray) or np.asarray(values).dtype.kind not in "fiubO":
-            raise TypeError
-        points = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise MeshError(f"{name}: expected numbers of shape (n, 3), got {type(values).__name__}") from None
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise MeshError(f"{name}: expected shape (n, 3), got {points.shape}")
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise MeshError(f"{name}: {bad.size} rows are not finite (NaN or infinite), the first is {bad[0]}")
+    """Return a read-only float64 copy of shape (n, 3); MeshError for others, and for values that are not finite."""
+    points = np.array(finite(name, values, (None, 3), error=MeshError))
     points.flags.writeable = False
     return points
 
 
 def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
-    """Return a read-only int64 copy of shape (m, corners) whose indices lie in [0, n_vertices)."""
-    try:
-        raw = np.asarray(values)
-    except ValueError:
-        raise MeshError(f"{name}: expected integers of shape (m, {corners}), rows of one length") from None
-    if raw.ndim != 2 or raw.shape[1] != corners:
-        raise MeshError(f"{name}: expected shape (m, {corners}), got {raw.shape}")
-    if isinstance(values, np.ma.MaskedArray) or (raw.size and not np.issubdtype(raw.dtype, np.integer)):
-        raise MeshError(f"{name}: expected integers, got {type(values).__name__} of {raw.dtype}")
-    # An empty array may be of any kind.
-    elements = raw.astype(np.int64) if raw.size else np.zeros(raw.shape, np.int64)
-    bad = np.flatnonzero(((elements < 0) | (elements >= n_vertices)).any(axis=1))
-    if bad.size:
-        first = bad[0]
-        raise MeshError(
-            f"{name}: {bad.size} refer to vertices outside 0..{n_vertices - 1}, "
-            f"the first is number {first}: {elements[first].tolist()}"
-        )
+    """Return a read-only int64 copy, shape (m, corners), of indices in [0, n_vertices); MeshError for others."""
+    if isinstance(values, np.ndarray) and not values.size:
+        values = values.astype(np.int64)  # an empty array may be of any kind
+    elements = np.array(indices_below(name, values, n_vertices, (None, corners), error=MeshError))
     elements.flags.writeable = False
     return elements
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.checks import array_of_kind
+from ..base.checks import array_of_kind, real
 from ..base.errors import InputError, MeshError
 from ..base.mesh import Floats
 from ..identities.arkit import ARKIT, check_weights
@@ -27,12 +27,7 @@ class Rig:
     missing: tuple[str, ...] = ()
 
     def __post_init__(self):
-        numbers = array_of_kind("rig", self.deltas, "fiub", "displacements", error=MeshError)
-        deltas = np.array(numbers, dtype=np.float32)
-        if deltas.ndim != 3 or deltas.shape[0] != len(ARKIT) or deltas.shape[2] != 3:
-            raise MeshError(f"rig: expected shape ({len(ARKIT)}, n, 3), got {deltas.shape}")
-        if not np.isfinite(deltas).all():
-            raise MeshError("rig: its displacements are not all finite")
+        deltas = np.array(real("rig", self.deltas, (len(ARKIT), None, 3), error=MeshError), dtype=np.float32)
         deltas.flags.writeable = False
         object.__setattr__(self, "deltas", deltas)
 

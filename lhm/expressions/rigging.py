@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
+from ..base.checks import finite
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
@@ -64,7 +65,10 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = PO
     """
     generic = check_deltas("deltas", deltas, neutral)
     check_areas("neutral", neutral.vertices, neutral.triangles)
-    motions = _check_examples(examples, neutral) - neutral.vertices
+    values = finite("examples", examples, (None, *neutral.vertices.shape), error=MeshError)
+    if not len(values):
+        raise MeshError("examples: there is none")
+    motions = values - neutral.vertices
     start = np.atleast_2d(check_weights(weights))
     if len(start) != len(motions):
         raise InputError(f"weights: {len(start)} rows for {len(motions)} examples")
@@ -145,17 +149,3 @@ def _fit_weights(shapes: Floats, motions: Floats, start: Floats, areas: Floats, 
 def _distance(shapes: Floats, motions: Floats, weights: Floats) -> float:
     difference = motions - np.tensordot(weights, shapes, axes=1)
     return float(np.sqrt((difference**2).sum(axis=2).mean()))
-
-
-def _check_examples(examples, neutral: Surface) -> Floats:
-    try:
-        values = np.asarray(examples, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MeshError("examples: expected numbers of shape (k, n, 3)") from None
-    if values.ndim != 3 or not len(values) or values.shape[1:] != neutral.vertices.shape:
-        raise MeshError(f"examples: expected shape (k, {len(neutral.vertices)}, 3), got {values.shape}")
-    bad = np.argwhere(~np.isfinite(values).all(axis=2))
-    if len(bad):
-        example, vertex = bad[0]
-        raise MeshError(f"examples: {len(bad)} rows are not finite, the first is vertex {vertex} of example {example}")
-    return values

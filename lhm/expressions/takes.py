@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..base.checks import finite
 from ..base.errors import InputError
 from ..base.limits import TAKE_FRAMES
 from ..base.mesh import Floats
@@ -49,18 +50,13 @@ class Take:
         if len(bad):
             value = weights[tuple(bad[0])]
             raise InputError(f"take: {ARKIT[bad[0, 1]]} is {value:g} in frame {bad[0, 0]}, expected 0..1")
-        if times.shape != (len(weights),) or not np.isfinite(times).all():
-            raise InputError(f"take: expected {len(weights)} finite times, got shape {times.shape}")
+        finite("take: times", times, (len(weights),))
         if (np.diff(times) <= 0).any():
             raise InputError(f"take: time does not rise at frame {np.flatnonzero(np.diff(times) <= 0)[0] + 1}")
         check_rate(self.rate)
         arrays = {"weights": weights, "times": times}
         if self.head is not None:
-            arrays["head"] = np.array(self.head, dtype=np.float64)
-            if arrays["head"].shape != (len(weights), 3) or not np.isfinite(arrays["head"]).all():
-                raise InputError(
-                    f"take: expected finite angles of shape ({len(weights)}, 3), got {arrays['head'].shape}"
-                )
+            arrays["head"] = np.array(finite("take: angles", self.head, (len(weights), 3)))
         for name, values in arrays.items():
             values.flags.writeable = False
             object.__setattr__(self, name, values)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..base.checks import array_of_kind, real
+from ..base.checks import finite, real
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
 from .transfer import transfer_expressions
@@ -132,11 +132,5 @@ class LinearSpace:
         return digest.hexdigest()[:16]
 
     def _check_code(self, code) -> Floats:
-        values = np.asarray(array_of_kind("identity code", code, "fiub", f"{self.code_size} numbers"), dtype=np.float64)
-        if values.shape != (self.code_size,):
-            raise InputError(
-                f"identity code: space {self.name!r} expects shape ({self.code_size},), got {values.shape}"
-            )
-        if not np.isfinite(values).all():
-            raise InputError(f"identity code: coefficient {np.flatnonzero(~np.isfinite(values))[0]} is not finite")
+        values = finite(f"identity code of space {self.name!r}", code, (self.code_size,))
         return values

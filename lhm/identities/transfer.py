@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.checks import finite
 from ..base.errors import MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.geometry.topology import connected_parts
@@ -91,19 +92,7 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
 
 def check_deltas(name: str, deltas, neutral: Surface) -> Floats:
     """Check displacements of the 52 expressions, as float64; MeshError unless finite, of shape (52, n, 3)."""
-    try:
-        values = np.asarray(deltas, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MeshError(f"{name}: expected numbers of shape ({len(ARKIT)}, n, 3)") from None
-    expected = (len(ARKIT), len(neutral.vertices), 3)
-    if values.shape != expected:
-        raise MeshError(f"{name}: expected shape {expected}, got {values.shape}")
-    bad = np.argwhere(~np.isfinite(values).all(axis=2))
-    if len(bad):
-        raise MeshError(
-            f"{name}: {len(bad)} rows are not finite, the first is vertex {bad[0, 1]} of {ARKIT[bad[0, 0]]}"
-        )
-    return values
+    return finite(name, deltas, (len(ARKIT), *neutral.vertices.shape), error=MeshError)
 
 
 def check_same_triangles(name: str, surface: Surface, other: Surface) -> None:

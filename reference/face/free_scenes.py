@@ -19,6 +19,7 @@ from ...lhm.head.flesh import cheek_share
 from ...lhm.head.head import FREE, MANDIBLE, LayeredHead
 from .. import terms
 from ..scene import Scene
+from ..terms.term import as_vector
 from .bones import condyles, scale_skull
 from .facial import facial_scene
 from .parameters import Parameters
@@ -45,9 +46,7 @@ def open_jaw_scene(
     jaw = head.bone == MANDIBLE
     if not jaw.any():
         raise SceneError("open_jaw_scene: the head has no mandible")
-    about = jaw_hinge(head) if hinge is None else np.asarray(hinge, dtype=np.float64)
-    if about.shape != (3,) or not np.isfinite(about).all():
-        raise SceneError(f"hinge: expected three finite numbers, got {hinge!r}")
+    about = jaw_hinge(head) if hinge is None else as_vector("hinge", hinge)
     skull = scale_skull(head, parameters)
     turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
     skull[jaw] = about + (skull[jaw] - about) @ turn.T
@@ -78,9 +77,7 @@ def push_cheek_scene(
     if centre is None:
         share = cheek_share(head) * (x[:, 0] > 0.0)  # of the left cheek
         centre = x[np.argmin(np.linalg.norm(x - share @ x / share.sum(), axis=1))]
-    about = np.asarray(centre, dtype=np.float64)
-    if about.shape != (3,) or not np.isfinite(about).all():
-        raise SceneError(f"centre: expected three finite numbers, got {centre!r}")
+    about = as_vector("centre", centre)
     near = np.linalg.norm(x - about, axis=1) <= radius
     patch = triangles[near[triangles].all(axis=1)]
     if not len(patch):

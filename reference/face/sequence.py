@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...lhm.base.checks import finite
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head.head import LayeredHead
@@ -111,9 +112,8 @@ class Sequence:
         not turned if None. In statics neither has an effect. Returns the statics' solution.
         """
         turned = check_turns("base", np.eye(3) if base is None else base)
-        moving = np.zeros_like(self.head.skin.vertices) if velocity is None else np.asarray(velocity, dtype=np.float64)
-        if moving.shape != self.head.skin.vertices.shape or not np.isfinite(moving).all():
-            raise SceneError(f"velocity: expected finite values of the skin's shape {self.head.skin.vertices.shape}")
+        skin = self.head.skin.vertices
+        moving = 0.0 * skin if velocity is None else finite("velocity", velocity, skin.shape, error=SceneError)
         solution, scene = self._solve(targets, dynamic=False)
         wrap = solution.positions[: len(self.head.bone)]
         before = wrap - self.time_step * (self.head.wrap_from_skin @ moving)

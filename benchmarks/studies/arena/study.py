@@ -187,7 +187,9 @@ class Arena(Study):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
-        figure = plot_curves(Panel.by_case([(row.case, row.values) for row in rows]))
+        # Kept results have rows of problems that are no more.
+        shown = [(row.case, row.values) for row in rows if row.case in problems.CASES]
+        figure = plot_curves(Panel.by_case(shown))
         return {"Error to the solver's own law; defaults as full lines, other settings dotted.": to_svg(figure)}
 
     def _name_solvers(self) -> Mapping[str, SolverFile]:

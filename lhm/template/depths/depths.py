@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...base.checks import finite
 from ...base.errors import InputError, quote
 from ...base.files.pack import load_packed, save_packed
 from ...base.geometry.warp import rigid_motion
@@ -128,11 +129,7 @@ class DepthRegressor:
 
         Only rigid motion is taken out of it; InputError for another shape or values that are not finite.
         """
-        wrap = np.asarray(skin_wrap, dtype=np.float64)
-        if wrap.shape != self.reference.shape:
-            raise InputError(f"skin wrap: the depth regressor expects shape {self.reference.shape}, got {wrap.shape}")
-        if not np.isfinite(wrap).all():
-            raise InputError("skin wrap: values that are not finite (NaN or infinite)")
+        wrap = finite("skin wrap", skin_wrap, self.reference.shape)
         rotation, translation = rigid_motion(wrap, self.reference)
         displacement = (wrap @ rotation.T + translation - self.reference).ravel()
         scores = np.clip(self.axes @ displacement / self.deviations, -FARTHEST, FARTHEST)
