@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -35,16 +35,8 @@ def count_range(bound: Bound) -> click.IntRange:
     return click.IntRange(bound.least, bound.most)
 
 
-class Request(Protocol):
-    """A command with its options; `run` does it and returns the exit status."""
-
-    def __init__(self, **options: Any) -> None: ...
-
-    def run(self) -> int:
-        """Do it."""
-
-
-Kind = TypeVar("Kind", bound=type[Request])
+Kind = TypeVar("Kind", bound=type[Any])
+"""A dataclass of options; `run` does the command and returns the exit status."""
 
 
 def as_command(group: click.Group, name: str) -> Callable[[Kind], Kind]:
@@ -57,11 +49,12 @@ def as_command(group: click.Group, name: str) -> Callable[[Kind], Kind]:
     return add
 
 
-def make_command(name: str, kind: type[Request]) -> click.Command:
+def make_command(name: str, kind: type[Any]) -> click.Command:
     """Make the command that a dataclass describes."""
 
     def run(**options: Any) -> int:
-        return kind(**options).run()
+        status: int = kind(**options).run()
+        return status
 
     params = [make_option(field) for field in list_options(kind)]
     return click.Command(name, params=params, callback=run, help=kind.__doc__)

@@ -19,6 +19,7 @@ from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
 from ..base.files.text import is_plain_file
+from ..base.geometry.topology import keep_triangles
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 
@@ -98,7 +99,7 @@ def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[
 
 
 def _anatomy(data: Mapping[str, np.ndarray]) -> Anatomy:
-    names, groups = data["part_name"], data["part_group"]
+    names, groups, whole = data["part_name"], data["part_group"], Surface(data["vertices"], data["faces"])
     lower_case = np.char.lower(names)
 
     def among(group: str, *words: str) -> Ints:
@@ -110,8 +111,7 @@ def _anatomy(data: Mapping[str, np.ndarray]) -> Anatomy:
         return np.flatnonzero(mask)
 
     def surface(parts: Ints) -> Surface:
-        used, numbers = np.unique(data["faces"][np.isin(data["face_part"], parts)], return_inverse=True)
-        return Surface(data["vertices"][used], numbers.reshape(-1, 3))
+        return keep_triangles(whole, np.isin(data["face_part"], parts))
 
     jaw = among("skull", _MANDIBLE)
     upper, lower = among("teeth", "upper"), among("teeth", "lower")

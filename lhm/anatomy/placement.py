@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
-from ..base.geometry.topology import find_openings
+from ..base.geometry.topology import find_openings, keep_triangles
 from ..base.geometry.warp import Similarity, TriharmonicWarp, farthest_points, fit_similarity
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.cut import close_loop
@@ -124,12 +124,6 @@ def close_pockets(skin: Surface, parts: Ints) -> Surface:
 
 def _visible(skin: Surface, parts: Ints) -> Mask:
     return ~np.isin(parts[skin.triangles], (MOUTH, EYES)).any(axis=1)
-
-
-def keep_triangles(surface: Surface, kept: Mask) -> Surface:
-    """Keep the triangles of a mask (m,), over their own vertices."""
-    used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
-    return Surface(surface.vertices[used], numbers.reshape(-1, 3))
 
 
 class _Tissue:

@@ -6,7 +6,7 @@ import os
 
 from ..base.errors import InputError
 from .anny import ANNY, ANNY_WITHIN, Anny, TransferredSpace
-from .space import IdentitySpace, LinearSpace
+from .space import LinearSpace
 
 __all__ = [
     "ANNY",
@@ -14,7 +14,6 @@ __all__ = [
     "FLAME",
     "Anny",
     "ICTFaceKit",
-    "IdentitySpace",
     "LinearSpace",
     "MeshFolder",
     "TransferredSpace",

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..base.errors import MeshError
-from ..base.geometry.topology import find_openings
+from ..base.geometry.topology import find_openings, pick_rows
 from ..base.mesh import Floats, Ints
 from .space import MOUTH, OUTSIDE
 
@@ -24,10 +24,10 @@ def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
     The new vertices are numbered from `n_vertices` on; weights have shape (new vertices, n_vertices).
     """
     k = len(loop)
-    rings = [csr_matrix((np.ones(k), (np.arange(k), loop)), shape=(k, n_vertices))]
+    outermost = pick_rows(loop, n_vertices)
     centre = csr_matrix((np.full(k, 1.0 / k), (np.zeros(k, int), loop)), shape=(1, n_vertices))
     every = vstack([centre] * k)
-    new = [(1 - r / RINGS) * rings[0] + (r / RINGS) * every for r in range(1, RINGS)]
+    new = [(1 - r / RINGS) * outermost + (r / RINGS) * every for r in range(1, RINGS)]
     ids = [loop] + [n_vertices + k * r + np.arange(k) for r in range(RINGS - 1)]
     triangles = []
     for outer, inner in zip(ids, ids[1:], strict=False):
@@ -63,16 +63,13 @@ def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints, I
     kept, which come first and in their order; the lid's follow.
     Raises MeshError unless there is exactly one boundary loop.
     """
-    used = np.unique(triangles)
-    number = np.full(n_vertices, -1)
-    number[used] = np.arange(len(used))
-    triangles = number[triangles]
+    used, number = np.unique(triangles, return_inverse=True)
+    triangles = number.reshape(-1, 3)
     loops = find_openings(triangles)
     if len(loops) != 1:
         raise MeshError(f"expected one open boundary at the neck, found {len(loops)}")
     lid, more = close_loop(loops[0], len(used))
-    kept = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n_vertices))
-    kept = even_loop(loops[0], len(used)) @ kept
+    kept = even_loop(loops[0], len(used)) @ pick_rows(used, n_vertices)
     return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more]), used
 
 

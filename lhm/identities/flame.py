@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import vstack
 
 from ..base.checks import indices_below, real
 from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
-from ..base.geometry.topology import find_openings
+from ..base.geometry.topology import find_openings, pick_rows
 from ..base.mesh import Floats, Surface
 from .arkit import ARKIT
 from .cut import close_loop, even_loop, keep_lips_together, largest_piece
@@ -52,18 +52,15 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     template, n = data["v_template"], len(data["v_template"])
     triangles = largest_piece(indices_below("f", data["f"], n, (None, 3)))
-    used = np.unique(triangles)
-    number = np.full(n, -1)
-    number[used] = np.arange(len(used))
-    triangles = number[triangles]
-    closed = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n))
+    used, number = np.unique(triangles, return_inverse=True)
+    triangles = number.reshape(-1, 3)
     parts, inward = [np.full(len(used), OUTSIDE)], [np.zeros(len(used))]
     loops = find_openings(triangles)
     if not loops or len(loops) > 4:
         raise MeshError(f"expected openings at the neck, and at most at mouth and eyes, found {len(loops)}")
     x = template[used]
     neck = min(range(len(loops)), key=lambda k: x[loops[k], 1].mean())
-    closed = even_loop(loops[neck], len(used)) @ closed
+    closed = even_loop(loops[neck], len(used)) @ pick_rows(used, n)
     base, faces, count = closed, [triangles], len(used)
     for k, loop in enumerate(loops):
         part = CAP if k == neck else EYES if abs(x[loop, 0].mean()) > SIDE else MOUTH

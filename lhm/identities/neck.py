@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from ..base.geometry.topology import connected_parts, graph_laplacian, neighbours, unique_edges
+from ..base.geometry.topology import connected_parts, graph_laplacian, neighbours, pick_rows, unique_edges
 from ..base.mesh import Floats, Ints, Surface
 from .space import CAP, OUTSIDE, rim_of
 
@@ -35,11 +35,11 @@ def cut_neck(skin: Surface, parts: Ints) -> csr_matrix:
     crossed = np.repeat(np.arange(len(edges)), 2), edges.ravel()
     cuts = csr_matrix((np.stack([-share[:, 1], share[:, 0]], axis=1).ravel(), crossed), (len(edges), n))
     nearest = cKDTree(cuts @ x).query(x[lower] - height[lower, None] * normal)[1]
-    wall = diags((~below).astype(np.float64)) + _pick(lower, n).T @ cuts[nearest]
+    wall = diags((~below).astype(np.float64)) + pick_rows(lower, n).T @ cuts[nearest]
 
     laplacian = graph_laplacian(neighbours(triangles, n)).tocsc()
     within = csr_matrix(spsolve(laplacian[cap][:, cap], -laplacian[cap][:, rim]))
-    lid = _pick(cap, n).T @ within @ _pick(rim, n)
+    lid = pick_rows(cap, n).T @ within @ pick_rows(rim, n)
     return ((diags((parts != CAP).astype(np.float64)) + lid) @ wall).tocsr()
 
 
@@ -50,8 +50,3 @@ def _find_plane(x: Floats, rim: Ints) -> tuple[Floats, Floats]:
     normal = normal if normal[1] > 0.0 else -normal
     height = (x - middle) @ normal
     return normal, height - min(height[rim].max() + ABOVE, MOST)
-
-
-def _pick(ids: Ints, n: int) -> csr_matrix:
-    """Return the matrix (k, n) that takes the rows `ids` (k,) of what it is applied to."""
-    return csr_matrix((np.ones(len(ids)), (np.arange(len(ids)), ids)), shape=(len(ids), n))

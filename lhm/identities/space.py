@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -33,37 +32,6 @@ def rim_of(triangles: Ints, parts: Ints, part: int) -> Ints:
     """Find the visible vertices next to a part, in order; empty where the skin has no such part."""
     mixed = triangles[(parts[triangles] == part).any(axis=1)]
     return np.unique(mixed[parts[mixed] == OUTSIDE])
-
-
-class IdentitySpace(Protocol):
-    """A model of neutral heads over one triangulation."""
-
-    @property
-    def name(self) -> str:
-        """The name by which templates, corpora and checkpoints know the space."""
-        ...
-
-    @property
-    def code_size(self) -> int:
-        """How many coefficients an identity code has."""
-        ...
-
-    @property
-    def triangles(self) -> Ints:
-        """The triangles of every skin of this space, shape (m, 3)."""
-        ...
-
-    def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
-        """Draw a random identity: its code, shape (code_size,), and its neutral skin [mm]."""
-        ...
-
-    def skin(self, code) -> Surface:
-        """Make the neutral skin [mm] of a code, shape (code_size,)."""
-        ...
-
-    def expression_deltas(self, code) -> Floats:
-        """Give what each of the 52 ARKit expressions adds [mm], shape (52, n, 3)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

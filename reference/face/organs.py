@@ -17,6 +17,7 @@ from scipy.linalg import qr
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.geometry.distance import SignedDistance
 from ...lhm.base.geometry.surfaces import geodesic_sphere
+from ...lhm.base.geometry.topology import keep_triangles
 from ...lhm.base.mesh import Ints, Surface
 from ...lhm.head.head import CRANIUM, MANDIBLE, LayeredHead
 from ...lhm.identities.anny import has_default_triangles
@@ -86,8 +87,7 @@ def _keep_clear(row: Surface, distance: SignedDistance) -> Surface | None:
 
 def _take(surface: Surface, kept: np.ndarray) -> Surface:
     """Take the triangles all of whose vertices are kept (k,)."""
-    ids, triangles = np.unique(surface.triangles[kept[surface.triangles].all(axis=1)], return_inverse=True)
-    return Surface(surface.vertices[ids], triangles.reshape(-1, 3))
+    return keep_triangles(surface, kept[surface.triangles].all(axis=1))
 
 
 def make_obstacles(

@@ -12,7 +12,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.head.head import LayeredHead
-from ...lhm.identities import IdentitySpace
+from ...lhm.identities import LinearSpace
 from ...lhm.template.template import DEFAULT_LEVEL
 from .external import External
 from .face import People, Person
@@ -23,7 +23,7 @@ from .spheres import Spheres
 class OfSpace:
     """People of an identity space with a mean, their heads fitted by `fit`, such as partial(fit_head, template)."""
 
-    space: IdentitySpace
+    space: LinearSpace
     mean: Surface
     fit: object
     digest: str = ""

@@ -109,6 +109,12 @@ def find_openings(triangles: Ints) -> list[Ints]:
     return sorted(loops, key=len, reverse=True)
 
 
+def keep_triangles(surface: Surface, kept: NDArray[np.bool_]) -> Surface:
+    """Keep the triangles of a mask (m,), over their own vertices."""
+    used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
+    return Surface(surface.vertices[used], numbers.reshape(-1, 3))
+
+
 def join_surfaces(surfaces: Sequence[Surface]) -> Surface:
     """Return surfaces as one, their vertices and triangles one after another."""
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
@@ -149,6 +155,11 @@ def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Split every triangle into four at its edges' midpoints, which come after the vertices."""
     finer, ends = split_triangles(triangles, len(vertices))
     return np.vstack([vertices, vertices[ends].mean(axis=1)]), finer
+
+
+def pick_rows(ids: Ints, n: int) -> csr_matrix:
+    """Return the matrix (k, n) that takes the rows `ids` (k,) of what it is applied to."""
+    return csr_matrix((np.ones(len(ids)), (np.arange(len(ids)), ids)), shape=(len(ids), n))
 
 
 def neighbours(triangles: Ints, n: int) -> csr_matrix:

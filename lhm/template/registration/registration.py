@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix, identity
 from ...base.errors import FitError, InputError
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.cholesky import factorise
-from ...base.geometry.topology import graph_laplacian, neighbours, open_edges
+from ...base.geometry.topology import graph_laplacian, neighbours, open_edges, pick_rows
 from ...base.geometry.triangles import barycentric_matrix
 from ...base.geometry.warp import fit_similarity
 from ...base.mesh import Floats, Ints, Surface
@@ -170,11 +170,9 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
 
 def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
     """Put `rows` (k, columns) in place of the `ids` (k,) of a matrix."""
-    n, k = matrix.shape[0], len(ids)
+    n = matrix.shape[0]
     kept = np.setdiff1d(np.arange(n), ids)
-    places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
-    others = csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
-    return (others @ matrix[kept] + places @ rows).tocsr()
+    return (pick_rows(kept, n).T @ matrix[kept] + pick_rows(ids, n).T @ rows).tocsr()
 
 
 def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:
