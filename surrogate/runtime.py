@@ -13,7 +13,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.base.checks import finite
 from ..lhm.base.errors import InputError
 from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
@@ -68,11 +67,6 @@ class Surrogate:
         """The name of the space of people that it knows."""
         return self.weights.space
 
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The parameters that a static frame follows, in the order of the columns of an array of them."""
-        return STATIC
-
     def knows(self, skin: Surface) -> bool:
         """Whether a skin is in the triangles of the default space, and the weights are of that space."""
         return self.space == "anny" and np.array_equal(skin.triangles, self.weights.mean.triangles)
@@ -85,7 +79,7 @@ class Surrogate:
         self,
         skin: Surface,
         code: Floats,
-        parameters: Parameters | Floats | None = None,
+        parameters: Parameters | None = None,
         *,
         expressions: Floats | None = None,
         exact: bool = False,
@@ -95,8 +89,8 @@ class Surrogate:
         """Return a rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
-        values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
-        beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
+        values may be one per face of the skin. What lies beyond the ranges that the network has seen is refused, or
+        clamped with a warning, by `beyond`. expressions:
         what the 52 weights add [mm], shape (52, n, 3); by default the built-in space's, for another they are needed.
         With `exact`, offset and responses are the simulator's, on `head` or on one that is fitted to the skin (the
         default space's only), by the cells that the network learned from, and it adds what is not linear. `dynamic`
@@ -113,22 +107,21 @@ class Surrogate:
         shapes = self._expressions(code, expressions)
         chosen = Parameters() if parameters is None else parameters
         if exact:
-            chosen = chosen if isinstance(chosen, Parameters) else _from_array(chosen, skin)
             choices = {"cells": self.weights.note.cells}
             whole = Face(self._head(skin, head), shapes.astype(np.float64), chosen, code=code, choices=choices)
             return self.bind_face(whole, exact=True, beyond=beyond)
-        at_vertices = _check_seen(_map_to_vertices(chosen, skin), self.weights.note.seen, beyond)
-        swinging = chosen if isinstance(chosen, Parameters) else Parameters()
-        oscillation = np.stack([spread_over(name, getattr(swinging, name), skin) for name in OSCILLATION])
-        swing = self._swing(code, at_vertices, oscillation)
+        static, oscillation = (
+            [spread_over(name, getattr(chosen, name), skin) for name in names] for names in (STATIC, OSCILLATION)
+        )
+        at_vertices = _check_seen(np.stack(static, axis=1), self.weights.note.seen, beyond)
+        swing = self._swing(code, at_vertices, np.stack(oscillation))
         return self._bind(Described(skin, code, at_vertices, shapes, swing, lambda: self._carry(skin, chosen, head)))
 
-    def _carry(self, skin: Surface, parameters: Parameters | Floats, head: LayeredHead | None) -> Floats:
+    def _carry(self, skin: Surface, parameters: Parameters, head: LayeredHead | None) -> Floats:
         """Return how far scaled bones carry a skin [mm], shape (n, 3); a head is needed only where one is scaled."""
-        chosen = parameters if isinstance(parameters, Parameters) else _from_array(parameters, skin)
-        if all(getattr(chosen, name) == Parameters.info(name).default for name in BONES):
+        if all(getattr(parameters, name) == Parameters.info(name).default for name in BONES):
             return np.zeros(skin.vertices.shape)
-        return Face(self._head(skin, head), parameters=chosen).carried
+        return Face(self._head(skin, head), parameters=parameters).carried
 
     def bind_face(self, face: Face | KeptFace, *, exact: bool = False, beyond: Beyond = "refuse") -> BoundRig:
         """Bind a face, live or of a corpus; with `exact`, with its own offset and responses.
@@ -269,23 +262,6 @@ class Surrogate:
 @cache
 def _load_shipped() -> Surrogate:
     return Surrogate(Weights.load(SHIPPED))
-
-
-def _map_to_vertices(parameters: Parameters | Floats, skin: Surface) -> Floats:
-    """STATIC mapped to [-1, 1] at the vertices, shape (n, P)."""
-    if isinstance(parameters, Parameters):
-        columns = [getattr(parameters, name) for name in STATIC]
-    else:
-        columns = list(finite("parameters", parameters, (len(skin.triangles), len(STATIC))).T)
-    return np.stack([spread_over(name, value, skin) for name, value in zip(STATIC, columns, strict=True)], axis=1)
-
-
-def _from_array(parameters: Floats, skin: Surface) -> Parameters:
-    """Parameters of an array of STATIC per face, shape (faces, P): what may not vary takes its mean."""
-    columns = zip(STATIC, finite("parameters", parameters, (len(skin.triangles), len(STATIC))).T, strict=True)
-    return Parameters(
-        **{name: value if Parameters.info(name).local and np.ptp(value) else value.mean() for name, value in columns}
-    )
 
 
 def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:

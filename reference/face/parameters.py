@@ -218,15 +218,6 @@ class Parameters:
                 return info
         raise InputError(f"unknown parameter {quote(name, 20)!r}; there are {', '.join(i.name for i in cls.infos())}")
 
-    def vector(self, names: tuple[str, ...] | None = None) -> Floats:
-        """The values as an array, of all parameters or of the named ones; InputError for one that varies."""
-        names = names or tuple(info.name for info in self.infos())
-        values = [getattr(self, self.info(name).name) for name in names]
-        for name, value in zip(names, values, strict=True):
-            if np.ndim(value):
-                raise InputError(f"parameter {name} varies over the face: it is no one number")
-        return np.array(values)
-
 
 def _check_value(info: ParameterInfo, value: Any) -> float | Floats:
     """Return a parameter's value, a float or a read-only array (k,), within its range."""
