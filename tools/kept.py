@@ -163,7 +163,7 @@ def judge(name: str) -> State:
         stale.append("it does not say what decided it")
     else:
         stale += [key for key in today if said.get(key) != today[key]]
-    stale += provenance.list_missing(content)
+    stale += list_missing(content)
     seconds = sum(row.get("cpu") or row.get("seconds", 0.0) for row in content["rows"])
     commits = provenance.list_commits(content["machine"], content["rows"])
     return State(name, tuple(stale), "", tuple(commits), seconds)
@@ -251,6 +251,24 @@ def check(name: str, progress: OnProgress = silent) -> Check:
 
 UNSEEN = 1e-5
 """In the units of all columns, as mm: what moves by less is rounding, such as the distance of two converged answers."""
+
+
+def list_missing(results: Any) -> list[str]:
+    """Name what a results file lacks for its figures to be made again, of its content as read from JSON.
+
+    It has to say machine, versions, the options (or plan) with its seeds, and a commit, which holds all code.
+    """
+    if not isinstance(results, Mapping):
+        return ["machine", "commit", "versions", "options"]
+    if results and all(isinstance(each, Mapping) and "study" in each for each in results.values()):
+        return sorted({missing for each in results.values() for missing in list_missing(each)})  # a report of studies
+    machine = results.get("machine") or {}
+    missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
+    commits = provenance.list_commits(machine, results.get("rows", ()))
+    missing += ["commit"] if any(not commit or " " in commit for commit in commits) else []
+    missing += ["clean tree"] if any(map(provenance.is_dirty, commits)) else []
+    missing += [] if machine.get("versions") else ["versions"]
+    return missing + ([] if "options" in results or "plan" in results else ["options"])
 
 
 def find_moved(kept: Mapping[str, Any], anew: Mapping[str, Any], kind: type[Study]) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 from ...lhm.base import provenance
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.resumable import RowStore, lock_folder
+from ...lhm.base.files.resumable import add_row, lock_folder, read_rows
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.corpus.schedule import count_processors
@@ -108,12 +108,11 @@ class _Run:
         folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
         self._machine = provenance.describe_machine()
         self._inputs = find_inputs(self.study)
-        self._store = RowStore(self._out, file="rows.jsonl")
         self._digest = _digest(self.study, self._machine, self._inputs)
         names = {field.name for field in fields(Row)}
         self._rows: dict[Task, Row] = {
             Task(record["case"], record["method"]): Row(**record)
-            for record in self._store.rows()
+            for record in read_rows(self._out / "rows.jsonl")
             if record.get("of") == self._digest and record.keys() == names
         }
         self.left = [task for task in self.tasks if task not in self._rows or not self._rows[task].done]
@@ -138,7 +137,7 @@ class _Run:
             provenance.read_load(), self._digest, provenance.read_commit(), cpu,
         )  # fmt: skip
         self._rows[task] = row
-        self._store.add(asdict(row))
+        add_row(self._out / "rows.jsonl", asdict(row))
 
     def write(self) -> Results:
         """Write the results of all rows, and their page."""

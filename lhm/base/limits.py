@@ -66,7 +66,6 @@ STUDIED_PEOPLE = Bound("people of a study", 1_000, "each is minutes of work", 1)
 STUDIED_HEADS = Bound("heads of a study", 100_000, "each is a second of work or more", 1)
 DRAWN_HEADS = Bound("heads to draw", 1_000, "each is simulated and drawn")
 UNKNOWNS = Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1)
-FACES = Bound("faces", 100_000, "each face is some seconds of work")
 RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")
 
 # The live viewer.

@@ -1,4 +1,4 @@
-"""Where and with what a figure was measured, and what a results file lacks of that."""
+"""Where and with what a figure was measured."""
 
 from __future__ import annotations
 
@@ -91,21 +91,3 @@ def list_commits(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] =
 def is_dirty(commit: str) -> bool:
     """Whether the code had changes that a commit does not hold, so that its figures cannot be made again."""
     return commit.endswith(DIRTY)
-
-
-def list_missing(results: Any) -> list[str]:
-    """Name what a results file lacks for its figures to be made again, of its content as read from JSON.
-
-    It has to say machine, versions, the options (or plan) with its seeds, and a commit, which holds all code.
-    """
-    if not isinstance(results, Mapping):
-        return ["machine", "commit", "versions", "options"]
-    if results and all(isinstance(each, Mapping) and "study" in each for each in results.values()):
-        return sorted({missing for each in results.values() for missing in list_missing(each)})  # a report of studies
-    machine = results.get("machine") or {}
-    missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
-    commits = list_commits(machine, results.get("rows", ()))
-    missing += ["commit"] if any(not commit or " " in commit for commit in commits) else []
-    missing += ["clean tree"] if any(map(is_dirty, commits)) else []
-    missing += [] if machine.get("versions") else ["versions"]
-    return missing + ([] if "options" in results or "plan" in results else ["options"])

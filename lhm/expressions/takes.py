@@ -62,11 +62,6 @@ class Take:
             object.__setattr__(self, name, values)
 
     @property
-    def duration(self) -> float:
-        """From the first frame to the last [s]."""
-        return float(self.times[-1] - self.times[0])
-
-    @property
     def clipped(self) -> int:
         """The number of values that lay outside [0, 1] where they came from."""
         return len(self.clipped_at)

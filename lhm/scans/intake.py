@@ -191,7 +191,7 @@ def _place_same(template: Template, scan: Scan, hints: Hints) -> Placement:
     if not np.ptp(scan.vertices, axis=0).max() > 0:
         raise MeshError("skin: all its vertices are in one place")
     if (hints.unit, hints.up, hints.front) == (None, None, None) and is_upright(template.skin, scan.surface):
-        return Placement(Similarity(1.0, np.eye(3), np.zeros(3)), 0.0, ())
+        return Placement(Similarity(1.0, np.eye(3), np.zeros(3)), ())
     return find_placement(
         scan.surface, (rest, rest), landmarks=(rest, scan.vertices), unit=hints.unit, up=hints.up, front=hints.front
     )

@@ -51,13 +51,9 @@ POLICY = PlacingPolicy()
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """x -> `motion`(x) takes a file's points to a head's: millimetres, +z the front, +y up. `notes` say what was found.
-
-    `score_start` [mm]: how far the template's face is off, rigidly laid upon the scan's.
-    """
+    """x -> `motion`(x) takes a file's points to a head's: mm, +z the front, +y up. `notes` say what was found."""
 
     motion: Similarity
-    score_start: float
     notes: tuple[str, ...]
 
     def inverse(self, points: Floats) -> Floats:
@@ -99,7 +95,7 @@ def find_placement(
             )
     about_unit, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
     rotation, about_axes = _upright(motion.rotation.T, known=up is not None and front is not None)
-    return Placement(Similarity(scale, rotation, np.zeros(3)), off, (about_unit, about_axes))
+    return Placement(Similarity(scale, rotation, np.zeros(3)), (about_unit, about_axes))
 
 
 def millimetres(unit: str) -> float:
