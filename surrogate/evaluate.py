@@ -17,7 +17,6 @@ import numpy as np
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
-from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import KeptFace
 from .corpus.reading import Faces, Row
 from .methods import Method
@@ -209,9 +208,7 @@ def measure_bind(method: Method, faces: Sequence[KeptFace]) -> Cost:
     return Cost(head_ms=float(head), bind_ms=float(bind))
 
 
-def measure_frames(
-    contenders: Sequence[Contender], trials: Iterable[Trial], on_progress: OnProgress = silent
-) -> Distances:
+def measure_frames(contenders: Sequence[Contender], trials: Iterable[Trial]) -> Distances:
     """Have each contender answer each trial; trials without frames are left out. InputError where there is no frame."""
     motion: list[Floats32] = []
     columns: dict[str, list] = {name: [] for name in ("trial", "part", "kind", "strength", "varies", "unscaled")}
@@ -239,7 +236,6 @@ def measure_frames(
             errors[k].append(np.linalg.norm(answers.corrected - trial.truth, axis=2).astype(np.float32))
             binds[k] += [] if answers.bind_seconds is None else [answers.bind_seconds]
             frames[k] += answers.frame_seconds
-        on_progress(f"evaluate: face {number + 1}", 0.0)
     if not motion:
         raise InputError(
             "evaluate: the faces have no accepted static frames; make more of the corpus, or another split"
@@ -275,11 +271,10 @@ def evaluate(
     methods: Sequence[Method],
     trials: Iterable[Trial],
     costs: Mapping[str, Cost] = MappingProxyType({}),
-    on_progress: OnProgress = silent,
 ) -> list[Score]:
     """Score methods that are ready over all static frames of trials (ALL), and by kind of p and expression's strength.
 
     Raises what `measure_frames` and `Distances.scores` raise.
     """
-    table = measure_frames([*map(by_frame, methods)], trials, on_progress)
+    table = measure_frames([*map(by_frame, methods)], trials)
     return table.scores(table.kinds(), costs)

@@ -210,20 +210,17 @@ READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDS
 """Methods at the price of blendshapes that learn nothing from a corpus."""
 
 
-def bind_cheaply(
-    face: Face, surrogate: Surrogate, *, exact: bool = False, beyond: Beyond = "refuse"
-) -> tuple[str, BoundRig]:
+def bind_cheaply(face: Face, surrogate: Surrogate, *, beyond: Beyond = "refuse") -> tuple[str, BoundRig]:
     """Bind a face by what serves its head at the price of blendshapes; returns the method's label, too.
 
-    The network where the head is one of its people, with derivatives besides where it has their triangles or `exact`
-    asks for them; derivatives alone on other heads.
+    The network where the head is one of its people, with derivatives besides where it has their triangles; derivatives
+    alone on other heads.
     """
     nearest = surrogate.find_nearest(face.skin)
     if nearest is None:
         return DERIVATIVES, differentiate(face)
-    exact = exact or not nearest.is_same
-    rig = surrogate.bind_face(face, exact=exact, beyond=beyond)
-    return NETWORK_AND_DERIVATIVES if exact else NETWORK, rig
+    rig = surrogate.bind_face(face, exact=not nearest.is_same, beyond=beyond)
+    return NETWORK if nearest.is_same else NETWORK_AND_DERIVATIVES, rig
 
 
 def add_method(method: Method) -> Method:

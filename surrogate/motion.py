@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from ..lhm.base.mesh import Floats32, Surface
-from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
 from ..reference.face.dynamics import OSCILLATION, Swing, extrapolate_turns
 from .corpus.face import KeptFace
@@ -88,20 +87,18 @@ def as_played(name: str, method: Plays, table: Table) -> Contender:
     return Contender(name, answer, method.needs)
 
 
-def evaluate_motion(
-    methods: Sequence[Method], tested: CorpusTrials, looseness: Looseness, on_progress: OnProgress = silent
-) -> list[Score]:
+def evaluate_motion(methods: Sequence[Method], tested: CorpusTrials, looseness: Looseness) -> list[Score]:
     """Score each method, which is ready, over all frames of the sequences: of kinds DYNAMIC, and STILL without inertia.
 
     Raises what `CorpusTrials.moving` and `measure_frames` raise.
     """
     moving = [in_motion(method, looseness, tested.faces.mean) for method in methods]
-    distances = measure_frames([*moving, *map(by_frame, methods)], tested.moving(), on_progress)
+    distances = measure_frames([*moving, *map(by_frame, methods)], tested.moving())
     scores = distances.scores(distances.parts())
     return scores[: len(moving)] + [replace(score, kind=STILL) for score in scores[len(moving) :]]
 
 
-def evaluate_played(name: str, method: Plays, tested: CorpusTrials, on_progress: OnProgress = silent) -> Score:
+def evaluate_played(name: str, method: Plays, tested: CorpusTrials) -> Score:
     """Score a method that learns sequences alone, of kind DYNAMIC: fitted to those of training people.
 
     It begins with the two skins that the simulation had before. Raises what `Table` raises.
@@ -110,6 +107,6 @@ def evaluate_played(name: str, method: Plays, tested: CorpusTrials, on_progress:
     method.fit(tested.table("sequences", "train"))
     fitted = time.process_time() - begin
     trials = tested.moving(only_differentiated=False)
-    distances = measure_frames([as_played(name, method, tested.table("sequences"))], trials, on_progress)
+    distances = measure_frames([as_played(name, method, tested.table("sequences"))], trials)
     (score,) = distances.scores(distances.parts())
     return replace(score, fit_seconds=fitted)

@@ -32,22 +32,18 @@ HARDEST, BROADEST = 100.0, 200.0
 """[kPa] with which a cheek may be pushed, and [mm] of the patch' radius."""
 
 
-def open_jaw_scene(
-    head: LayeredHead, parameters: Parameters, *, angle: float = 12.0, hinge: Floats | None = None
-) -> Scene:
+def open_jaw_scene(head: LayeredHead, parameters: Parameters, *, angle: float = 12.0) -> Scene:
     """Build the scene of a jaw that its bone opens by an angle [degrees], 0 to 45, with a cranium that stays.
 
-    The mandible turns about the x axis through `hinge` [mm], shape (3,), by default `jaw_hinge`. Gravity and the
-    tissues' stiffnesses are those of p. Raises SceneError for an angle or a hinge out of range, and for a head without
-    a mandible.
+    The mandible turns about the x axis through `jaw_hinge`. Gravity and the tissues' stiffnesses are those of p. Raises
+    SceneError for an angle out of range, and for a head without a mandible.
     """
     if not 0.0 <= angle <= WIDEST:
         raise SceneError(f"angle: expected 0 to {WIDEST:g} degrees, got {angle:g}")
     jaw = head.bone == MANDIBLE
     if not jaw.any():
         raise SceneError("open_jaw_scene: the head has no mandible")
-    about = jaw_hinge(head) if hinge is None else as_vector("hinge", hinge)
-    skull = scale_skull(head, parameters)
+    about, skull = jaw_hinge(head), scale_skull(head, parameters)
     turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
     skull[jaw] = about + (skull[jaw] - about) @ turn.T
     return _scene_of_bones(head, parameters, skull)

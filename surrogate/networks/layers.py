@@ -64,9 +64,9 @@ def einsum(formula: str, *operands):
     return torch.einsum(formula, *operands)
 
 
-def linear(network: Arrays, layer: str, x, rows: slice = EVERY):
-    """Apply a layer to inputs (..., i), or those of its outputs that `rows` says."""
-    return x @ network[f"{layer}.weight"][rows].T + network[f"{layer}.bias"][rows]
+def linear(network: Arrays, layer: str, x):
+    """Apply a layer to inputs (..., i)."""
+    return x @ network[f"{layer}.weight"].T + network[f"{layer}.bias"]
 
 
 def perceptron(network: Arrays, name: str, x, activation=silu):

@@ -47,12 +47,12 @@ class Panel:
         ]
 
 
-def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR, wide: int = WIDE):
+def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
     """Draw largest errors [mm] of solves from rest, none below `floor`; settings after a solver's first are dotted.
 
     A rig, which has one error, is a filled mark at a frame's seconds, and a hollow one with the bind.
     """
-    wide = min(wide, len(panels))
+    wide = min(WIDE, len(panels))
     deep = -(-len(panels) // wide)
     figure, axes = subplots(deep, wide, figsize=(13 / 3 * wide, 3.8 * deep + 0.8), squeeze=False)
     labels: dict[str, Any] = {}

@@ -153,10 +153,10 @@ def beam(turns: int) -> Problem:
     return Problem(X, scene.tets, ends.vertices, ends.values, [], MU * full, BULK * full, skin, begin=begin)
 
 
-def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float = 1.0):
+def head(what: str, level: int) -> Problem:
     """Make the head's flesh with its skull held: under 2 g, its jaw moved 5 mm down, or its cheek pushed by 0.1 kPa.
 
-    Muscle is `contrast` times as stiff as what lies over it. With the jaw, only bones hold the inner side.
+    With the jaw, only bones hold the inner side.
     """
     layered = person(seed=None, level=level).head
     scene = facial_scene(layered, Parameters(), layered.skin.vertices, cells="tets")
@@ -172,10 +172,7 @@ def head(what: str, level: int, poisson: float = FLESH_POISSON, contrast: float 
         inner, places = inner[layered.bone != FREE], places[layered.bone != FREE]
     else:
         raise InputError(f"head: gravity, cheek or jaw, got {what!r}")
-    problem = _make_problem(X, scene.tets, inner, places, loads, FLESH_YOUNG, poisson, np.arange(count))
-    factor = np.ones(len(scene.tets))
-    factor[scene.tets_of(scene.of(terms.Strain)[-1])] = contrast
-    return replace(problem, mu=problem.mu * factor, lmbda=problem.lmbda * factor)
+    return _make_problem(X, scene.tets, inner, places, loads, FLESH_YOUNG, FLESH_POISSON, np.arange(count))
 
 
 def face(level: int, membrane: bool = True) -> Problem:

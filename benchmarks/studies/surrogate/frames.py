@@ -63,7 +63,7 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     return rows
 
 
-def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[tuple[int, int, float]]:
+def find_worst_frames(faces: Faces, method: Method) -> list[tuple[int, int, float]]:
     """Find the faces with the worst frames of a method, the worst first: face, frame there and its mean error [mm].
 
     Errors are over the vertices that move.
@@ -80,4 +80,4 @@ def find_worst_frames(faces: Faces, method: Method, count: int = SHOWN) -> list[
         motions = np.linalg.norm(truth - face.carried, axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
         worst.append((index, int(np.argmax(means)), float(np.max(means))))
-    return sorted(worst, key=lambda frame: -frame[2])[:count]
+    return sorted(worst, key=lambda frame: -frame[2])[:SHOWN]

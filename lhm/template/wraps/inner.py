@@ -60,7 +60,10 @@ def _cones(normals, faces, owner, first, rounds):
     return normals, least
 
 
-def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floats, Floats]:
+CONE_ROUNDS = 60
+
+
+def cone_normals(columns: Columns, wrap: Floats) -> tuple[Floats, Floats]:
     """Unit vectors (n, 3) at an acute angle to the normals of all incident triangles where that can be.
 
     Starting at the vertex normal, the normal of the worst incident triangle is added again and again. Also the
@@ -68,7 +71,7 @@ def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floa
     """
     surface = columns.surface(wrap)
     faces = unit(surface.face_normals)
-    return _cones(surface.vertex_normals, faces, columns.owner, columns.first, rounds)
+    return _cones(surface.vertex_normals, faces, columns.owner, columns.first, CONE_ROUNDS)
 
 
 def smooth_creases(columns: Columns, wrap: Floats, policy: LayersPolicy = POLICY) -> Floats:
