@@ -23,7 +23,7 @@ from .spheres import Spheres
 class OfSpace:
     """People of an identity space with a mean, their heads fitted by `fit`, such as partial(fit_head, template)."""
 
-    space: LinearSpace
+    space: LinearSpace | Spheres
     mean: Surface
     fit: object
     digest: str = ""

@@ -28,9 +28,9 @@ def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
     faces, network, settled = contest.tested.faces, contest.methods[NETWORK], contest.methods[SETTLED]
     solved: dict[tuple[int, bytes], Floats32] = {}
     try:
-        for frame in contest.tested.read_references():
-            if frame.law == FEM_LAWS[0]:
-                solved[frame.face, frame.weights.tobytes()] = frame.fenicsx
+        for known in contest.tested.read_references():
+            if known.law == FEM_LAWS[0]:
+                solved[known.face, known.weights.tobytes()] = known.fenicsx
     except InputError:
         solved = {}  # a corpus without references
     rows = []

@@ -156,11 +156,11 @@ class Table1(Study):
             return about | {"rows": [asdict(score) for score in self._scores(ready[name], contest)]}
         learner = LEARNERS.get(name, train_rival)
         method, _ = learner(name, contest, 0.25 * self.hours)
-        early = [replace(score, kind=EARLY) for score in score_static(method, tested)[:1]]
+        quarter = [replace(score, kind=EARLY) for score in score_static(method, tested)[:1]]
         begin = time.process_time()
         method, said = learner(name, contest, self.hours)
         seconds = time.process_time() - begin
-        rows = [*self._scores(method, contest), *early]
+        rows = [*self._scores(method, contest), *quarter]
         return about | said | {"rows": [asdict(replace(score, fit_seconds=seconds)) for score in rows]}
 
     def _scores(self, method: Method, contest: Contest) -> Iterator[Score]:
