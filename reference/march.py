@@ -79,6 +79,11 @@ class Moment:
     energy: float
     gradient: Floats
 
+    def copy(self) -> Moment:
+        """Return the same with arrays of its own, for a caller to write to."""
+        own = {name: getattr(self, name).copy() for name in ("velocities", "accelerations", "frame", "gradient")}
+        return replace(self, solution=replace(self.solution, positions=self.positions.copy()), **own)
+
     @property
     def positions(self) -> Floats:
         """Where vertices are [mm], shape (n, 3)."""
@@ -168,10 +173,10 @@ class _March:
     def run(self, steps: int, x: Floats, v: Floats) -> Iterator[Moment]:
         """Make all steps from positions x and velocities v, or those up to one that fails."""
         now = self._start(x, v)
-        yield now
+        yield now.copy()
         for step in range(1, steps + 1):
             now = self._step(now, step * self.h)
-            yield now
+            yield now.copy()
             if not now.solution.is_balanced:
                 return
 
@@ -182,6 +187,8 @@ class _March:
     def _at(self, time: float) -> tuple[Scene, Floats]:
         """Return the scene at a time, and the frame's acceleration [mm/s²], shape (3,)."""
         scene = self.scene if self.scenes is None else self.scenes(time)
+        if not isinstance(scene, Scene):
+            raise SceneError(f"scenes: expected a Scene at {time:g} s, got {type(scene).__name__}")
         frame = np.zeros(3) if self.acceleration is None else self.acceleration(time)
         return scene, finite("acceleration", frame, (3,), error=SceneError)
 

@@ -7,6 +7,7 @@ solves the equations of equilibrium where forces have no energy: under follower 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -75,6 +76,23 @@ def _check_terms(scene: Scene, element: str):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
 
 
+class InUse:
+    """Lets one thread at a time in; SceneError for a thread that is in already."""
+
+    def __init__(self):
+        self._lock, self._owner = threading.Lock(), 0
+
+    def __enter__(self):
+        if self._owner == threading.get_ident():
+            raise SceneError("this prepared scene is being solved; prepare another for a solve within its callback")
+        self._lock.acquire()
+        self._owner = threading.get_ident()
+
+    def __exit__(self, *_):
+        self._owner = 0
+        self._lock.release()
+
+
 class PreparedFenicsx:
     """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
 
@@ -115,6 +133,7 @@ class PreparedFenicsx:
             self._condensed = Condensed(self._problem, self._saddle, policy=policy)
         self._force: Floats | None = None
         self._end: Attempt | None = None
+        self._in_use = InUse()
         self._spent = clock.read()
 
     def solve(
@@ -132,6 +151,11 @@ class PreparedFenicsx:
         The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
+        with self._in_use:
+            return self._solve_scene(scene, start, tolerance, absolute, max_iterations, on_iteration)
+
+    def _solve_scene(self, scene, start, tolerance, absolute, max_iterations, on_iteration) -> Solution:
+        """Solve; vectors and matrices are those of all solves, so one at a time."""
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
         self.scene.check_prepared_for(scene)

@@ -13,7 +13,7 @@ from .rig import WEIGHTS, FaceModes, add_combination, check_blended, check_out, 
 
 
 class BoundSurrogate:
-    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given.
+    """One person and p: `frame` is all that runs per frame, in any thread; it makes no skin where `out` is given.
 
     skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
     """
@@ -26,7 +26,6 @@ class BoundSurrogate:
         self._settled = (self._skin + modes.offset).ravel()
         self._added = np.concatenate([modes.responses, modes.modes]).reshape(WEIGHTS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
-        self._amplitudes = np.zeros(WEIGHTS + count, dtype=np.float32)
         self._shapes = self._added.copy()
         self._shapes[:WEIGHTS] += expressions.reshape(WEIGHTS, -1)
 
@@ -59,15 +58,16 @@ class BoundSurrogate:
         weights = check_weights(weights)
         surface = check_out(out, self._skin.shape)
         flat = surface.reshape(-1)
-        self._amplitudes[:WEIGHTS] = weights
-        self.modes.remainder_of.write(weights, self._amplitudes[WEIGHTS:])
+        amplitudes = np.empty(len(self._shapes), dtype=np.float32)  # each thread has its own
+        amplitudes[:WEIGHTS] = weights
+        self.modes.remainder_of.write(weights, amplitudes[WEIGHTS:])
         if blended is None:
             flat[:] = self._settled
-            add_combination(self._amplitudes, self._shapes, flat)
+            add_combination(amplitudes, self._shapes, flat)
         else:
             surface[:] = check_blended(blended, self.skin)
             flat += self._offset
-            add_combination(self._amplitudes, self._added, flat)
+            add_combination(amplitudes, self._added, flat)
         return surface
 
     def blend(self, weights) -> Floats32:

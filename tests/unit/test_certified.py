@@ -1,5 +1,8 @@
 """A face that knows its error: told against true, by the accuracy that is asked for."""
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -50,6 +53,18 @@ def test_a_frame_with_what_an_expression_holds_is_the_simulators(choices):
     frame = certify(face).frame(weights, 1e-5)
     truth = face.skin_after(weights, solve(face.scene(weights), tolerance=1e-9).positions)
     assert frame.certain and np.linalg.norm(frame.skin - truth, axis=1).mean() < 2e-5
+
+
+def test_threads_share_a_rig(face):
+    weights = [expression(seed).astype(np.float32) for seed in range(200)]
+    alone, before = [face.rig.frame(each) for each in weights], sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(face.rig.frame, weights))
+    finally:
+        sys.setswitchinterval(before)
+    np.testing.assert_array_equal(together, alone)
 
 
 def test_a_frame_is_never_told_worse_than_before(face):

@@ -286,6 +286,19 @@ def test_held_vertices_that_leap_take_the_others_along():
     assert np.abs(run.positions[-1] - X - [0, 0, 6.0]).max() < 1e-2
 
 
+def test_what_a_march_gives_is_a_copy_and_what_it_is_given_a_scene():
+    """A caller who centres positions in place changes no later step."""
+    options = {"time_step": H, "steps": 4, "density": DENSITY, "solver": "projective"}
+    kick = np.tile([100.0, 0.0, 0.0], (len(X), 1))
+    right = marched(swinging(), velocities=kick, **options)
+    for number, moment in enumerate(march(swinging(), velocities=kick, **options)):
+        np.testing.assert_array_equal(moment.positions, right.positions[number])
+        for array in (moment.positions, moment.velocities, moment.accelerations, moment.gradient):
+            array -= 7.0
+    with pytest.raises(SceneError, match="scenes: expected a Scene at 0.0?1?[0-9]* s, got NoneType"):
+        list(march(swinging(), scenes=lambda t: swinging() if t == 0.0 else None, **options))
+
+
 def test_a_step_that_fails_ends_the_march():
     """A column let go from a bend needs more than two iterations of its first step."""
     from softdeca.reference.fenicsx.policy import FenicsxPolicy, MinimisePolicy

@@ -1,5 +1,7 @@
 """What every solver promises of a solve: its history, why it stopped, a sequence prepared once, what is refused."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
@@ -130,6 +132,18 @@ def test_a_sequence_is_prepared_once(solver, element):
     again = prepared.solve(other, tolerance=1e-11)
     assert again.converged
     assert np.abs(again.positions - solve_by(solver, other, **options).positions).max() < 1e-8
+
+
+@each_way
+def test_threads_share_a_prepared_scene(solver, element):
+    scene, options = pulled_block(), element_options(solver, element)
+    (target,) = scene.of(terms.Target)
+    scenes = [scene.with_targets(target.positions + [0.0, 0.0, 0.1 * k]) for k in range(8)]
+    prepared = prepare_by(solver, scene, **options)
+    alone = [prepared.solve(each, tolerance=1e-9).positions for each in scenes]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda each: prepared.solve(each, tolerance=1e-9).positions, scenes))
+    np.testing.assert_allclose(together, alone, atol=1e-7)
 
 
 @each_way
