@@ -87,13 +87,16 @@ class EnergyLaw(Isotropic):
     def energy(self, invariants: Floats) -> Floats:
         """Return psi [kPa], shape (m,), of invariants (3, m); infinite where the law does not hold."""
         with np.errstate(all="ignore"):
-            psi = self.density(*invariants, self, np)
+            psi = self.density(invariants[0], invariants[1], invariants[2], self, np)
         return np.where(np.isfinite(psi), psi, np.inf)
 
     def slopes(self, invariants: Floats) -> Floats:
         """Return psi's derivatives by invariants [kPa], both (3, m), by complex steps, which are exact to rounding."""
-        steps = 1e-30j * np.eye(3)[:, :, None]
-        return np.stack([self.density(*(invariants + step), self, np).imag / 1e-30 for step in steps])
+        by_each = []
+        for step in 1e-30j * np.eye(3)[:, :, None]:
+            I1, I2, J = invariants + step
+            by_each.append(self.density(I1, I2, J, self, np).imag / 1e-30)
+        return np.stack(by_each)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, materials
 from softdeca.reference.fenicsx.energy.assembly import Stiffness
-from softdeca.reference.fenicsx.energy.kernels import Kernel
+from softdeca.reference.fenicsx.energy.kernels import Elements, Kernel
 from softdeca.reference.fenicsx.energy.solids import VolumeLaw, hyperelastic_law, strain_law
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.skfem import solids as skfem
@@ -51,8 +51,8 @@ class ByKernel:
         if self._tets is None:
             self._tets = Apart()
             numbering = self._tets.numbering
-            self._all = Kernel(numbering, numbering.cell, 1, [self._law(ROOM)])
-            self._first = Kernel(numbering, numbering.cell[:1], 1, [self._law(1)])
+            self._all = Kernel(Elements.from_tets(numbering, numbering.cell, 1), [self._law(ROOM)])
+            self._first = Kernel(Elements.from_tets(numbering, numbering.cell[:1], 1), [self._law(1)])
             self._stiffness = Stiffness([numbering.cell_dofs], numbering.nodes)
         return self._tets
 

@@ -11,7 +11,7 @@ import ufl
 from ....lhm.base.errors import SceneError
 from ....lhm.base.mesh import Floats, Ints
 from ... import materials
-from ...materials import Incompressible, Material, MixedLaw
+from ...materials import EnergyLaw, Incompressible, Material, MixedLaw
 from .. import dolfinx_version as seam
 
 FUNCTIONS = SimpleNamespace(
@@ -49,9 +49,11 @@ def density(displacement, cells: Ints, material: Material, growth: Floats | floa
     I1, J = ufl.tr(C), ufl.det(elastic)
     I2 = (I1**2 - ufl.inner(C, C)) / 2
     law = material.law if isinstance(material, Incompressible) else material
+    assert isinstance(law, EnergyLaw)
     p = symbols(law, domain)
     if pressure is None:
         return ratio * law.density(I1, I2, J, p, FUNCTIONS), F
+    assert isinstance(material, (MixedLaw, Incompressible))
     return ratio * material.mixed_density(I1, I2, J, pressure, p, FUNCTIONS), F
 
 

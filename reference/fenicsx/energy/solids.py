@@ -12,7 +12,7 @@ import numpy as np
 from ....lhm.base.errors import SceneError, quote
 from ....lhm.base.mesh import Floats, Ints
 from ...clock import count_compilation
-from ...materials import Corotated, Incompressible, Material
+from ...materials import Corotated, EnergyLaw, Incompressible, Material, MixedLaw
 from ...scene import Scene
 from ...terms import Hourglass, Hyperelastic, Strain, Volume
 from ...terms import Solid as SolidTerm
@@ -85,8 +85,10 @@ def hyperelastic_law(material: Material, growth: Floats, *, mixed: bool = False)
         if isinstance(material, Corotated):
             psi = material.by_stretches(elastic, p)
         elif mixed:
+            assert isinstance(material, (MixedLaw, Incompressible))
             psi = material.mixed_density(*invariants(elastic), p._pressure, p, FUNCTIONS)
         else:
+            assert isinstance(material, EnergyLaw)
             psi = material.density(*invariants(elastic), p, FUNCTIONS)
         return p._growth * psi if grows else psi
 

@@ -103,7 +103,7 @@ class Minimisation:
         if mode is None:
             return state, 0
         step = self._policy.minimise.aside * largest_size(comm, (state.u - self._run.u)[:owned])
-        beside = self._problem.moved(state, step * mode)
+        beside = self._evaluate(state.u + self._nodes.spread(step * mode.reshape(-1, 3)))
         if not np.isfinite(beside.energy):
             return state, 0
         end, reason, made = self._newton.minimise(beside, threshold=threshold, max_iterations=left)
