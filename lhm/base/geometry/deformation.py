@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 
+from ..checks import indices_below
 from ..errors import MeshError
 from ..mesh import Floats, Surface
 from .cholesky import factorise
@@ -72,7 +73,8 @@ class DeformationTransfer:
 
     `anchors` (indices) are drawn to where the blended skin has them, with `weight` times the mean diagonal of GᵀDG.
     `matrix` is K; `solve` maps b, shape (n, columns), C-contiguous and of this dtype, to K⁻¹ b.
-    Raises MeshError for reference triangles without area and for a connected part without an anchor.
+    Raises MeshError for reference triangles without area, for anchors that are no vertices, and for a connected part
+    without one.
     """
 
     def __init__(self, reference: Surface, anchors, *, weight: float = 1.0, dtype=np.float64):
@@ -80,7 +82,8 @@ class DeformationTransfer:
         self.triangles = np.ascontiguousarray(reference.triangles, dtype=np.int32)
         self.n_vertices = len(reference.vertices)
         self.stiffness = _edge_stiffness(reference).astype(self.dtype)
-        self.matrix = self._matrix(np.asarray(anchors), weight).astype(self.dtype)
+        places = indices_below("anchors", anchors, self.n_vertices, (None,), error=MeshError)
+        self.matrix = self._matrix(places, weight).astype(self.dtype)
         self.solve = factorise(self.matrix)
 
     def _matrix(self, anchors, weight) -> csc_matrix:
