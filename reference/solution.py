@@ -110,7 +110,7 @@ def von_mises(cauchy: Floats) -> Floats:
 class Solution:
     """A solver's answer.
 
-    positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
+    positions [mm], shape (n, 3); `converged` is whether `reason` is CONVERGED or ROUNDING; `iterations` made, by all
     attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,), where the
     tets of a prism have its F; least_ratio (m,) is the least J inside quadratic tets, None for linear ones; `detail`
     holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
@@ -136,13 +136,13 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether the tolerance was reached."""
-        return self.reason is Reason.CONVERGED
+        """Whether the gradient fell to what was asked, or as far as rounding lets it; `reason` tells which."""
+        return self.reason in (Reason.CONVERGED, Reason.ROUNDING)
 
     @property
     def is_balanced(self) -> bool:
-        """Whether forces balance to the tolerance, or as far as rounding allows, if in cells that are inside out."""
-        return self.reason in (Reason.CONVERGED, Reason.ROUNDING, Reason.INVERTED)
+        """Whether forces balance, be it in cells that are inside out."""
+        return self.converged or self.reason is Reason.INVERTED
 
     @property
     def first_piola(self) -> Floats:
