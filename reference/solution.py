@@ -38,7 +38,9 @@ class Reason(str, Enum):
     INVERTED = (
         "cells of a hyperelastic law are inside out: no answer; load in steps, each from the last, or refine there"
     )
-    CONTACT = "surfaces cross that are held where they do: hold them apart, or leave them out of Contact"
+    CONTACT = (
+        "surfaces cross, or pass through each other as what is held moves: hold them apart, or move in smaller steps"
+    )
     INTERRUPTED = "interrupted by the caller"
 
     def __str__(self) -> str:

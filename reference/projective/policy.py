@@ -41,6 +41,8 @@ class ContactPolicy:
     slack: float = 0.1  # [mm] that vertices may move on before pairs are sought anew
     kept: float = 0.2  # of a pair's distance that a step leaves at least
     before: float = 0.999  # of the share at which a step would meet something
+    stage: float = 1.0  # [mm] of the way of what is held, on which pairs are sought at once
+    apart: float = 1e-3  # of a distance, or of a stage: what comes so near, or so far only, has met
     passes: int = 12  # of active sets in an iteration at most; the next one goes on
     closed: float = 1e-9  # [mm] of depth in the model, above which a row is pressed
     least: float = 1e-4  # of a step as it is bounded: the memory is emptied where no more of it lowers the energy

@@ -121,7 +121,8 @@ class ProjectivePrepared:
         limits = Limits(tolerance, absolute, max_iterations)
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
-        place = coordinates.start(np.where(held, values, first_positions(scene, start)) - scene.vertices)
+        begin = first_positions(scene, start)
+        place = coordinates.start(np.where(held, values, begin) - scene.vertices)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         if metric is not None and metric.coordinates.size != coordinates.size:
@@ -149,9 +150,11 @@ class ProjectivePrepared:
         contact: dict[str, float] = {}
         if self.contact is not None:
             contact = self.contact.summarise(positions)
-            ended = reason in (Reason.CONVERGED, Reason.STAGNATED)
-            if ended and contact["contact_crossings"] > self.contact.crossings_at_rest:
-                reason = Reason.CONTACT
+            if reason in (Reason.CONVERGED, Reason.STAGNATED):
+                crosses = contact["contact_crossings"] > self.contact.crossings_at_rest
+                led = bool((values != begin)[held].any())  # past the descent, which sees the way of what is free
+                if crosses or (led and self.contact.leaps(begin, positions)):
+                    reason = Reason.CONTACT
         return Solution(
             positions=positions,
             reason=reason.at_rounding(scene, point.norm),

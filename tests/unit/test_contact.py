@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from softdeca.lhm import Surface
 from softdeca.lhm.base.geometry.bvh import BoxTree
 from softdeca.lhm.base.geometry.triangles import parting_shifts
 from softdeca.lhm.head.layers import prism_tets
@@ -271,6 +272,40 @@ def test_a_start_that_crosses_is_left_for_rest():
     held = replace(scene.terms[2], values=scene.terms[2].values - np.where(scene.terms[2].values[:, 1:2] > 8, 9.0, 0.0))
     pushed = replace(scene, terms=[*scene.terms[:2], held, *scene.terms[3:]])
     assert solve(pushed).reason is Reason.CONTACT
+
+
+@pytest.mark.parametrize(("down", "reason"), [(0.3, Reason.CONVERGED), (0.8, Reason.CONTACT), (3.0, Reason.CONTACT)])
+@pytest.mark.parametrize("carried", [False, True])
+def test_what_is_held_does_not_leap_through(carried, down, reason):
+    """A patch that is held, or a plane on held carriers, moves to .2 above the block's top, and wholly past it."""
+    X, tets = bar((2, 2, 2), (4, 4, 4), (0, 0, 0))
+    plane = np.array([[-1.0, 4.5, -1.0], [5, 4.5, -1], [5, 4.5, 5], [-1, 4.5, 5]])
+    triangles, top = np.array([[0, 2, 1], [0, 3, 2]]), meshes.triangles_at(X, tets, 1, 4.0)
+    base, held = terms.Fixed(np.flatnonzero(X[:, 1] == 0.0)), len(X) + np.arange(4)
+    if carried:
+        carriers = plane + np.diag([0.0, 9.0, 0.0, 0.0])[:, :3]
+        contact = terms.Contact(top, obstacles=(terms.Obstacle(Surface(plane, triangles), held),))
+        X = np.vstack([X, carriers])
+    else:
+        X, contact = np.vstack([X, plane]), terms.Contact(np.vstack([top, len(X) + triangles]))
+    scene = Scene(X, tets, [terms.Strain(5.0), base, terms.Fixed(held, X[held] - [0, down, 0]), contact])
+    answer = solve(scene)
+    assert answer.reason is reason and answer.detail["contact_crossings"] == 0
+    begin = np.array(X)
+    begin[held, 1] -= down
+    from_there = solve(scene, start=begin)
+    assert from_there.converged  # the way of this frame begins where the one before has led
+
+
+def test_what_slides_along_has_not_met():
+    """A vertex goes far along a triangle, and one through it."""
+    scene, _, upper = two_bars()
+    contact, beside = prepare(scene).contact, np.array(scene.vertices)
+    beside[upper] -= [0.0, 0.49, 0.0]
+    aside, through = beside.copy(), beside.copy()
+    aside[upper] += [30.0, 0.0, 10.0]
+    through[upper] += [0.0, -20.0, 0.0]
+    assert not contact.leaps(beside, aside) and contact.leaps(beside, through)
 
 
 def test_without_contact_nothing_changes_and_with_it_nothing_is_factored_again(monkeypatch):

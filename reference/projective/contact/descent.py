@@ -9,7 +9,7 @@ L-BFGS learns from elasticity's gradient g alone, for contact is never modelled 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -111,6 +111,28 @@ class ContactDescent:
             pushes = pushes + share * (wanted - pushes)
             here = ahead
         return here.total, reason
+
+    def leaps(self, begin: Floats, end: Floats) -> bool:
+        """Tell whether surfaces pass through each other on the straight way between positions (n, 3) [mm].
+
+        The way begins at rest where more crosses at its begin than there; nothing is told of what crosses at rest.
+        """
+        if self.crossings_at_rest:
+            return False
+        x, goal = self.points.find_places(begin), self.points.find_places(end)
+        if self.count_crossings(x):
+            x = self.points.find_places(self.rest)
+        longest = float(np.linalg.norm(goal - x, axis=1).max(initial=0.0))
+        stages = np.linspace(x, goal, 1 + int(np.ceil(longest / self.policy.stage)))
+        nearby = Nearby(self.surfaces, replace(self.policy, kept=self.policy.apart))
+        for ahead in stages[1:]:
+            # What slides along comes to its end in many shares, what meets stays where it is.
+            while (share := nearby.find_free_share(x, ahead - x)) < 1.0:
+                if share < self.policy.apart:
+                    return True
+                x = x + share * (ahead - x)
+            x = ahead
+        return False
 
     def summarise(self, positions: Floats) -> dict[str, float]:
         """Summarise contact at positions (n, 3) [mm] for `Solution.detail`: forces, and what crosses.
