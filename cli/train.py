@@ -59,6 +59,7 @@ class Train:
     def run(self) -> int:
         """Train, and write weights and curve."""
         from ..animation.plots import draw_learning_curve
+        from ..surrogate.networks import trainer  # noqa: F401  says what to install, before a corpus is read
         from ..surrogate.networks.weights import Weights
 
         if self.network == "modal":

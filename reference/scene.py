@@ -12,7 +12,7 @@ from ..lhm.base.checks import indices_below
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Cells, Fixed, OnTets, OnTriangles, RigidBody, Solid, Target, Term
+from .terms import Cells, Fixed, OnTets, OnTriangles, Pressure, RigidBody, Solid, Target, Term
 from .terms.cells import prism_vertices
 
 
@@ -164,6 +164,10 @@ class Scene:
         It is a hint: beside great stiffness elsewhere the loads on soft tissue are smaller.
         """
         return 1e-14 * self._unit_force() / max(len(self.vertices), 1) ** 0.5
+
+    def is_rest(self, norm: float) -> bool:
+        """Whether a gradient norm [mN] is rounding in a scene without loads, where there is nothing to solve for."""
+        return norm <= self.rounding() and not self.of(Pressure) and not self.loads().any()
 
     def _unit_force(self) -> float:
         """What unit strain would cause at all vertices together [mN]."""

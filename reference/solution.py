@@ -270,9 +270,10 @@ class Limits:
         if self.iterations is not None and not self.iterations >= 0:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
-    def threshold(self, first: float) -> float:
-        """Return the gradient norm [mN] at which to stop, from the first one."""
-        return self.tolerance * first if self.absolute is None else self.absolute
+    def threshold(self, scene: Scene, first: float) -> float:
+        """Return the gradient norm [mN] at which to stop, from the first one; a start at rest is its own answer."""
+        asked = self.tolerance * first if self.absolute is None else self.absolute
+        return max(asked, first) if scene.is_rest(first) else asked
 
 
 def first_positions(scene: Scene, start: Floats | None) -> Floats:

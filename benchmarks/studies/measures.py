@@ -127,7 +127,7 @@ def trace_to_itself(
 def solve_to_end(scene: Scene, what: str, **how: Any) -> Solution:
     """Solve a scene by `how`, as `solve` takes it; SoftdecaError names `what` was solved and why it ended early."""
     solution = solve(scene, **how)
-    if not solution.converged:
+    if not solution.is_balanced:
         raise SoftdecaError(f"{what}: {solution.reason}")
     return solution
 

@@ -127,7 +127,7 @@ class Prepared:
         gradient[held] = 0
         reason = Reason.CONVERGED if np.isfinite(value) else Reason.NOT_FINITE
         norm = np.linalg.norm(gradient)
-        threshold, stop = limits.threshold(norm), recorder.record(x, value, norm)
+        threshold, stop = limits.threshold(scene, norm), recorder.record(x, value, norm)
         while reason is Reason.CONVERGED and norm > threshold:
             if stop or count == (
                 MAX_ITERATIONS if max_iterations is None else max_iterations
@@ -137,7 +137,7 @@ class Prepared:
             step = -self.two_loops(gradient, pairs)
             found = line_search(energy, x, step, value, gradient, held)
             if found is None:
-                reason = Reason.STAGNATED
+                reason = Reason.STAGNATED.at_rounding(scene, norm)
                 break
             ahead, value, slope = found
             pairs = [*pairs, (ahead - x, slope - gradient)][-MEMORY:]

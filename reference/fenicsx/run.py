@@ -81,7 +81,7 @@ class Run:
 
     def threshold(self, first: float) -> float:
         """Give the gradient norm [mN] at which to stop, from the first one."""
-        return self.limits.threshold(first)
+        return self.limits.threshold(self.scene, first)
 
     def report(self, u: Floats, energy: float, norm: float) -> bool:
         """Record an iteration; whether any rank's caller asks to stop."""

@@ -137,7 +137,7 @@ class ProjectivePrepared:
             problem = replace(problem, untangling=untangling)
         first = problem.at(place)
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
-        threshold, rounding = limits.threshold(first.norm), scene.rounding()
+        threshold, rounding = limits.threshold(scene, first.norm), scene.rounding()
         watch = Watch(recorder, scene.vertices, threshold, most, policy.descent, rounding=rounding)
         descend = METHODS[self.method]
         if self.contact is not None:

@@ -45,14 +45,14 @@ class Descent:
         iterations = 0
         if (wide := self.energy.widen()) is not None:
             forces = max(forces, self._norm(x))
-            met = max(self.policy.descent.met * forces, limits.threshold(forces))
+            met = max(self.policy.descent.met * forces, limits.threshold(self.scene, forces))
             x, reason, more = self._minimise(wide, x, lambda first: met, limit - iterations, self._tell_of_another)
             iterations += more
             if reason is Reason.INTERRUPTED:
                 return x, reason, iterations
 
         def threshold(first: float) -> float:
-            return limits.threshold(max(first, forces))
+            return limits.threshold(self.scene, max(first, forces))
 
         x, reason, more = self._minimise(self.energy, x, threshold, limit - iterations, self._tell)
         return x, reason, iterations + more

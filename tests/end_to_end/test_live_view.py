@@ -292,7 +292,7 @@ def test_websockets_of_other_pages_are_refused(served, origin):
 BAD = (
     (b"\x00\x01", "change: expected JSON as text, got bytes"),
     ("nonsense", "not JSON"),
-    ("[" * 5000, "JSON: 5,000 levels of brackets"),
+    ("[" * 5000, "not JSON: "),
     ('{"change": 1}', "change: expected an object of 'change', 'weights' and 'parameters'"),
     (CHANGE.replace("1", "-1"), "change: expected a number from 0 to 2^53, got -1"),
     (CHANGE.replace('"weights": {}', '"weights": {"jawOpen": 1.5}'), "weight jawOpen = 1.5 is outside [0, 1]"),

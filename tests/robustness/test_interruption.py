@@ -271,7 +271,7 @@ def test_whichever_write_of_a_corpus_fails_it_ends_in_one_line_and_goes_on_to_th
     ended = subprocess.run(arguments, capture_output=True, text=True, timeout=300, env=environment)
     assert ended.stdout, ended.stderr + (tmp_path / "said").read_text()
     found = json.loads(ended.stdout)
-    assert found["count"] >= 20 and found["wrong"] == []
+    assert found["count"] >= 15 and found["wrong"] == []
 
 
 @pytest.fixture

@@ -71,8 +71,8 @@ class Answer:
 
     @property
     def converged(self) -> bool:
-        """Whether the neutral face and the scene came to rest."""
-        return self.solution.converged and (self.settled is None or self.settled.converged)
+        """Whether the neutral face and the scene came to rest, be it with cells inside out."""
+        return self.solution.is_balanced and (self.settled is None or self.settled.converged)
 
 
 def find_start(settled: SettledFace | None, scene: Scene) -> Floats:

@@ -66,7 +66,7 @@ class Minimisation:
         left = run.record.left(self._policy.minimise.max_iterations)
 
         def end_step(force: float, first: float) -> float:
-            return loose.threshold(max(first, force))
+            return loose.threshold(run.scene, max(first, force))
 
         state, force, reason, iterations = self._newton.approach(
             self._evaluate(run.u), self._goal, self._nodes, self._evaluate, threshold=end_step, max_iterations=left

@@ -200,7 +200,8 @@ class MultiplierDescent:
                 condensed.harden(multipliers.harder)
             before = away
             state = condensed.beside(state.u, state.p)
-            if change <= multipliers.near or size == 0.0:
+            # Where tissue ends without a pressure, what changes of it is rounding.
+            if change <= multipliers.near or size == 0.0 or self._residual(state)[1] <= last:
                 state, end = self._finish(state, last)
                 if end is not None:
                     return state, end
