@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -36,10 +37,10 @@ def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
         parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
         return np.stack(parts, axis=1).reshape(-1, 3)
 
-    def refine_term(term: terms.Term) -> terms.Term:
+    def refine_term(term: Any) -> terms.Term:
         if isinstance(term, Solid):
-            tets = (8 * scene.tets_of(term)[:, None] + np.arange(8)).ravel()
-            return replace(term, tets=tets, **_repeat(term, 8))
+            changes = _repeat(term, 8) | {"tets": (8 * scene.tets_of(term)[:, None] + np.arange(8)).ravel()}
+            return replace(term, **changes)
         if isinstance(term, terms.SurfaceStrain | terms.Bending):
             return replace(term, triangles=split(term.triangles), **_repeat(term, 4))
         if isinstance(term, terms.Target):
@@ -60,7 +61,7 @@ def carry(values: Floats, ends: Ints) -> Floats:
     return np.concatenate([values, values[ends].mean(axis=1)])
 
 
-def _repeat(term: terms.Term, times: int) -> dict[str, Floats]:
+def _repeat(term: Any, times: int) -> dict[str, Any]:
     """The values of each of a term's elements, for all parts into which they are split."""
     values = {each.name: getattr(term, each.name) for each in fields(term) if each.name in term.amounts}
     return {name: np.repeat(value, times) for name, value in values.items() if np.ndim(value)}

@@ -275,8 +275,16 @@ def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Float
 
 def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
     """Settle a neutral face by the law with quadratic tets, from where linear ones settled it."""
-    how = {"solver": "fenicsx", "element": "P2", "start": linear.positions, "tolerance": QUADRATIC_NEUTRAL}
-    settled = settle(face.head, face.on_wraps, law=linear.law, **how, **face.choices)
+    settled = settle(
+        face.head,
+        face.on_wraps,
+        law=linear.law,
+        solver="fenicsx",
+        element="P2",
+        start=linear.positions,
+        tolerance=QUADRATIC_NEUTRAL,
+        **face.choices,
+    )
     if not settled.converged:
         raise SoftdecaError(f"FEniCSx: {settled.reason}")
     return settled
