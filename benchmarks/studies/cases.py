@@ -115,7 +115,7 @@ WEIGHTS_AND_LOADS = (
     Case(
         "jaw-by-bone",
         "jaw opened by its bone by 12 degrees, 2 g",
-        scene=lambda head: open_jaw_scene(head, Parameters(gravity=2.0), angle=12.0),
+        scene=lambda head: open_jaw_scene(head, Parameters(gravity=2.0), angle=12.0, cells="tets"),
     ),
     Case(
         "pushed-cheek",

@@ -23,6 +23,7 @@ from ..terms.term import as_vector
 from .bones import condyles, scale_skull
 from .facial import facial_scene
 from .parameters import Parameters
+from .tissue import CellKind
 
 LINING = ("mouth", "teeth", "eyes")
 """Regions behind which there is no bone; lips belong to the mouth and are left free."""
@@ -32,7 +33,9 @@ HARDEST, BROADEST = 100.0, 200.0
 """[kPa] with which a cheek may be pushed, and [mm] of the patch' radius."""
 
 
-def open_jaw_scene(head: LayeredHead, parameters: Parameters, *, angle: float = 12.0) -> Scene:
+def open_jaw_scene(
+    head: LayeredHead, parameters: Parameters, *, angle: float = 12.0, cells: CellKind = "prisms"
+) -> Scene:
     """Build the scene of a jaw that its bone opens by an angle [degrees], 0 to 45, with a cranium that stays.
 
     The mandible turns about the x axis through `jaw_hinge`. Gravity and the tissues' stiffnesses are those of p. Raises
@@ -46,7 +49,7 @@ def open_jaw_scene(head: LayeredHead, parameters: Parameters, *, angle: float = 
     about, skull = jaw_hinge(head), scale_skull(head, parameters)
     turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
     skull[jaw] = about + (skull[jaw] - about) @ turn.T
-    return _scene_of_bones(head, parameters, skull)
+    return _scene_of_bones(head, parameters, skull, cells)
 
 
 def push_cheek_scene(
@@ -97,9 +100,9 @@ def jaw_hinge(head: LayeredHead) -> Floats:
     return condyles(head.skull_wrap.vertices[head.bone == MANDIBLE])
 
 
-def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) -> Scene:
+def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats, cells: CellKind = "prisms") -> Scene:
     """Hold both bones where the skull wrap `skull` [mm], shape (n, 3), has them, and springs on the lining alone."""
-    scene = facial_scene(head, parameters, head.skin.vertices, bones="prescribed")
+    scene = facial_scene(head, parameters, head.skin.vertices, bones="prescribed", cells=cells)
     motion = skull - head.skull_wrap.vertices
     bone = head.bone != FREE
     carried = head.skin_wrap.vertices + (
