@@ -62,10 +62,9 @@ class Term:
             if ids.min() < 0 or ids.max() >= count:
                 bad = ids.max() if ids.max() >= count else ids.min()
                 raise SceneError(f"{kind} {bad} is outside 0..{count - 1}")
-        for key in ("rest",):
-            points = getattr(self, key, None)
-            if points is not None and not hasattr(self, "vertices") and len(points) != n:
-                raise SceneError(f"{key} has {len(points)} rows for {n} vertices")
+        rest = getattr(self, "rest", None)
+        if rest is not None and not hasattr(self, "vertices") and len(rest) != n:
+            raise SceneError(f"rest has {len(rest)} rows for {n} vertices")
 
     def element_vertices(self, mesh: Mesh) -> Ints:
         """Return the vertices, shape (k, j), that each of its elements joins; none unless it is an energy of them."""

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats, Ints
-from .term import Amount, Mesh, Term, as_places, as_triangles, check_areas, triangle_areas
+from ...lhm.base.mesh import Floats, Ints, Surface
+from .term import Amount, Mesh, Term, as_places, as_triangles, check_areas
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +39,10 @@ class Target(Term):
         """See Term; triangles have an area, and vertices of the term."""
         super().check(mesh)
         check_areas(self.triangles, mesh.vertices)
-        strange = np.setdiff1d(self.triangles, self.vertices)
-        if strange.size:
-            raise SceneError(f"triangles: vertex {strange[0]} is none of the term's")
+        strange = np.ones(len(mesh.vertices), dtype=bool)
+        strange[self.vertices] = False
+        if strange[self.triangles].any():
+            raise SceneError(f"triangles: vertex {self.triangles[strange[self.triangles]].min()} is none of the term's")
 
     def spread(self, mesh: Mesh) -> tuple[np.ndarray, Floats, Floats]:
         """Return what quadratic elements integrate: which vertices (k,) have no triangle, and values at corners.
@@ -49,8 +50,7 @@ class Target(Term):
         These are the springs' stiffness per area [mN/mm³], shape (t, 3), and places [mm], shape (t, 3, 3).
         """
         triangles, n = self.triangles, len(mesh.vertices)
-        areas = triangle_areas(mesh.vertices, triangles)
-        around = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=n)
+        around = Surface(mesh.vertices, triangles).vertex_areas
         stiffness, places = np.zeros(n), np.zeros((n, 3))
         stiffness[self.vertices], places[self.vertices] = self.stiffness, self.positions
         density = np.divide(stiffness, around, out=np.zeros(n), where=around > 0.0)

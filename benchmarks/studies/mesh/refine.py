@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from ....lhm.base.geometry.topology import midpoints
-from ....lhm.base.mesh import Floats, Ints, TetMesh
+from ....lhm.base.mesh import Floats, Ints, Surface, TetMesh
 from ....lhm.head.remesh import EDGES, refine_tets
 from ....reference import Scene, terms
 from ....reference.problems.meshes import boundary_triangles
 from ....reference.terms.solids import Solid
-from ....reference.terms.term import triangle_areas
 
 
 def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
@@ -69,11 +68,9 @@ def _repeat(term: Any, times: int) -> dict[str, Any]:
 
 def _refine_springs(term: terms.Target, scene: Scene, ends: Ints, vertices: Floats, triangles: Ints) -> terms.Target:
     """Springs of the same stiffness per area on finer triangles (4 t, 3) of finer `vertices`."""
-    n, areas = len(scene.vertices), triangle_areas(scene.vertices, term.triangles)
-    around = np.bincount(term.triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=n)
+    n = len(scene.vertices)
     density, places = np.zeros(n), np.zeros((n, 3))
-    density[term.vertices] = term.stiffness / around[term.vertices]
-    places[term.vertices] = term.positions
+    _, density[term.triangles], places[term.triangles] = term.spread(scene)
     ids = np.unique(triangles)
-    finer = np.bincount(triangles.ravel(), np.repeat(triangle_areas(vertices, triangles) / 3.0, 3), len(vertices))
+    finer = Surface(vertices, triangles).vertex_areas
     return terms.Target(ids, carry(places, ends)[ids], (carry(density, ends) * finer)[ids], triangles)

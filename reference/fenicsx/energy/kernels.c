@@ -1,8 +1,8 @@
 /* Energy, gradient and Hessian of a law's integral over tets, WIDTH tets at a time: a `vec` has a number of each.
 
    law.h, which kernels.py writes, has the element (NODES, POINTS, the derivatives SHAPES of the shape functions on the
-   reference tet, WEIGHTS that add up to 1; or PRISMS: six nodes and one point), the number PARAMETERS of the law's, and `law_stretches`: psi(s), its
-   gradient and its Hessian, s the signed singular values of `decompose`. A law of HAS_PRESSURE has a pressure at each
+   reference tet, WEIGHTS that add up to 1; or PRISMS: six nodes and one point), the number PARAMETERS of the law's, and
+   `law_stretches`: psi(s), its gradient and its Hessian, s the signed singular values of `decompose`. A law of HAS_PRESSURE has a pressure at each
    point, parameters[PARAMETERS]: the last four parameters are those of the corners, and CORNERS the corners' linear
    shape functions at the points. Tets come in rows of an array that is filled up to whole blocks of WIDTH by tets of
    volume 0. */

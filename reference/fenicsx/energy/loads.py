@@ -7,6 +7,7 @@ of the triangles is held or slides in a plane that closes the volume, and not el
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -111,7 +112,7 @@ class Springs(NodalEnergy):
     stiffness: Floats
 
     @classmethod
-    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Springs]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> Sequence[Springs]:
         """Make the springs of each target."""
         springs = []
         for term in scene.of(Target):

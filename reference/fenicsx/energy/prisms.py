@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,8 +12,7 @@ from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Hourglass
 from ..mesh.numbering import Numbering
-from .assembly import add_forces
-from .nodal import NodalEnergy
+from .loads import Springs
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Prisms:
         np.put_along_axis(gradients, place[..., :1, None], -inverse.sum(axis=-2, keepdims=True), axis=2)
         return cls(numbering.dof[vertices], scene.volumes[tets], gradients)
 
-    @property
+    @cached_property
     def mean(self) -> Floats:
         """The gradients of the mean."""
         shares = self.volumes / self.volumes.sum(axis=1, keepdims=True)
@@ -49,16 +50,11 @@ class Prisms:
         return np.eye(3) + np.einsum("rai,raj->rij", u[self.nodes], self.mean)
 
 
-@dataclass(frozen=True, eq=False)
-class Hourglasses(NodalEnergy):
-    """weight/2 ‖F_t - F‖² of prisms' tets: gradients (r, 3, 6, 3) are of F_t - F, weight (r, 3) [µJ]."""
-
-    nodes: Ints
-    gradients: Floats
-    weight: Floats
+class Hourglasses(Springs):
+    """stiffness/2 Σ v_t ‖F_t - F‖² of prisms' tets: springs that pull their nodes to rest, where F_t is F."""
 
     @classmethod
-    def from_scene(cls, scene: Scene, numbering: Numbering) -> list[Hourglasses]:
+    def from_scene(cls, scene: Scene, numbering: Numbering) -> Sequence[Hourglasses]:
         """Make those of each Hourglass."""
         prisms, made = Prisms.from_scene(scene, numbering), []
         off = prisms.gradients - prisms.mean[:, None]
@@ -67,23 +63,7 @@ class Hourglasses(NodalEnergy):
             here = rows >= 0
             stiffness = np.broadcast_to(term.stiffness, len(rows))[here, None]
             rows = rows[here]
-            made.append(cls(prisms.nodes[rows], off[rows], stiffness * prisms.volumes[rows]))
+            weight, nodes = stiffness * prisms.volumes[rows], prisms.nodes[rows]
+            matrix = np.einsum("rt,rtaj,rtbj->rab", weight, off[rows], off[rows], optimize=True)
+            made.append(cls(nodes, numbering.X[nodes], matrix))
         return made
-
-    def _off(self, x: Floats) -> Floats:
-        """What F_t is off F, shape (r, 3, 3, 3)."""
-        return np.einsum("rai,rtaj->rtij", x[self.nodes] - x[self.nodes[:, :1]], self.gradients)
-
-    def energy(self, x: Floats) -> float:
-        """See NodalEnergy."""
-        return 0.5 * float(np.einsum("rt,rtij->", self.weight, self._off(x) ** 2))
-
-    def add_gradient(self, x: Floats, into: Floats):
-        """See NodalEnergy."""
-        forces = np.einsum("rt,rtij,rtaj->rai", self.weight, self._off(x), self.gradients, optimize=True)
-        add_forces(self.nodes, forces, into)
-
-    def hessian(self, x: Floats, kept: float) -> Floats:
-        """See NodalEnergy."""
-        blocks = np.einsum("rt,rtaj,rtbj->rab", self.weight, self.gradients, self.gradients, optimize=True)
-        return np.multiply.outer(blocks, np.eye(3))
