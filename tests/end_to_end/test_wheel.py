@@ -53,6 +53,7 @@ def installed(tmp_path):
     return folder
 
 
+@pytest.mark.timeout(1800)  # pip may have to download a gigabyte
 def test_the_wheel_alone_solves_fits_animates_and_shows(installed):
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     example = example.replace("load_template()", "load_template(level=1)").replace('"fenicsx"', '"skfem"')
