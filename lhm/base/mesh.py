@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from .checks import Floats as Floats
 from .checks import Floats32 as Floats32
 from .checks import Ints as Ints
 from .checks import finite, indices_below
 from .errors import MeshError
+from .kernels import njit
 
 
 def as_points(name: str, values) -> Floats:

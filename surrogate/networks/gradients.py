@@ -15,11 +15,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NoReturn
 
-import numba
 import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.deformation import DeformationTransfer, weighted_edges
+from ...lhm.base.kernels import njit
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ..rigs.inertia import DynamicRig, Swings, dynamic_rig
 from ..rigs.rig import WEIGHTS, add_combination, check_blended, check_out, check_weights
@@ -150,7 +150,7 @@ def open_transfer(network: Arrays, mean: Surface) -> DeformationTransfer:
     return DeformationTransfer(mean, np.flatnonzero(network["anchored"]), dtype=np.float32)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _latent_forces(latents, latent, surface, triangles, stiffness, forces):
     """Gᵀ D ((J - I) G S) of one frame with z·L fused in, so that J is never stored."""
     gradient = np.empty(9, dtype=np.float32)

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 
+from ...lhm.base.kernels import njit
 from ..rigs.rig import silu
 
 EVERY = slice(None)
@@ -85,7 +85,7 @@ def scale_modes(gains, modes, scale: float):
     return gains.swapaxes(-1, -2)[..., None] * (modes * scale)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _scale_modes(gains, modes, scale):
     scaled = np.empty_like(modes)
     for k in range(len(modes)):

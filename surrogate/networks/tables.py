@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ...lhm.base.errors import InputError
+from ...lhm.base.kernels import njit
 from ...lhm.base.mesh import Floats, Floats32
 from ..rigs.rig import WEIGHTS, silu
 from .features import BONES, EFFECTS, GIVE, Features

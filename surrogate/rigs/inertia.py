@@ -15,11 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numba
 import numpy as np
 
 from ...lhm.base.checks import number, real
 from ...lhm.base.errors import FitError, InputError
+from ...lhm.base.kernels import njit
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import (
@@ -189,7 +189,7 @@ def dynamic_rig(rig: Rig, swing: Swings | None, time_step: float) -> DynamicRig:
     return DynamicRig(rig, swing, time_step)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _swing(skin, loose, coefficients, last, before, pushed):
     """Eq. 21 at the loose vertices of a static skin, in place; as differences, so that rest is kept to the bit."""
     for k in range(len(loose)):

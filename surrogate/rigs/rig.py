@@ -6,13 +6,13 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-import numba
 import numpy as np
 
 from ...lhm.base.checks import array_of_kind, in_range
 from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.likeness import check_moved
 from ...lhm.base.geometry.warp import rigid_motion
+from ...lhm.base.kernels import njit
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.identities.arkit import ARKIT
 from ...lhm.template.fit import is_upright
@@ -99,7 +99,7 @@ def clip_weights(weights: Floats32, *, stacklevel: int) -> Floats32:
     return inside
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _within(weights):
     """Whether all weights are in [0, 1], as those of nearly every frame are; False for NaN."""
     for weight in weights:
@@ -130,7 +130,7 @@ def check_out(out: Floats32 | None, shape: tuple[int, ...]) -> Floats32:
     return out
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def add_combination(amplitudes, shapes, surface):
     """Add Σ_k a_k B_k to a surface (m,) in place; shapes (k, m), two at a time, zeros left out."""
     pending = -1
@@ -201,7 +201,7 @@ class Remainder:
         )  # fmt: skip
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _write_remainder(weights, inner, inner_bias, middle, middle_bias, outer, linear, rest, amplitudes):
     """`Remainder.__call__` of one expression, whose weights of zero cost nothing."""
     first, second = inner_bias.copy(), middle_bias.copy()

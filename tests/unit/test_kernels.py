@@ -174,3 +174,23 @@ def test_two_processes_at_once_share_one_library(tmp_path, monkeypatch):
     energies = [process.communicate(timeout=300)[0] for process in both]
     assert energies[0] == energies[1] and float(energies[0]) > 0.0
     assert [path.suffix for path in sorted(tmp_path.glob("kernels/*"))] == [".lock", ".so"]
+
+
+IMPORT = "from softdeca.lhm.base.kernels import njit"
+MODULES = {
+    "sizes": "SIZE = 2.0",
+    "inner": f"{IMPORT}\nfrom sizes import SIZE\n@njit()\ndef grow(x): return SIZE * x",
+    "outer": f"{IMPORT}\nfrom inner import grow\n@njit(cache=True)\ndef use(x): return grow(x)",
+}
+
+
+@pytest.mark.parametrize(("changed", "source", "value"), [("sizes", "SIZE = 5.0", 15.0), ("inner", "{}+1.0", 7.0)])
+def test_kernels_are_compiled_anew_where_a_source_of_theirs_has_changed(tmp_path, monkeypatch, changed, source, value):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    for name, text in MODULES.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    ask = [sys.executable, "-c", "from outer import use; print(use(3.0), sum(use.stats.cache_hits.values()))"]
+    answers = [subprocess.check_output(ask, text=True).split() for _ in range(2)]
+    (tmp_path / f"{changed}.py").write_text(source.format(MODULES[changed]))
+    answers.append(subprocess.check_output(ask, text=True).split())
+    assert answers == [["6.0", "0"], ["6.0", "1"], [str(value), "0"]]

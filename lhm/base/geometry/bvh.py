@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from ..kernels import njit
 from ..mesh import Floats, Ints
 from .triangles import closest_on_triangle, parting_shifts, triangles_cross
 

@@ -10,13 +10,13 @@ reference is, so one factorisation serves all identities, and faces move the ans
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 
 from ..checks import indices_below
 from ..errors import MeshError
+from ..kernels import njit
 from ..mesh import Floats, Surface
 from .cholesky import factorise
 from .topology import connected_parts
@@ -142,7 +142,7 @@ def _edge_products(vertices: Floats, triangles) -> tuple[Floats, Floats, Floats]
     return (e1 * e1).sum(axis=1), (e1 * e2).sum(axis=1), (e2 * e2).sum(axis=1)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _face_forces(gradients, blended, triangles, stiffness, forces):
     """Add Gᵀ D ((J - I) G S) of each batch item to forces, shape (n, batch, 3)."""
     for b in range(blended.shape[0]):
@@ -159,7 +159,7 @@ def _face_forces(gradients, blended, triangles, stiffness, forces):
                 forces[i, b, r] -= at_j + at_k
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _edge_forces(edges, triangles, stiffness, forces):
     """Add Gᵀ D of the gradients that edges make to forces, shape (n, batch, 3)."""
     for b in range(edges.shape[0]):
@@ -174,7 +174,7 @@ def _edge_forces(edges, triangles, stiffness, forces):
                 forces[i, b, r] -= at_j + at_k
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _face_cotangents(solved, blended, triangles, stiffness, out):
     for b in range(blended.shape[0]):
         for f in range(triangles.shape[0]):
@@ -189,7 +189,7 @@ def _face_cotangents(solved, blended, triangles, stiffness, out):
                 out[b, f, 3 * r + 2] = at_j * u2 + at_k * v2
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, inline="always")
 def weighted_edges(positions, i, j, k, c11, c12, c22):
     """Return D G of one face: its edges e1, e2 combined to c11 e1 + c12 e2 and c12 e1 + c22 e2."""
     a0, a1, a2 = (

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from ..errors import InputError, SoftdecaError
+from ..kernels import njit
 from ..mesh import Floats, Floats32, Surface
 
 FARTHEST = 100.0

@@ -6,9 +6,9 @@ Written in scalars: a small array made in the innermost loop costs more than the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_matrix
 
+from ..kernels import njit
 from ..mesh import Floats, Ints
 
 

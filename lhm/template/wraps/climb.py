@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from ...base.geometry.mirror import find_middle
+from ...base.kernels import njit
 from ...base.mesh import Floats
 from ...head.columns import Columns
 
@@ -60,7 +60,7 @@ def improve(columns: Columns, stack: Floats, *, least: float, policy: ClimbPolic
     return _climb(stack.copy(), *arrays, *mirror, *bounds, normals, slide, policy.sweeps, policy.cycle)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def smallest_sine(x, a, b, c, d):
     """The smallest sine of the dihedral angles, 6 V |edge| over its two faces' doubled areas, with the sign of V."""
     b0, b1, b2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
@@ -87,7 +87,7 @@ def smallest_sine(x, a, b, c, d):
     return volume / np.sqrt(max(worst, 1e-300))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _worst_around(x, tets, incident, first, last):
     worst, where = 1.0, first
     for k in range(first, last):
@@ -98,7 +98,7 @@ def _worst_around(x, tets, incident, first, last):
     return worst, where
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _all_above(x, tets, incident, first, last, where, limit):
     """Whether all tets around are better than `limit`, and how good the worst is; the one at `where` is asked first."""
     t = incident[where]
@@ -114,7 +114,7 @@ def _all_above(x, tets, incident, first, last, where, limit):
     return True, worst
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _direction(which, c):
     """Component c of one of 14 directions: along the axes, then to the corners of a cube."""
     if which < 6:
@@ -122,7 +122,7 @@ def _direction(which, c):
     return (1.0 - 2.0 * (((which - 6) >> c) % 2)) / np.sqrt(3.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _bad_columns(x, tets, n, twins, enough):
     """Columns of tets that are not good enough; of twins the one with the smaller number."""
     bad = np.zeros(n, np.bool_)
@@ -135,7 +135,7 @@ def _bad_columns(x, tets, n, twins, enough):
     return np.flatnonzero(bad)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _put(x, v, twin, middle, place, share, delta):
     """Put vertex v at place + share delta, and its twin, if it is another, at the mirror image."""
     for c in range(3):
@@ -144,7 +144,7 @@ def _put(x, v, twin, middle, place, share, delta):
         x[twin, 0], x[twin, 1], x[twin, 2] = 2.0 * middle - x[v, 0], x[v, 1], x[v, 2]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _climb(
     x, tets, incident, starts, twins, in_plane, middle, enough, shortest, longest, normals, slide, sweeps, cycle
 ):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.sparse import identity
 from scipy.sparse.linalg import splu
 
 from ...base.errors import FitError
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.topology import graph_laplacian
+from ...base.kernels import njit
 from ...base.mesh import Floats, Ints
 from ...head.columns import Columns, unit
 from . import climb

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_matrix, diags
 
 from ...base.geometry.cholesky import factorise
 from ...base.geometry.topology import graph_laplacian, number_edges
+from ...base.kernels import njit
 from ...base.mesh import Floats, Ints
 from ...head.columns import Columns, unit
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_matrix
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ..dolfinx_version import ALONE, MPI, PETSc
 from ..mesh.parallel import IndexMap

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from .. import dolfinx_version as seam
 from ..mesh.numbering import Numbering

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ....lhm.base.kernels import njit
 from ..terms.gaps import measure_pair
 
 CHECKED = 200

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csc_matrix
 
 from ....lhm.base.errors import SceneError
 from ....lhm.base.geometry import cholesky
 from ....lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definite
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...terms import Contact, Target

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_matrix
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Bending

@@ -10,8 +10,8 @@ Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a cell's corners as `corner_p
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Ints
 from ..unknowns.sparsity import add_block
 from .local_step import (

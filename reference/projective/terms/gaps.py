@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ....lhm.base.geometry.triangles import closest_on_triangle
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Gaps

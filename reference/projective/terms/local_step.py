@@ -5,9 +5,6 @@ alone: w (F - R). For the others f is the quadratic in S that meets the principa
 (Newton's divided differences), which needs no singular vectors. Volume's principal stress is d_i = s_i - t_i = -m/t_i,
 whose differences are d[i, j] = m/(t_i t_j + m), where nothing cancels however near two stretches are.
 Blocks with a tet so flat that R is not sure, or at a kink of its stress, go by singular values.
-
-All kernels of a block stand here, for numba's cache looks at the file of the outermost function only: after a change,
-delete the `*.nbi` files of the files that import them.
 """
 
 from __future__ import annotations
@@ -15,7 +12,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from ....lhm.base.kernels import njit
 
 # How a block lies in memory: quantity after quantity a row of LANES numbers, so that loops over lanes vectorise. The
 # rows lie in one flat array and their offsets are compile-time constants: the compiler then knows that no two rows

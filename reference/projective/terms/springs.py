@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import Target

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import SurfaceStrain

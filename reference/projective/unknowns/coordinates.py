@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ....lhm.base.geometry.warp import rigid_motion
+from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...terms import RigidBody
