@@ -1,8 +1,9 @@
 """METHODS: every way to a frame, with the only labels, colours and marks of the house.
 
 A method binds a face, live (`reference.face.Face`) or of a corpus (`KeptFace`), and gives a rig, which makes skins of
-52 weights. Squares solve, circles use the network or derivatives, triangles are simple rivals. Methods that learn from
-a corpus have a file each in `networks`; solvers of other packages have one in the arena.
+52 weights. A `Solver` solves any scene besides. Squares solve, circles use the network or derivatives, triangles are
+simple rivals. Methods that learn from a corpus have a file each in `networks`; solvers of other packages have one in
+the arena.
 """
 
 from __future__ import annotations
@@ -21,21 +22,26 @@ from ..reference.face.correction import predict
 from ..reference.face.derivatives import FRAME_ACCURACY, spring_norm
 from ..reference.face.face import Face
 from ..reference.face.facial import PD_ENERGY, FaceLaw
+from ..reference.face.settle import SettledFace
+from ..reference.face.tissue import CellKind
 from .certified import ACCURACY, CertifiedFace
 from .corpus.face import KeptFace
+from .corpus.plan import CorpusPlan
+from .corpus.simulator import solve_frame
 from .rigs.bound import BoundSurrogate
 from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
 from .runtime import Beyond, BoundRig, Surrogate
 
-PD, PD_PLAIN, PD_ANDERSON, PD_ARAP = "PD", "PD, plain", "PD, Anderson", "PD on ARAP"
-PD_FIRST_ORDER = "PD, from first order"
-FENICSX, FENICSX_P2, FENICSX_P2P1 = "FEniCSx", "FEniCSx, P2", "FEniCSx, P2-P1"
+PD, PD_TETS, PD_PLAIN, PD_ANDERSON = "PD", "PD, tets", "PD, plain", "PD, Anderson"
+PD_FIRST_ORDER, PD_AS_TRAINED = "PD, from first order", "PD, to the corpus' tolerance"
+FENICSX, FENICSX_TETS = "FEniCSx", "FEniCSx, tets"
+FENICSX_P2, FENICSX_P2P1 = "FEniCSx, P2", "FEniCSx, P2-P1"
 FENICSX_NEO_HOOKEAN = "FEniCSx, neo-Hookean"
-SKFEM, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, neo-Hookean"
-LIBIGL_ARAP = "libigl ARAP"
+SKFEM, SKFEM_P2, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, P2", "scikit-fem, neo-Hookean"
 NETWORK, DERIVATIVES, NETWORK_AND_DERIVATIVES = "network", "derivatives", "network + derivatives"
 NETWORK_ALIKE = "network, trained alike"
 SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
+SETTLED_TETS = "settled + blendshapes, tets"
 DIAL = "dial"
 VERTICES_ONLY = "vertices only, z(w) L(p, h)"
 SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
@@ -49,14 +55,34 @@ Binder = Callable[[Any], Rig]
 
 
 @dataclass(frozen=True)
+class Solver:
+    """What solves any scene: options of `prepare`, with the solver's name.
+
+    law: of the tissue. near: it starts at PD's answer, to which it is near. tolerance: gradient norm relative to that
+    at the start.
+    """
+
+    how: Mapping[str, Any]
+    law: FaceLaw = PD_ENERGY
+    tolerance: float = 1e-10
+    near: bool = False
+
+
+@dataclass(frozen=True)
 class Method:
-    """A way to frames; `colour` and `mark` are Matplotlib's."""
+    """A way to frames; `colour` and `mark` are Matplotlib's.
+
+    cells: those of the face that it moves, whatever cells the face had; None takes them as they are. solver: what
+    solves other scenes likewise, if anything does.
+    """
 
     name: str
     bind: Binder
     needs: Needs = "nothing"
     colour: str = "#000000"
     mark: str = "s"
+    cells: CellKind | None = None
+    solver: Solver | None = None
 
 
 def get_live(face: AnyFace) -> Face:
@@ -65,16 +91,43 @@ def get_live(face: AnyFace) -> Face:
 
 
 def no_face(face: AnyFace) -> Rig:
-    """Refuse every face: the method moves other scenes."""
+    """Refuse every face: nobody has said how the method binds one."""
     raise InputError("this method moves no face")
 
 
+def on_cells(face: AnyFace, cells: CellKind | None) -> AnyFace:
+    """Return a live face with other cells; one of a corpus, and one that has them, stay as they are."""
+    if cells is None or isinstance(face, KeptFace) or get_cells(face) == cells:
+        return face
+    return replace(face, choices={**face.choices, "cells": cells})
+
+
+def get_cells(face: AnyFace) -> CellKind:
+    """Return the cells of a face's scenes."""
+    cells: CellKind = face.cells if isinstance(face, KeptFace) else face.choices.get("cells", "prisms")
+    return cells
+
+
 @dataclass(frozen=True, eq=False)
+class Solved:
+    """A frame that was solved for: skin (n, 3) [mm], the scene's vertices (k, 3) [mm], and what its solver told."""
+
+    skin: Floats | Floats32
+    positions: Floats
+    told: Mapping[str, Any]
+
+
+@dataclass(eq=False)
 class SolvedRig:
-    """Frames of a face's own shapes by what solves for the skin [mm], shape (n, 3), of weights (52,)."""
+    """Frames of a face's own shapes by what solves for them, of weights (52,); `last` is the latest.
+
+    settled: the neutral face of a solver that has settled it by itself.
+    """
 
     skin: Surface
-    solve: Callable[[Floats], Floats | Floats32]
+    solve: Callable[[Floats], Solved]
+    settled: SettledFace | None = None
+    last: Solved | None = None
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
         """Solve for a frame; see `Rig.frame`. InputError for `blended`, too, and what solving raises."""
@@ -82,36 +135,56 @@ class SolvedRig:
             raise InputError("blended: a solver moves the face's own shapes alone")
         known = check_weights(weights).astype(np.float64)
         surface = check_out(out, self.skin.vertices.shape)
-        surface[:] = self.solve(known)
+        self.last = self.solve(known)
+        surface[:] = self.last.skin
         return surface
 
 
-def solved_by(solver: str, law: FaceLaw = PD_ENERGY, *, tolerance: float, **how: Any) -> Binder:
-    """Return what binds a face to a solver, prepared at bind; `how` are options of `prepare`.
+def use_solver(solver: Solver, cells: CellKind | None = None) -> Binder:
+    """Return what binds a face to a solver, prepared at bind; the face settles by the same solver, law and tolerance.
 
-    Each frame begins at rest. One that does not converge raises InputError with the reason. Quadratic elements are
-    those of a face's tets.
+    Each frame begins at the settled face, or at PD's answer where the solver is near it. One that does not converge
+    raises InputError with the reason. Quadratic elements are those of a face's tets.
     """
 
     def bind(face: AnyFace) -> SolvedRig:
-        live = get_live(face)
-        if how.get("element", "P1") != "P1":
-            live = replace(live, choices={**live.choices, "cells": "tets"})
-        prepared = prepare(live.neutral_scene(law), solver=solver, **how)
+        live, law = get_live(face), solver.law
+        settling = {"solver": solver.how["solver"], "tolerance": solver.tolerance}
+        if "element" in solver.how:
+            settling["element"] = solver.how["element"]
+        by_pd = METHODS[PD].bind(live) if solver.near else None  # by prisms where the face has them
+        if by_pd is not None and by_pd.settled is not None and law == PD_ENERGY:
+            settling["start"] = by_pd.settled.positions
+        own = replace(on_cells(live, cells), settling=settling)
+        settled = own.settled(law)
+        if not settled.converged:
+            raise InputError(f"the neutral face does not settle ({settled.reason})")
+        prepared = prepare(own.neutral_scene(law), **solver.how)
 
-        def solve(weights: Floats) -> Floats:
-            solution = prepared.solve(live.scene(weights, law), tolerance=tolerance)
-            return live.skin_after(weights, _check_converged(solver, solution).positions, law)
+        def solve(weights: Floats) -> Solved:
+            start = settled.positions
+            if by_pd is not None:
+                near = by_pd.solve(weights)
+                start = start if law != PD_ENERGY and near.told["inverted"] else near.positions
+            solution = prepared.solve(own.scene(weights, law), start=start, tolerance=solver.tolerance)
+            return _tell(own, weights, solution, law)
 
-        return SolvedRig(live.skin, solve)
+        return SolvedRig(own.skin, solve, settled)
 
     return bind
 
 
-def _check_converged(method: str, solution: Solution) -> Solution:
-    if not solution.converged:
-        raise InputError(f"{method}: {solution.reason}")
-    return solution
+def _tell(face: Face, weights: Floats, solution: Solution, law: FaceLaw = PD_ENERGY) -> Solved:
+    """Return the frame of a solution; InputError for one that has not converged."""
+    if not solution.is_balanced:
+        raise InputError(str(solution.reason))
+    told = {
+        "iterations": solution.iterations,
+        "linear_iterations": solution.detail.get("linear_iterations"),
+        "reason": solution.reason.name,
+        "inverted": int(np.count_nonzero(solution.volume_ratio <= 0.0)),
+    }
+    return Solved(face.skin_after(weights, solution.positions, law), solution.positions, told)
 
 
 def blend(face: AnyFace) -> CorrectedRig:
@@ -146,7 +219,7 @@ def use_network(surrogate: Surrogate | None = None, *, exact: bool = False, beyo
 
     def bind(face: AnyFace) -> BoundRig:
         network = Surrogate.load() if surrogate is None else surrogate
-        return network.bind_face(face, exact=exact, beyond=beyond)
+        return network.bind_face(on_cells(face, network.weights.note.cells), exact=exact, beyond=beyond)
 
     return bind
 
@@ -156,55 +229,98 @@ def use_dial(accuracy: float = ACCURACY) -> Binder:
 
     def bind(face: AnyFace) -> SolvedRig:
         certified = certify(get_live(face))
-        return SolvedRig(certified.skin, lambda weights: certified.frame(weights, accuracy).skin)
+
+        def solve(weights: Floats) -> Solved:
+            frame = certified.frame(weights, accuracy)
+            told = {"error": frame.error, "certain": frame.certain, "method": frame.method, "iterations": frame.solves}
+            return Solved(frame.skin, frame.positions, told)
+
+        return SolvedRig(certified.skin, solve)
 
     return bind
 
 
 def start_at_first_order(face: AnyFace) -> SolvedRig:
-    """Bind PD whose frames begin at the first order and go on by the PD matrix, as a corpus makes them."""
+    """Bind PD whose frames begin at the first order and go on by the PD matrix."""
     live = get_live(face)
     prepared = live.derivatives.prepared
 
-    def solve(weights: Floats) -> Floats:
+    def solve(weights: Floats) -> Solved:
         scene = live.scene(weights)
         stop = FRAME_ACCURACY * spring_norm(scene)
-        solution = prepared.solve(scene, start=predict(live, weights), absolute=stop, untangle=False)
-        return live.skin_after(weights, _check_converged(PD_FIRST_ORDER, solution).positions)
+        start = predict(live, weights)
+        return _tell(live, weights, prepared.solve(scene, start=start, absolute=stop, untangle=False))
 
     return SolvedRig(live.skin, solve)
 
 
-def simulate(name: str, bind: Binder, colour: str, mark: str = "s") -> Method:
-    """Make a method that needs the simulator."""
-    return Method(name, bind, "simulator", colour, mark)
+def solve_as_corpora(face: AnyFace) -> SolvedRig:
+    """Bind PD as corpora make their frames, to the tolerance of their plans."""
+    live, plan = get_live(face), CorpusPlan()
+    _ = live.first_order
+
+    def solve(weights: Floats) -> Solved:
+        return _tell(live, weights, solve_frame(plan, live, weights))
+
+    return SolvedRig(live.skin, solve)
 
 
+def simulate(name: str, bind: Binder, colour: str, mark: str = "s", cells: CellKind | None = None) -> Method:
+    """Make a method that needs the simulator; with `cells` it moves faces of these alone."""
+    return Method(name, lambda face: bind(on_cells(face, cells)), "simulator", colour, mark, cells)
+
+
+def solve_by(
+    name: str,
+    solver: str,
+    colour: str,
+    *,
+    law: FaceLaw = PD_ENERGY,
+    tolerance: float = 1e-10,
+    near: bool = False,
+    cells: CellKind | None = None,
+    **how: Any,
+) -> Method:
+    """Make a method of a solver; `how` are its options of `prepare`, the others those of `Solver` and `Method`."""
+    known = Solver({"solver": solver, **how}, law, tolerance, near)
+    return Method(name, use_solver(known, cells), "simulator", colour, "s", cells, known)
+
+
+NEO_HOOKEAN: FaceLaw = "neo-Hookean"
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        simulate(PD, solved_by("projective", tolerance=1e-8), "#1f77b4"),
-        simulate(PD_PLAIN, solved_by("projective", tolerance=1e-6, method="plain"), "#aec7e8"),
-        simulate(PD_ANDERSON, solved_by("projective", tolerance=1e-8, method="anderson"), "#6b8fd6"),
-        simulate(PD_ARAP, no_face, "#c5b0d5"),
+        solve_by(PD, "projective", "#1f77b4", tolerance=1e-8),
+        solve_by(PD_TETS, "projective", "#7fb2d9", tolerance=1e-8, cells="tets"),
+        solve_by(PD_PLAIN, "projective", "#aec7e8", tolerance=1e-6, method="plain"),
+        solve_by(PD_ANDERSON, "projective", "#6b8fd6", tolerance=1e-8, method="anderson"),
         simulate(PD_FIRST_ORDER, start_at_first_order, "#4c3f91"),
-        simulate(FENICSX, solved_by("fenicsx", tolerance=1e-10), "#d62728"),
-        simulate(FENICSX_P2, solved_by("fenicsx", tolerance=1e-10, element="P2"), "#8c1a1a"),
-        simulate(FENICSX_P2P1, solved_by("fenicsx", tolerance=1e-10, element="P2P1"), "#a0522d"),
-        simulate(FENICSX_NEO_HOOKEAN, solved_by("fenicsx", "neo-Hookean", tolerance=1e-10), "#8c564b"),
-        simulate(SKFEM, solved_by("skfem", tolerance=1e-10), "#c49c94"),
-        simulate(SKFEM_NEO_HOOKEAN, solved_by("skfem", "neo-Hookean", tolerance=1e-10), "#7a5c52"),
-        simulate(LIBIGL_ARAP, no_face, "#2ca02c"),
-        Method(NETWORK, use_network(), colour="#17becf", mark="o"),
+        simulate(PD_AS_TRAINED, solve_as_corpora, "#9a8fd1"),
+        solve_by(FENICSX, "fenicsx", "#d62728"),
+        solve_by(FENICSX_TETS, "fenicsx", "#f0908f", cells="tets"),
+        solve_by(FENICSX_P2, "fenicsx", "#8c1a1a", tolerance=1e-6, near=True, cells="tets", element="P2"),
+        solve_by(
+            FENICSX_P2P1, "fenicsx", "#a0522d", law=NEO_HOOKEAN, tolerance=1e-6, near=True, cells="tets", element="P2P1"
+        ),
+        solve_by(FENICSX_NEO_HOOKEAN, "fenicsx", "#8c564b", law=NEO_HOOKEAN, near=True),
+        solve_by(SKFEM, "skfem", "#c49c94", tolerance=1e-3, near=True),
+        solve_by(SKFEM_P2, "skfem", "#b08a82", tolerance=1e-6, near=True, cells="tets", element="P2"),
+        solve_by(SKFEM_NEO_HOOKEAN, "skfem", "#7a5c52", law=NEO_HOOKEAN, near=True),
+        Method(NETWORK, use_network(), colour="#17becf", mark="o", cells="tets"),
         simulate(DERIVATIVES, differentiate, "#006d5b", "o"),
-        simulate(NETWORK_AND_DERIVATIVES, use_network(exact=True), "#7a7a00", "o"),
+        Method(NETWORK_AND_DERIVATIVES, use_network(exact=True), "simulator", "#7a7a00", "o", cells="tets"),
         simulate(DIAL, use_dial(), "#222222", "D"),
         simulate(SETTLED, rest, "#9467bd", "^"),
+        simulate(SETTLED_TETS, rest, "#c5b0d5", "^", cells="tets"),
         Method(CARRIED, carry, "head", colour="#e377c2", mark="^"),
         Method(BLENDSHAPES, blend, colour="#ff7f0e", mark="^"),
     )
 }
-"""Every way to a frame, by its label."""
+"""Every way to a frame, by its label.
+
+Solvers without a mesh in their label take the face's own cells, by default prisms. The network has learned the
+simulator of tets, and moves faces of tets.
+"""
 _added: dict[str, Method] = {}
 READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
 """Methods at the price of blendshapes that learn nothing from a corpus."""
@@ -244,7 +360,9 @@ def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> 
     ready = {name: METHODS[name] for name in READY}
     networks = {NETWORK: False, NETWORK_AND_DERIVATIVES: True} if surrogate is not None else {}
     for name, exact in networks.items():
-        ready[name] = replace(METHODS[name], bind=use_network(surrogate, exact=exact, beyond=beyond))
+        assert surrogate is not None
+        bind, cells = use_network(surrogate, exact=exact, beyond=beyond), surrogate.weights.note.cells
+        ready[name] = replace(METHODS[name], bind=bind, cells=cells)
     if surrogate is None:
         del ready[NETWORK]
     if surrogate is None or not surrogate.has_derivatives:

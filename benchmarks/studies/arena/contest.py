@@ -21,7 +21,7 @@ from ....lhm.base.errors import MissingDependencyError, SoftdecaError
 from ....lhm.base.mesh import Floats, Ints
 from ....reference import Scene, prepare
 from ....reference.added import NotModelledError
-from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_ARAP, PD_PLAIN, SKFEM
+from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_PLAIN, SKFEM
 from ..measures import find_arrival
 from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
 from .solvers.protocol import ArenaProblem, Clock
@@ -33,6 +33,7 @@ POINTS = 60
 """Of a curve that are kept at most, evenly in the logarithm of their number."""
 BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
 """[s] of processor time of a solve, up to so many tets."""
+PD_ARAP = "PD on ARAP"
 REST, ANSWER = "from rest", "from the answer"
 OWN_SETTING = "default"
 OWN: Mapping[str, tuple[str, dict[str, str]]] = {

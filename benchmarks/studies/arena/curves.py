@@ -23,8 +23,10 @@ COLOURS = {
     "JAX-FEM": "#f7b6d2",
     "MuJoCo flex": "#0b5d1e",
     "Newton VBD": "#ff7f0e",
+    "libigl ARAP": "#2ca02c",
+    "PD on ARAP": "#c5b0d5",
 }
-"""By solver of another package; others are black."""
+"""By what METHODS has not; others are black."""
 
 
 Over = Literal["seconds", "work"]

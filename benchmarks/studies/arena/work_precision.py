@@ -44,13 +44,13 @@ from .summaries import find_best, find_time, tabulate_times, tabulate_work
 FACE, ARAP = "the face's energy (Eq. 15)", "ARAP's energy, same tets"
 BY_ENERGY: Mapping[str, Sequence[str]] = {
     FACE: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, m.FENICSX_P2, m.SKFEM),
-    ARAP: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, m.LIBIGL_ARAP),
+    ARAP: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, libigl_arap.TITLE),
 }
 SLOW = (m.FENICSX_P2, m.SKFEM)
 """Left out unless they are asked for: a minute a solve."""
-ENDLESS = (m.PD_PLAIN, m.LIBIGL_ARAP)
+ENDLESS = (m.PD_PLAIN, libigl_arap.TITLE)
 """These end by the arena's budget: local and global steps need thousands for the last digits."""
-RIVALS = ((FACE, m.PD_PLAIN), (FACE, m.FENICSX), (ARAP, m.FENICSX), (ARAP, m.LIBIGL_ARAP))
+RIVALS = ((FACE, m.PD_PLAIN), (FACE, m.FENICSX), (ARAP, m.FENICSX), (ARAP, libigl_arap.TITLE))
 """Whom L-BFGS is to be ahead of, on which energy."""
 
 
@@ -127,7 +127,7 @@ class WorkPrecision(OfPerson):
 
     def _solve(self, posed: Posed, label: str) -> dict[str, Any]:
         budget = find_budget(len(posed.scene.tets)) if label in ENDLESS else np.inf
-        if label == m.LIBIGL_ARAP:
+        if label == libigl_arap.TITLE:
             assert posed.handles is not None
             arrays, (settings,) = posed.handles.arrays(), libigl_arap.SETTINGS.values()
 
