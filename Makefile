@@ -1,5 +1,5 @@
 # make study   the whole chain on the default head -> out/study/index.html
-# make test    tests, a worker for each core      make check   ruff, mypy, import-linter, the pages
+# make test    tests, a worker for each core      make check   ruff, mypy, import-linter, cog, the pages
 # make wheel   the wheel in an environment of its own, of a gigabyte that is kept: it solves, fits, animates and shows
 # make check-results  a cheap part of every kept result measured anew: names what is stale and what moved; ten minutes
 # make fuzz    damaged files for every reader, MUTANTS=... of each format, others each time
@@ -27,6 +27,7 @@ check: setup
 	rm -rf build/lib build/typecheck && $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --target build/typecheck .
 	cd build/typecheck && ../../.venv/bin/mypy --config-file ../../pyproject.toml --namespace-packages --explicit-package-bases softdeca
 	.venv/bin/lint-imports
+	.venv/bin/cog --check -I docs README.md docs/*.md
 	@tools/set-up docs
 	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=$(PAGES) -D suppress_warnings=myst-nb.lexer docs build/docs
 

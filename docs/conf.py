@@ -7,8 +7,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from results import RESULTS, fill_page  # noqa: E402
-
 project = "softdeca"
 author = "The softdeca authors"
 copyright = author
@@ -31,7 +29,7 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = [
     "conf.py",
-    "results.py",
+    "figures.py",
     "tutorials/gent.py",
     "upstream/*.py",
     "tutorials/quasi_newton.py",
@@ -49,11 +47,8 @@ html_sidebars = dict.fromkeys(
         "concepts",
         "glossary",
         "surrogate",
-        "corpus-card",
         "paper",
-        "scaling",
         "bounds",
-        "gates",
         "limits",
         "python",
         "own-head",
@@ -170,16 +165,8 @@ def _by_alias(app, what, name, obj, options, signature, returned):
     )
 
 
-def _fill(app, docname, source):
-    """Fill a page from the results; what no result has ends the build."""
-    source[0] = fill_page(source[0], f"docs/{docname}.md")
-    for path in RESULTS.rglob("*.json"):
-        app.env.note_dependency(str(path))
-
-
 def setup(app):
-    """Let pages pass `_fill`, docstrings `_plain` and signatures `_by_alias`."""
-    app.connect("source-read", _fill)
+    """Let docstrings pass `_plain` and signatures `_by_alias`."""
     app.connect("autodoc-process-docstring", _plain)
     for part in ("description", "options", "arguments", "epilog"):
         app.connect(f"sphinx-click-process-{part}", _plain_command)

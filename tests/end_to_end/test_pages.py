@@ -41,7 +41,7 @@ RUN = {
     "softdeca animate take.csv --head head.npz --accuracy none --parameters p.toml --dynamic": (
         "--frames 0:2 --out out/rig"
     ),
-    "softdeca animate take.csv --head head.npz --accuracy 0.01 --format glb": "--frames 0:2 --out out/dialled",
+    'softdeca animate "speech:We are here" --accuracy 0.05 --format glb': "--level 1 --frames 0:2 --out out/dialled",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca head export head.npz --parameters p.toml --out rig.glb": "",
     "softdeca bench list": "",

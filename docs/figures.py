@@ -1,0 +1,150 @@
+"""What cog's blocks on the pages ask of `benchmarks/results`, and how they lay it out.
+
+A block stands between markers in the page itself: `cog -r -I docs FILE` writes what it makes below it, and `make check`
+refuses a page whose block makes something else today.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from statistics import median  # noqa: F401  # of blocks
+from typing import Any
+
+import cog
+
+from softdeca.benchmarks.harness.page import to_markdown
+from softdeca.benchmarks.harness.report import read_part
+from softdeca.benchmarks.studies import load_study
+from softdeca.surrogate.methods import READY
+
+RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
+Line = Mapping[str, Any]
+
+
+@cache
+def read(name: str) -> Any:
+    """Read the results file NAME.json."""
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+@cache
+def lines(name: str) -> Sequence[Line]:
+    """List the lines of a results file: each row with its values, and each entry of lists in these with its row's."""
+    found: list[Line] = []
+    for row in read(name)["rows"]:
+        values = row.get("values", {})
+        found.append(row | values)
+        for entries in values.values():
+            if isinstance(entries, list) and entries and isinstance(entries[0], dict):
+                found += [
+                    {"case": row["case"], "method": row["method"]} | entry
+                    for entry in entries
+                ]
+    return found
+
+
+def every(name: str, key: str, /, **where: Any) -> list[Any]:
+    """Collect a value, by dots, of all lines that match; texts may have a `*`. LookupError where there is none."""
+    found = [
+        value
+        for line in lines(name)
+        if _matches(line, where) and (value := dig(line, key)) is not None
+    ]
+    if not found:
+        raise LookupError(f"{name}.json: no line with {key} of {where}")
+    return found
+
+
+def one(name: str, key: str, /, **where: Any) -> Any:
+    """Return a value of the one line that matches; LookupError where there is none, or several."""
+    found = every(name, key, **where)
+    if len(found) > 1:
+        raise LookupError(
+            f"{name}.json: {len(found)} lines with {key} of {where}, expected one"
+        )
+    return found[0]
+
+
+def _matches(line: Line, where: Line) -> bool:
+    return all(
+        fnmatchcase(str(line.get(key)), wanted)
+        if isinstance(wanted, str)
+        else line.get(key) == wanted
+        for key, wanted in where.items()
+    )
+
+
+def dig(value: Any, key: str) -> Any:
+    """Go into nested mappings and lists by dots; None where a key is missing."""
+    for part in key.split("."):
+        if isinstance(value, list):
+            value = value[int(part)]
+        else:
+            value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def of(name: str, key: str, /) -> Any:
+    """Return a value of the file itself, by dots."""
+    value = dig(read(name), key)
+    if value is None:
+        raise LookupError(f"{name}.json: no {key}")
+    return value
+
+
+def gate(name: str, what: str, /) -> Line:
+    """Return a study's one gate whose words match."""
+    matching = [each for each in of(name, "gates") if fnmatchcase(each["what"], what)]
+    if len(matching) != 1:
+        raise LookupError(f"{name}.json: {len(matching)} gates {what!r}, expected one")
+    return matching[0]
+
+
+def tabulate(titles: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table; titles that begin with `>` are of columns of numbers."""
+    out = [[title.removeprefix(">") for title in titles]]
+    out.append(["---:" if title.startswith(">") else "---" for title in titles])
+    cog.out(
+        "\n".join(f"| {' | '.join(map(str, row))} |" for row in (*out, *rows)) + "\n"
+    )
+
+
+def show_table(name: str, number: int) -> None:
+    """Write the study's own table of that number, as its page has it, without caption and note."""
+    part = read_part(RESULTS / f"{name}.json", load_study)
+    done = [row for row in part.results.rows if row.done]
+    shown = to_markdown(replace(part.study.tables(done)[number], note=""))
+    cog.out(shown.partition("\n\n")[2].rstrip() + "\n")
+
+
+def show_costs(name: str) -> None:
+    """Write what each method of a results file leaves of the motion, and what it costs."""
+    rows = []
+    for method in READY:
+        told = one_score(name, method, "all")
+        wait = 1e-3 * (told["bind_ms"] + (told["head_ms"] or 0.0))
+        rows.append(
+            (
+                method,
+                f"{100 * told['share']:.1f} %",
+                f"{told['mean']:.3f} mm",
+                f"{wait:.2g} s",
+                f"{told['frame_ms']:.2f} ms",
+            )
+        )
+    tabulate(("method", ">left", ">mean error", ">wait", ">each frame"), rows)
+
+
+def one_score(name: str, method: str, kind: str) -> Line:
+    """Return a method's score on a kind of frames."""
+    (found,) = (
+        line
+        for line in lines(name)
+        if (line["method"], line.get("kind")) == (method, kind)
+    )
+    return found
