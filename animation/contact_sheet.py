@@ -20,7 +20,7 @@ SIZE = 220
 FITS = 19
 """Letters of a caption."""
 FACE_HEIGHT = 0.86
-"""Of a head, from its top, that a picture frames."""
+"""Share of a head, from its top, that a picture frames."""
 
 
 def draw_contact_sheet(folder: Path, count: int, on_progress: OnProgress) -> bytes:

@@ -32,7 +32,7 @@ from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 TOP = 2.0
 """[mm] Where the colours of distances end."""
 FINEST = 1 / 32767
-"""Of the largest number of a row: what a 16-bit number tells apart."""
+"""Step of a 16-bit number, over the largest number of a row."""
 
 
 @dataclass(frozen=True, eq=False)

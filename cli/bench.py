@@ -15,7 +15,7 @@ from .terminal import show_progress
 from .written_file import FOLDER, ZIP
 
 TITLE = "the fast simulator, finite elements and the network"
-"""Of a report."""
+"""Title of a report."""
 
 
 class Studies(click.Group):

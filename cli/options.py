@@ -27,7 +27,7 @@ __all__ = [
 FILE = click.Path(path_type=Path)
 LEVEL = click.IntRange(1, 3)
 _OURS = ("argument", "bound", "name")
-"""Of a field's metadata, what are no words of click."""
+"""Metadata of a field that click does not know."""
 
 
 def count_range(bound: Bound) -> click.IntRange:

@@ -27,7 +27,7 @@ from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 MM = 100.0  # MakeHuman's unit is the decimetre.
 BODY_VERTICES, HELPER_VERTICES = 13380, 1780
 WIDTHS = {"upper": (8.5, 6.6, 7.6, 7.1, 6.8, 10.0, 9.6), "lower": (5.4, 5.9, 6.9, 7.0, 7.1, 11.2, 10.8)}
-"""Of the crowns [mm], from the middle (Wheeler's Dental Anatomy)."""
+"""Widths of the crowns [mm], from the middle (Wheeler's Dental Anatomy)."""
 STILL, LOOSE = 1.0, 2.0
 """Millimetres that do not count as a motion of what carries eyes, and teeth: closer, the latter were all far back."""
 AROUND = 50.0
@@ -215,7 +215,7 @@ def _teeth(plate: Floats, which: str) -> Floats:
 
 
 def _rigid(ids: Ints, rest: Floats, moved: Floats) -> Ints:
-    """Of vertices, those that one affine motion takes within LOOSE of where they go, the others left out in turn."""
+    """Return the vertices that one affine motion takes within LOOSE of where they go, leaving others out in turn."""
     while True:
         known = np.hstack([rest[ids], np.ones((len(ids), 1))])
         off = np.linalg.norm(known @ np.linalg.lstsq(known, moved[ids], rcond=None)[0] - moved[ids], axis=1)

@@ -44,7 +44,7 @@ DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[
 """Folder of other people's heads."""
 ICT = "ict_facekit.npz"
 LEVEL = 2
-"""Of the template of corpora's people."""
+"""Level of the template of corpora's people."""
 
 
 @dataclass(frozen=True)

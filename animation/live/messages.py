@@ -26,7 +26,7 @@ from ...reference import Parameters
 from .controls import BY_NAME, check_within
 
 LARGEST_NUMBER = 2**53
-"""Of changes: what a page's numbers count to."""
+"""Largest number of a change: JavaScript counts no further."""
 _COLUMNS = {name: k for k, name in enumerate(ARKIT)}
 
 

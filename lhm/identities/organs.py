@@ -20,7 +20,7 @@ SMALLER, SHIFT = 0.8, (0.0, -1.4, 0.4)
 MakeHuman's has 15.4 mm, an adult's 12 mm; as it is, it goes through the socket's back and through the upper lid.
 """
 TEETH = 14
-"""Of a row: each half from the middle back, the left one first."""
+"""Teeth of a row: each half from the middle back, the left one first."""
 GUM_OVER, GUM_HEIGHT, GUM_WIDER, GUM_DEEPER = 1.7, 11.0, 1.35, 1.05
 """[mm] A gum covers so much of its crown, and is so high; and its width and depth over the crown's."""
 BLUNT = 0.55

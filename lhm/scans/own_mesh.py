@@ -25,7 +25,7 @@ TURNED = 10.0
 NEAR = 1.0
 """[mm] in the median of a scan to the skin that was laid onto it: 0.1 to 0.3."""
 TORN, FEW = 0.7, 3
-"""Of what a blink moves most, how far it parts ends of edges where lids are shut; so many edges say so."""
+"""Lids count as shut where a blink parts the ends of FEW edges by this share of its largest motion."""
 IN_FRONT, DEEP = 60.0, 20.0
 """[mm] from the lips from where an open mouth is looked into, and how far behind them the first surface then lies."""
 

@@ -19,7 +19,7 @@ from .parameters import Parameters
 Bones = Literal["rigid", "prescribed", "soft"]
 
 BONE_STIFFNESS = 1e3
-"""Of bone over skin in the soft mode (Eq. 13)."""
+"""Stiffness of bone over that of skin in the soft mode (Eq. 13)."""
 HOLD = 10.0
 """Stiffness of the springs that hold a soft cranium behind the face, over the mean of the targets'."""
 CONDYLE = 0.05

@@ -36,7 +36,7 @@ LEAST = 0.5
 FRONT = 75.0
 """Degrees from where an eye looks, up to which lids come. Behind, blendshapes draw the socket through the ball."""
 FELT = 4
-"""Of the seven teeth of half a row, from the middle on: what lips come to. The others lie between the cheeks."""
+"""Teeth of half a row, from the middle on, that lips reach; the other three lie between the cheeks."""
 BALL, CROWN = 5, 2
 """Parts that an icosahedron's edges are cut into: edges of a ball and of a crown are no longer than the wrap's."""
 

@@ -19,9 +19,9 @@ from .material import EnergyLaw, MixedLaw
 RANGES = (0.05, 0.4)
 """The largest |ln s| of the samples near rest, where a law must hold, and far from it."""
 SAMPLES = 12
-"""Of each range, and as many of J = 1."""
+"""Samples of each range, and as many with J = 1."""
 STEP = 1e-4
-"""Of a stretch, for differences of fourth order."""
+"""Step of a stretch in differences of fourth order."""
 ALLOWED = 1e-6
 """Error of a derivative or an energy, relative to its size and the law's stiffness."""
 

@@ -13,7 +13,7 @@ from ...lhm.base.mesh import Floats, Ints, Surface, as_elements
 from .term import Amount, Mesh, OnTriangles, Term, as_ids
 
 FLATTEST = 1e-6
-"""Of a tet of an obstacle's carriers, its volume over the cube of its size: less says nothing of a motion."""
+"""Least volume of a carriers' tet over the cube of its size: a flatter one determines no motion."""
 
 
 @dataclass(frozen=True, eq=False)

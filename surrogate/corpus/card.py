@@ -24,7 +24,7 @@ from .spheres import Spheres
 
 QUARTERS = (5, 25, 50, 75, 95)
 LICENCE = "cc0-1.0"
-"""Of a corpus of the default head, whose data is CC0 as well, and of spheres."""
+"""Licence of a corpus of the default head, whose data is CC0 as well, and of spheres."""
 OTHER = "other"
 OWNERS = "The owners of the heads that it was made of say its licence."
 

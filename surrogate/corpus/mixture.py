@@ -40,7 +40,7 @@ WAVES = 16
 LENGTHS = (90.0, 300.0)
 """Shortest and longest wave [mm]: from a cheek to the head."""
 FIELD_SEED = 20231
-"""Of the waves' directions, lengths and phases. Another one would give stored coefficients another meaning."""
+"""Seed of the waves' directions, lengths and phases. Another one changes the meaning of stored coefficients."""
 MATERIALS: dict[str, tuple[float, float]] = {
     "soft_stiffness": (1.0, 20.0),
     "volume_ratio": (5.0, 75.0),

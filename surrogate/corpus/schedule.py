@@ -37,7 +37,7 @@ RETRIES = 2
 """How often an item whose worker died is tried again."""
 ENVIRONMENT = {name: 1 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MALLOC_ARENA_MAX")}
 ENVIRONMENT |= {"MALLOC_MMAP_THRESHOLD_": 2**20}
-"""Of workers: one thread, and memory that goes back when an array does (a worker of a corpus grew to two gigabytes)."""
+"""Environment of workers: one thread, and memory that goes back with its array (a worker grew to two gigabytes)."""
 PATIENCE = "30s"
 """With a scheduler that does not answer."""
 _ADDRESS = re.compile(r"\w+://\S+|[^\s/:]\S*:\d{1,5}")

@@ -25,7 +25,7 @@ from .simulator import Answer, describe_answer, reject_moved
 
 RUN = "velocities.npz"
 RUN_TOLERANCE = 5e-4
-"""Of the run: what its velocities are good for are starts that nobody has measured."""
+"""Tolerance of the run, whose velocities only start sequences."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from .simulator import (
 )
 
 GENERATOR = 10
-"""Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
+"""Version of the simulation of a plan, raised when answers change: shards of two versions are not mixed."""
 
 
 def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities: Velocities | None = None) -> Shard:

@@ -40,7 +40,7 @@ GIVE = -1
 """The column of `local` that holds `give`."""
 EFFECTS, BONES = len(_THERE) + len(_BONES) + 3, len(_BONES)
 WIDENED = 0.05
-"""By which ranges that training saw are widened, of parameters mapped to [-1, 1]."""
+"""Margin around the ranges that training saw, for parameters mapped to [-1, 1]."""
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
 _SWAPPED = [STATIC.index(_OTHER.get(name, name)) for name in STATIC]
@@ -132,7 +132,7 @@ class Features:
         return soft / (soft + DEPTH * target * activation_share(self._left, *paralyses))
 
     def bones(self, at_vertices: Floats) -> Floats32:
-        """By how much each bone is scaled along each axis, shape (BONES,), zero at the defaults."""
+        """Return how much each bone is scaled along each axis, shape (BONES,), zero at the defaults."""
         columns = list(_BONES)
         return (at_vertices[0, columns] - _DEFAULTS[columns]).astype(np.float32)
 

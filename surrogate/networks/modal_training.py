@@ -66,11 +66,11 @@ class ModalTraining(TrainerConfig):
 
 
 BEGUN_RATE = 0.3
-"""Of the learning rate, where a remainder begins with weights."""
+"""Factor of the learning rate where a remainder begins with weights."""
 FRAME_FLOOR = 0.02
 """[mm] Added to a face's motion, by which errors of its frames count: a still face must not decide."""
 SAMPLED_FRAMES = 4
-"""Of each face whose remainders the modes start from."""
+"""Frames of each face from whose remainders the modes start."""
 ROUNDING = 1e-6
 """[mm²] Added to a squared distance, which at zero has no derivative."""
 

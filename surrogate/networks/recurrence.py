@@ -22,7 +22,7 @@ from .layers import Arrays, exp, linear, perceptron, perceptron_layers
 COEFFICIENTS = ("beta", "gamma")
 WITHOUT_BIAS = tuple(f"{name}_{layer}" for name in COEFFICIENTS for layer in ("from_position", "from_code"))
 MOST = 0.98
-"""Of β: beyond it an oscillation takes seconds to fade."""
+"""Largest |β|: beyond it an oscillation takes seconds to fade."""
 
 
 def recurrence_layers(code_size: int, position: int, hidden: int) -> dict[str, tuple[int, int]]:

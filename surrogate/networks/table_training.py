@@ -100,7 +100,7 @@ def after_tables(rest: Options) -> Options:
 OF_TABLES = 4
 """Steps at the tables for each of those that follow, which read their faces and cost ten times as much."""
 FOR_TABLES = 0.5
-"""Of a training's processor hours."""
+"""Share of a training's processor hours."""
 
 
 def draw_mixers(sizes: TableSizes, mean: Surface, code_size: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -268,7 +268,7 @@ class TableLesson(Lesson):
         return shares, lag, mix_effects(self.network, faces.local, code, faces.effects, vertices)
 
     def _scales(self, faces: FaceArrays) -> torch.Tensor:
-        """By what errors of offset and responses count [mm], shape (b, 2)."""
+        """Return the lengths [mm] over which errors of offset and responses count, shape (b, 2)."""
         floors = [self.options.offset_floor, self.options.response_floor]
         return faces.sizes + torch.tensor(floors, device=self.device)
 
@@ -302,7 +302,7 @@ class Regression:
 
 
 VERTICES = 256
-"""That are solved for at a time, in double precision."""
+"""Vertices solved for at a time, in double precision."""
 
 
 def _order(table: Floats32, columns: int) -> Floats32:

@@ -193,7 +193,7 @@ class Trainer:
 _VALUES = ("steps", "step", "seconds", "curve", "best", "least")
 """Attributes of a trainer that its state has as they are."""
 QUIETER = 0.1
-"""Of the usual weights, in layers that begin near zero."""
+"""Size of weights over the usual one, in layers that begin near zero."""
 TRIED = range(5)
 """Steps by which it is found how long one takes."""
 

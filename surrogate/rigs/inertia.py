@@ -36,7 +36,7 @@ from .rig import Rig
 PEOPLE, SEED = 96, 41
 """How many people looseness is learned from, and the seed that draws them."""
 RIDGE = 8.0
-"""Of each coefficient of a code, whose numbers are of size one, in people."""
+"""Ridge of each coefficient of a code, in people: a code's numbers are of size one."""
 FASTEST = 1e5
 """[mm/s] Of a vertex: no head moves so fast."""
 TINY = 1e-9

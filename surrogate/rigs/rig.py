@@ -19,7 +19,7 @@ from ...lhm.template.fit import is_upright
 
 WEIGHTS = len(ARKIT)
 FARTHEST_CODE = 4.0
-"""Of a number of a code, which is standard normal: every space draws and fits up to 2.5."""
+"""Largest number of a code, which is standard normal: every space draws and fits up to 2.5."""
 
 
 Needs = Literal["nothing", "head", "simulator"]

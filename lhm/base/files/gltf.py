@@ -24,9 +24,9 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _KNOWN = {"KHR_draco_mesh_compression", "KHR_mesh_quantization"}
 _MESHOPT = {"EXT_meshopt_compression", "KHR_meshopt_compression"}
 LARGEST = 1e12
-"""Of a number in a transform."""
+"""Largest number in a transform."""
 FLAT = 1e-9
-"""Of a transform's largest number, cubed: a determinant below leaves no volume."""
+"""Least determinant over the cube of a transform's largest number: below it no volume is left."""
 ENDED = "the file is shorter than it says: is its end missing?"
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..mesh import Floats, Floats32, Surface
 
 COLOUR = (0.69, 0.37, 0.27)
-"""Of a skin, in linear light."""
+"""Colour of skin, in linear light."""
 
 
 @dataclass(frozen=True, eq=False)

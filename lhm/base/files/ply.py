@@ -88,7 +88,7 @@ def _header(text: str) -> tuple[str, list[_Element]]:
 
 
 Columns = dict[str, tuple[np.ndarray, Ints]]
-"""By a property's name: the numbers of all elements, one after another, and how many each has."""
+"""For each property by name: the numbers of all elements, one after another, and how many each has."""
 
 
 class _Body:

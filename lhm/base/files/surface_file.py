@@ -26,7 +26,7 @@ MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 FARTHEST = 1e12
 """In the file's own unit: a head in picometres."""
 MOST_MOVED = 10.0
-"""Of the mesh's size: how far a morph target may move a vertex."""
+"""Farthest that a morph target may move a vertex, over the mesh's size."""
 
 
 @dataclass(frozen=True, eq=False)

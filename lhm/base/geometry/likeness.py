@@ -11,7 +11,7 @@ from ..mesh import Floats, Floats32, Surface
 FARTHEST = 100.0
 """[mm] Expressions of Anny's and ICT-FaceKit's people move vertices by at most 71; mirroring a head, by more."""
 LEAST_SIZE, MOST_SIZE = 0.8, 1.25
-"""Of the neutral surface's: expressions and p make 0.96 to 1.06, metres 0.001."""
+"""Size over the neutral surface's: expressions and p make 0.96 to 1.06, metres 0.001."""
 
 
 def check_moved(

@@ -22,7 +22,7 @@ from .nodal import NodalEnergy
 INSIDE = 1e-9
 """Edges whose squared sine is below it count as parallel."""
 DIFFERENCE = 1e-6
-"""Of a corner, for differences [mm]."""
+"""Step of a corner in finite differences [mm]."""
 TINY = 1e-12
 """A distance [mm] below which the way between two points is none."""
 

@@ -20,7 +20,7 @@ from ..unknowns.coordinates import Coordinates, Place
 from ..unknowns.sparsity import Sparsity
 
 EXACT = -1.0
-"""Of `least`: no eigenvalue is raised."""
+"""Value of `least` by which no eigenvalue is raised."""
 SHIFT = 1e-7
 """Relative diagonal shift of a raised Hessian, which may still be singular where tissue resists nothing."""
 

@@ -65,7 +65,7 @@ COMPILED = {"cache": True, "error_model": "numpy"}
 # Signed singular values of tets, a block at a time: F = U diag(s) Vᵀ with rotations U and V, and s0 >= s1 >= |s2|.
 
 MAX_SWEEPS = 10
-"""Of Jacobi rotations; five do for tets of a face."""
+"""Most sweeps of Jacobi rotations; tets of a face take five."""
 
 
 @njit(inline="always", **COMPILED)
@@ -211,11 +211,11 @@ def decompose(w):
 # one of R, F and cof F.
 
 INVARIANT_STEPS = 12
-"""Of Newton's method for the first invariant."""
+"""Most steps of Newton's method for the first invariant."""
 SMALL_STEP = 1e-8
 """Relative size of a step after which the next would be below rounding."""
 UNSURE = 0.02
-"""Of (s0 + s1) (s0 + s2) (s1 + s2) over i1³, 8/27 for a rotation: below that rounding is amplified too much."""
+"""Least (s0 + s1) (s0 + s2) (s1 + s2) / i1³, 8/27 for a rotation: below it rounding is amplified too much."""
 
 
 @njit(**COMPILED)
@@ -329,7 +329,7 @@ def stretches(w):
 # t_i = (s_i ± √(s_i² + 4 m))/2, and what is left is one equation for m.
 
 MULTIPLIER_STEPS = 12
-"""Of Newton's method for the multiplier, at most; three do where little is to change."""
+"""Most steps of Newton's method for the multiplier; small changes take three."""
 SMALL_ERROR = 1e-8
 """Relative error of the determinant after which one step more is exact to rounding."""
 SCAN = 256
