@@ -31,7 +31,6 @@ exclude_patterns = [
     "conf.py",
     "figures.py",
     "tutorials/gent.py",
-    "upstream/*.py",
     "tutorials/quasi_newton.py",
     "tutorials/stopped_early.py",
 ]
@@ -58,6 +57,8 @@ html_sidebars = dict.fromkeys(
         "studies",
         "arena",
         "architecture",
+        "extend",
+        "upstream",
     ),
     [],
 )

@@ -82,7 +82,7 @@ for command, study in (
 
 # %% [markdown]
 # A law of the package itself is such a file in `reference/materials/`, named in the `__init__.py` there. It has no
-# `add_law`, so its problems stand in `reference/problems/`: see [](../architecture.md).
+# `add_law`, so its problems stand in `reference/problems/`: see [](../extend.md).
 # `neo_hookean.py` has a second form of its energy, `mixed_density`, by which mixed elements take it. A law of one's own may
 # have one too, by the base `MixedLaw`.
 #

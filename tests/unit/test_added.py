@@ -187,7 +187,7 @@ def test_what_files_may_not_add(tmp_path):
 
 def test_a_method_of_a_file_is_scored_beside_the_others(tmp_path):
     """The page's own file."""
-    page = (TUTORIALS.parent / "architecture.md").read_text().partition("## A method\n")[2]
+    page = (TUTORIALS.parent / "extend.md").read_text().partition("## A method\n")[2]
     file = tmp_path / "half.py"
     file.write_text(page.partition("```{code-block} python\n")[2].partition("```")[0])
     add_file(file)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from softdeca.lhm.base import checks, limits
+from softdeca.lhm.base import checks
 from softdeca.lhm.base.errors import escape, quote
 from softdeca.lhm.base.files import text
 from softdeca.lhm.base.limits import Bound
@@ -57,12 +55,3 @@ def test_texts_of_a_file_cannot_steer_the_terminal():
     assert escape("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
     assert escape("Köpfe, 頭") == "Köpfe, 頭"
     assert quote("x" * 100) == "x" * 40 + "..." and quote("\a") == "\\x07"
-
-
-def test_the_docs_have_every_bound():
-    page = (Path(__file__).parents[2] / "docs" / "bounds.md").read_text()
-    rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
-    named = {name: value for name, value in vars(limits).items() if isinstance(value, Bound)}
-    assert rows.keys() == named.keys()
-    for name, bound in named.items():
-        assert rows[name] == f"| `{name}` | {bound.most:,} | {bound.what} | {bound.reason} |"
