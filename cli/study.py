@@ -32,7 +32,7 @@ class MainStudy:
     surrogate: Path | None = option(
         None, "weights to test, from `softdeca train`; default: the shipped network", type=FILE
     )
-    small: bool = option(False, "a look in minutes: the coarsest head, few cases of its own, no gate that counts")
+    small: bool = option(False, "a quick look: the coarsest head, few cases, no pass or fail")
     json: bool = option(False, "print the results of all studies to stdout")
 
     def run(self) -> int:

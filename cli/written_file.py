@@ -15,7 +15,7 @@ class WrittenPath(click.Path):
         self.suffixes, self.folder = suffixes, folder
 
     def convert(self, value, param, ctx):
-        """Give the path; click's usage error for another ending, InputError where nothing can be written."""
+        """Check the path's ending (click's usage error) and that a file can be written there (InputError)."""
         super().convert(value, param, ctx)
         path = Path(value)
         if self.suffixes and path.suffix not in self.suffixes:

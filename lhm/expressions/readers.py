@@ -72,7 +72,7 @@ OTHER_COLUMNS = {
     *(f"{part}{angle}".lower() for part in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
 }
 FULL_TURN = 6.3
-"""[rad] Of an angle in a file: a little more than 2 pi."""
+"""[rad] Largest angle in a file: a little more than 2 pi."""
 MIRRORED = (-1.0, 1.0, -1.0)
 """From the file's yaw, pitch and roll to ours. In real takes the eyes' yaw falls with eyeLookOutLeft and their pitch
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
@@ -188,7 +188,7 @@ def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, 
 RECORDER_RATE = 60.0
 """[Hz] Where there are no timestamps, or these say nearly so."""
 RATES = 1.0, 1000.0
-"""[Hz] Of a take in a file: the least and the greatest. Milliseconds for seconds make 24 to 240 Hz less."""
+"""[Hz] Least and greatest rate of a take in a file. Milliseconds for seconds make 24 to 240 Hz less."""
 TIME, HEAD = "timestamp", ("head x", "head y", "head z", "head w")
 
 
@@ -337,7 +337,7 @@ NAMES = ("category_name", "categoryName")
 NEUTRAL = "_neutral"
 """A category of MediaPipe's that is none of ARKit's, though its score is near zero."""
 CAMERA_RATE = 30.0
-"""[Hz] Of results without timestamps: a webcam's."""
+"""[Hz] Rate of results without timestamps: a webcam's."""
 
 
 def has_landmarker_results(text: str) -> bool:
@@ -351,7 +351,7 @@ def read_landmarker(text: str) -> Take:
     {"face_blendshapes": [[{"index": 25, "score": 0.2, "category_name": "jawOpen"}, ...]], "timestamp_ms": 33}
 
     A frame is such an object, by Python's names or JavaScript's ("faceBlendshapes", "categoryName", a face's categories
-    under "categories"). A text has a list of them, an object with a list "frames", one alone, or one a line. Timestamps
+    under "categories"). A text is a list of frames, {"frames": [...]}, one frame, or a frame a line. Timestamps
     are milliseconds. Frames whose list of faces is empty are left out and counted. Landmarks and the head's pose are
     not read.
     """

@@ -84,7 +84,7 @@ class Columns:
 
 
 def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
-    """Values (n, ...) where `given` (n,) holds; elsewhere each the mean of its neighbours'.
+    """Extend values (n, ...) from where `given` (n,) holds: elsewhere each is the mean of its neighbours.
 
     A piece of the mesh in which nothing is given stays as it is.
     """

@@ -88,8 +88,8 @@ class HeadReport:
     the wrap lies on the skin and not around it, and is coarser than ears and nose wings.
     `least_*thickness`, `mean_thickness`: along a column, from skin to skull wrap where no layer is named.
     `wrap_to_skin_*`: distance of the skin wrap's vertices to the skin, `skin_to_wrap_*`: of the skin's to the wrap,
-    both in the region "face"; without it, everywhere. `face_edge_mean`: of the skin wrap's triangles there, with which
-    the bound of `wrap_to_skin_mean` grows in a face larger than the template's.
+    both in the region "face"; without it, everywhere. `face_edge_mean`: mean edge of the skin wrap there; the bound of
+    `wrap_to_skin_mean` grows with it in a face larger than the template's.
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
     `jaw_drop`: how far jawOpen lowers the skin of the lower lip, on average. `sideways`: how far jawLeft, jawRight,

@@ -20,7 +20,7 @@ LEAST_EXTENT, GREATEST_EXTENT = EXTENT
 # A thousandth or a tenth of them is a head in metres or centimetres.
 _UNITS = {"metres: use unit='m'": 1e-3, "centimetres: use unit='cm'": 0.1}
 LEAST_SHAPE = 1.0
-"""[mm] That the largest of the 52 shapes moves a vertex at least: a jaw opens by 40, in metres by .04."""
+"""[mm] Least motion of a vertex in the largest of the 52 shapes: a jaw opens by 40, in metres by .04."""
 NEIGHBOURS = 2000
 """How many pairs of neighbours say whether a shape is smooth, about."""
 MOST_ROUGH = 0.55

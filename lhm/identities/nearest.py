@@ -12,7 +12,7 @@ from ..base.mesh import Floats, Surface
 from .space import CLIP, LinearSpace
 
 RIDGE = 1.0
-"""[mm²] Of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
+"""[mm²] Penalty of each coefficient of a fitted code, beside the mean square distance of vertices."""
 TIGHT = 1e-6
 """[mm²] The same for a skin that is to be met as well as a code can."""
 SAME = 0.5

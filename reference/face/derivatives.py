@@ -69,7 +69,7 @@ def differentiate(
     like: Pattern | None = None,
     on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
-    """Factor the Hessian at a neutral answer, which goes on by that where it is not accurate yet.
+    """Factor the Hessian at a neutral answer, and refine the answer by it where it is not accurate yet.
 
     accuracy as of `rest_among_targets`: one factor does for QUICK_ACCURACY and above, below it takes two. `like`, of
     another face of the same template and choices, lends its symbolic work.

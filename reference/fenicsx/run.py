@@ -28,7 +28,7 @@ class Attempt:
 
 
 class Record:
-    """What all attempts have spent, and whom an iteration is told to.
+    """Count the cost of all attempts, and call the caller's `on_iteration`.
 
     `limit` are the iterations that the caller allows, None for each strategy's own; `detail` is `Solution.detail`.
     """

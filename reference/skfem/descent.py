@@ -79,7 +79,7 @@ class Descent:
         return self._tell(x, self.energy.value(x), self._norm(x))
 
     def _tell(self, x: Floats, value: float, norm: float) -> bool:
-        """Record an iteration; that which ends one descent begins the next, and is told once."""
+        """Record an iteration. The point between two descents is recorded once."""
         if x is not self._told:
             self._told, self._stop = x, self.recorder.record(x[self.discretisation.vertex_dofs], value, norm)
         return self._stop

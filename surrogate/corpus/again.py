@@ -20,7 +20,7 @@ from .simulator import describe_answer, make_face, prepare_face, solve_frame
 AGAIN = 3
 """Frames, some five seconds each on the default head."""
 SAME = 0.01
-"""[mm] By which machines differ, with the rounding of 16 bits."""
+"""[mm] Largest difference between machines, with the rounding of 16 bits."""
 
 
 def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnProgress = silent) -> int:

@@ -38,7 +38,7 @@ PEOPLE, SEED = 96, 41
 RIDGE = 8.0
 """Ridge of each coefficient of a code, in people: a code's numbers are of size one."""
 FASTEST = 1e5
-"""[mm/s] Of a vertex: no head moves so fast."""
+"""[mm/s] Largest velocity of a vertex: no head moves so fast."""
 TINY = 1e-9
 """Keeps logarithms of poles finite."""
 NOTHING = 0.02

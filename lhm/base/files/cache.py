@@ -52,7 +52,7 @@ def _temporary(wanted: Path) -> Path:
     except OSError:
         is_ours = False
     path = path if is_ours else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
-    warnings.warn(f"{wanted} cannot be written; what is kept for the next run goes to {path}", stacklevel=3)
+    warnings.warn(f"{wanted} cannot be written; caching in {path}", stacklevel=3)
     return path
 
 

@@ -24,7 +24,7 @@ from .text import check_file, naming_file, read_bytes
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 FARTHEST = 1e12
-"""In the file's own unit: a head in picometres."""
+"""Largest coordinate, in the file's own unit: a head in picometres."""
 MOST_MOVED = 10.0
 """Farthest that a morph target may move a vertex, over the mesh's size."""
 

@@ -91,9 +91,9 @@ def read_json(path: str | os.PathLike[str], kind: str = "a JSON file") -> Any:
 
 
 def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
-    """Return what a JSON text (UTF-8) says; InputError for bad JSON, or NaN and Infinity, which JSON has not.
+    """Parse a JSON text (UTF-8); InputError for bad JSON, and for NaN and Infinity.
 
-    They are let pass for readers that name their place: `allow_nan`.
+    `allow_nan` accepts these for readers that say where they stand.
     """
 
     def refuse(word: str) -> None:

@@ -73,7 +73,7 @@ def _box_distance2(box, p):
 def _closest(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
     """Find the closest triangle whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
 
-    Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
+    The cost is distance², plus `turned2` for a turned normal. Triangles that cost `most` or more are ignored.
     """
     n = len(points)
     which, weights, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)

@@ -219,7 +219,7 @@ class Multigrid:
 
 
 def set_options(prefix: str, values: Mapping[str, object]):
-    """Put options into PETSc's database; each counts as used, for at its end PETSc warns of what it had no need of."""
+    """Put options into PETSc's database, each marked as used: PETSc warns of unused ones at its end."""
     options = PETSc.Options()
     for key, value in values.items():
         options[prefix + key] = value

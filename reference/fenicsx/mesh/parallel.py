@@ -57,7 +57,7 @@ class IndexMap:
         return self._vector.array_r.reshape(-1, *parts.shape[1:]).copy()
 
     def spread_mask(self, mask: np.ndarray) -> np.ndarray:
-        """Give where any rank has marked what it knows, shape (count,)."""
+        """Return the logical or of all ranks' masks, shape (count,)."""
         if self._vector is None:
             return mask
         repeated = np.repeat(mask.astype(np.float64)[:, None], self.size, axis=1)

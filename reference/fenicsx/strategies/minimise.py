@@ -20,7 +20,7 @@ from .newton import AnyState, Newton, Work
 
 
 class Minimisation:
-    """From a run's start towards what is held.
+    """Minimise the energy from a run's start while held places are brought to their values.
 
     `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
     the problem with bodies and its two. Bodies are brought to their first poses like held vertices, and set free once
