@@ -25,7 +25,7 @@ from softdeca.surrogate.corpus.spheres import Spheres
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("README", "docs/own-head", "docs/viewer", "docs/corpus", "docs/parallel", "docs/paper", "docs/studies")
-NAMES += ("docs/face-benchmark",)
+NAMES += ("docs/face-benchmark", "docs/first-hour/animator", "docs/first-hour/learner")
 PAGES = [ROOT / f"{name}.md" for name in NAMES]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 
