@@ -46,7 +46,7 @@ class Accuracy(click.ParamType):
 class Animate:
     """Animate TAKE: a file, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
 
-    Files are CSV of LiveLink Face, results of MediaPipe's face landmarker (JSON), weights.csv, and JSON as BEAT's.
+    Files are CSV of LiveLink Face, weights.csv, and JSON of MediaPipe's face landmarker, Audio2Face or BEAT.
 
     Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral

@@ -1,15 +1,15 @@
-"""Takes from files: LiveLink Face's CSV, a recorder's weights.csv, MediaPipe's results, and JSON as BEAT's.
+"""Takes from files: LiveLink Face's CSV, a recorder's weights.csv, JSON of MediaPipe, Audio2Face and BEAT.
 
 `READERS` is the table of formats: a suffix, whether a text is of that format, and the function that reads it.
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import math
 import os
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,18 +23,18 @@ from ..base.files.text import parse_json as load_json
 from ..base.files.text import parse_number, read_bytes
 from ..base.limits import TAKE_BYTES, TAKE_FRAMES
 from ..base.mesh import Floats
-from ..identities.arkit import ARKIT, index
-from .takes import Take, angles_from_rotations, take_from_columns
+from ..identities.arkit import ARKIT, arkit_name, index
+from .takes import RATES, Take, angles_from_rotations, check_rate, take_from_columns
+from .timecodes import times_from_timecodes
 
 Row = tuple[int, list[str]]
 """A line's number, from 1, and its cells."""
-BY_LOWER = {name.lower(): name for name in ARKIT}
 
 
 def read_take(path: str | os.PathLike[str]) -> Take:
-    """Read a take from a CSV of LiveLink Face, a CSV with a row per quantity, MediaPipe's results, or BEAT's JSON.
+    """Read a take from a CSV of LiveLink Face, a CSV with a row per quantity, or JSON of MediaPipe, Audio2Face or BEAT.
 
-    `READERS` has them all.
+    `READERS` has them all. Names are found by `arkit_name`; a CSV may have semicolons or tabs, and decimal commas.
 
     Values outside [0, 1] are clipped and counted, frames without a face left out and counted, expressions that the file
     lacks are zero and named: all stand in the Take. Raises InputError, one line that names the file and, where there
@@ -45,40 +45,43 @@ def read_take(path: str | os.PathLike[str]) -> Take:
     if not readers:
         suffixes = ", ".join(dict.fromkeys(reader.suffix for reader in READERS))
         raise InputError(f"{path}: unknown kind of file; expected one of {suffixes}")
-    content = read_bytes(path, TAKE_BYTES)
-    if path.suffix.lower() == ".csv":  # a line, or a column, per frame
-        lines = content.splitlines()
-        most = max((len(lines) - 1, *(line.count(b",") for line in lines)), default=1)
-        TAKE_FRAMES.check(f"{path}: it has", max(most, 1))
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: cannot be read (it is no text)") from None
+    text = _decode(path, read_bytes(path, TAKE_BYTES))
     if not text.strip():
         raise InputError(f"{path}: the file is empty")
+    if path.suffix.lower() == ".csv":  # a line, or a column, per frame
+        lines, comma = text.splitlines(), _delimiter(text)
+        most = max((len(lines) - 1, *(line.count(comma) for line in lines)), default=1)
+        TAKE_FRAMES.check(f"{path}: it has", max(most, 1))
     try:
         return next(reader for reader in readers if reader.fits(text)).read(text)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
+def _decode(path: Path, content: bytes) -> str:
+    """Return a file's text, of UTF-8 or, as Windows' shell and Excel write it, UTF-16."""
+    utf_16 = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    try:
+        return content.decode("utf-16" if utf_16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read (it is no text)") from None
+
+
 # LiveLink Face's CSV: one line per frame, `Timecode`, `BlendShapeCount`, 52 weights and nine angles.
 
-TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 100, 120, 240)
 ANGLES = ("Yaw", "Pitch", "Roll")
 OTHER_COLUMNS = {
     "timecode",
     "blendshapecount",
     *(f"{part}{angle}".lower() for part in ("Head", "LeftEye", "RightEye") for angle in ANGLES),
 }
+"""In small letters, without underscores."""
 FULL_TURN = 6.3
 """[rad] Largest angle in a file: a little more than 2 pi."""
 MIRRORED = (-1.0, 1.0, -1.0)
 """From the file's yaw, pitch and roll to ours. In real takes the eyes' yaw falls with eyeLookOutLeft and their pitch
 with eyeLookUp: yaw turns to the subject's right, pitch downward. The head's are taken alike, and roll, of which no
 weight tells, as the same mirrored frame has it."""
-_TIMECODE = re.compile(r"([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)[:;](\d{1,3}(?:\.\d+)?)", re.ASCII)
-_DAY = 24 * 3600
 
 
 def read_livelink(text: str) -> Take:
@@ -91,7 +94,7 @@ def read_livelink(text: str) -> Take:
     rows = _rows(text)
     header = [name.strip() for name in rows[0][1]] if rows else []
     columns = _expression_columns(header)
-    place = {name.lower(): number for number, name in enumerate(header)}
+    place = {name.lower().replace("_", ""): number for number, name in enumerate(header)}
     if "timecode" not in place:
         raise InputError("line 1: no column Timecode, so its times are not known")
     counted = place.get("blendshapecount")
@@ -107,7 +110,7 @@ def read_livelink(text: str) -> Take:
             raise InputError(f"line {line}: {len(row)} columns, line 1 has {len(header)}")
     if not frames:
         raise InputError("no frames with a face" if rows[1:] else "no frames, only the line of names")
-    rate, times = _times_from_timecodes([(line, row[place["timecode"]]) for line, row in rows[1:]])
+    rate, times = times_from_timecodes([(line, row[place["timecode"]]) for line, row in rows[1:]])
     start = times[has_face][0]
 
     def values(numbers: Sequence[int]) -> Floats:
@@ -137,66 +140,29 @@ def read_livelink(text: str) -> Take:
 
 def _expression_columns(header: list[str]) -> dict[int, str]:
     """Find the columns of the 52."""
-    columns = {number: BY_LOWER[name.lower()] for number, name in enumerate(header) if name.lower() in BY_LOWER}
-    names = list(columns.values())
-    if not names:
+    listed = [arkit_name(name) or name.lower().replace("_", "") for name in header]
+    columns = {number: name for number, name in enumerate(listed) if name in ARKIT}
+    if not columns:
         raise InputError("not a take: line 1 names none of ARKit's 52 expressions")
-    listed = [BY_LOWER.get(name.lower(), name.lower()) for name in header]
     twice = [name for name in (*ARKIT, *sorted(OTHER_COLUMNS)) if listed.count(name) > 1]
     if twice:
         raise InputError(f"line 1: column {twice[0]} stands there {listed.count(twice[0])} times")
     return columns
 
 
-def _times_from_timecodes(timecodes: Sequence[tuple[int, str]]) -> tuple[float, Floats]:
-    """The rate [Hz] and times [s], the first at 0, of lines with timecodes HH:MM:SS:FF.fff.
-
-    FF.fff are frames since the second, at a rate that the file does not say: it is read as the least usual one above
-    the largest FF; in a take without a whole second, whose FF say little, as 60, unless it goes from the last frame of
-    such a rate to frame 0.
-    """
-    parts = np.empty((len(timecodes), 4))
-    for number, (line, timecode) in enumerate(timecodes):
-        match = _TIMECODE.fullmatch(timecode.strip())
-        if match is None:
-            raise InputError(f"line {line}, column Timecode: {quote(timecode)!r}, expected HH:MM:SS:FF.fff")
-        parts[number] = [float(part) for part in match.groups()]
-    seconds = parts[:, :3] @ [3600, 60, 1]
-    seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
-    largest = int(parts[:, 3].max())
-    frame = np.floor(parts[:, 3])
-    rolls_over = ((frame[:-1] == largest) & (frame[1:] == 0) & (np.diff(seconds) == 1)).any()
-    whole = np.ptp(seconds) > 1 or (rolls_over and largest + 1 in TIMECODE_RATES)
-    usual = [rate for rate in TIMECODE_RATES if rate > largest and (rate >= 60 or whole)]
-    if not usual:
-        line = timecodes[int(parts[:, 3].argmax())][0]
-        raise InputError(f"line {line}, column Timecode: frame {largest}, expected below {TIMECODE_RATES[-1]}")
-    frame_numbers = seconds * usual[0] + parts[:, 3]
-    steps = np.diff(frame_numbers)
-    if (steps <= 0).any():
-        raise InputError(f"line {timecodes[int(np.argmax(steps <= 0)) + 1][0]}, column Timecode: time does not rise")
-    step = round(float(np.median(steps)), 2) if len(steps) else 1.0
-    across = steps[np.diff(seconds) == 1]
-    if len(across) >= 3 and np.median(across) > 3.0 * step + 1.0:
-        line = timecodes[int(parts[:, 3].argmax())][0]
-        raise InputError(f"line {line}, column Timecode: frame {largest}, but most seconds end before it")
-    return _check_rate(usual[0] / max(step, 0.01)), (frame_numbers - frame_numbers[0]) / usual[0]
-
-
 # A recorder's weights.csv: a row per quantity, a column per frame.
 
 RECORDER_RATE = 60.0
 """[Hz] Where there are no timestamps, or these say nearly so."""
-RATES = 1.0, 1000.0
-"""[Hz] Least and greatest rate of a take in a file. Milliseconds for seconds make 24 to 240 Hz less."""
 TIME, HEAD = "timestamp", ("head x", "head y", "head z", "head w")
 
 
 def has_quantity_rows(text: str) -> bool:
     """Whether a CSV has the names of expressions down its first column rather than along its first line."""
     along, *rows = text.splitlines()
-    first = {line.split(",", 1)[0].strip().strip('"').lower() for line in rows}
-    return len(first & set(BY_LOWER)) > sum(name.strip().strip('"').lower() in BY_LOWER for name in along.split(","))
+    comma = _delimiter(text)
+    down = {arkit_name(line.split(comma, 1)[0].strip().strip('"')) for line in rows}
+    return len(down - {None}) > sum(arkit_name(name.strip().strip('"')) is not None for name in along.split(comma))
 
 
 def read_recorder(text: str) -> Take:
@@ -220,7 +186,7 @@ def read_recorder(text: str) -> Take:
             raise InputError(f"line {line}: expected frames whose numbers rise")
     for line, row in rows:
         name = row[0].strip()
-        known = BY_LOWER.get(name.lower(), name.lower())
+        known = arkit_name(name) or name.lower()
         if known in named:
             raise InputError(f"line {line}: {known} stands in line {named[known][0]} already")
         if known in (*ARKIT, TIME, *HEAD):
@@ -254,18 +220,11 @@ def _times_from_stamps(stamps: Floats | None, frames: int) -> tuple[float, Float
     steps = np.diff(stamps)
     if (steps <= 0).any():
         raise InputError(f"{TIME}, frame {int(np.argmax(steps <= 0)) + 1}: time does not rise")
-    rate = _check_rate(1.0 / float(np.median(steps))) if len(steps) else RECORDER_RATE
+    rate = 1.0 / float(np.median(steps)) if len(steps) else RECORDER_RATE
     return (RECORDER_RATE if abs(rate - RECORDER_RATE) < 1.0 else rate), stamps - stamps[0]
 
 
-def _check_rate(rate: float) -> float:
-    """Return a rate [Hz] that a file says, or that follows from its times."""
-    if not RATES[0] <= rate <= RATES[1]:
-        raise InputError(f"rate: {rate:.6g} Hz, expected {RATES[0]:g} to {RATES[1]:,g}; are its times milliseconds?")
-    return rate
-
-
-# JSON, as the data set BEAT has it: the expressions' names, and frames of weights with their times.
+# JSON, as the data set BEAT and Audio2Face have it: the expressions' names, and frames of weights.
 
 
 def read_json_take(text: str) -> Take:
@@ -273,7 +232,7 @@ def read_json_take(text: str) -> Take:
 
     {"names": ["jawOpen", ...], "frames": [{"weights": [0.2, ...], "time": 0.0}, ...]}
 
-    Names are ARKit's, whatever their order and case; an unknown one is an error. Times [s] rise.
+    Names are ARKit's, as `arkit_name` knows them, in any order; an unknown one is an error. Times [s] rise.
     """
     # Weights and times that are not finite are named with their frame.
     content = load_json(text, allow_nan=True)
@@ -281,35 +240,57 @@ def read_json_take(text: str) -> Take:
     if not isinstance(frames, list) or not frames:
         raise InputError('not a take: expected an object with a list "frames" that is not empty')
     TAKE_FRAMES.check('"frames"', len(frames))
-    names = _list_names(content.get("names"))
-    values = np.array([_list_weights(frame, f"frame {number}", names) for number, frame in enumerate(frames)])
+    names = _list_names(content.get("names"), "names")
+    listed = [frame.get("weights") if isinstance(frame, dict) else None for frame in frames]
+    values = np.array([_list_weights(row, f"frame {number}", names) for number, row in enumerate(listed)])
     stamps = np.array([_finite_number(frame.get("time"), f"frame {n}, time") for n, frame in enumerate(frames)])
     steps = np.diff(stamps)
     if not len(steps) or (steps <= 0).any():
         where = int(np.argmax(steps <= 0)) + 1 if len(steps) else 0
         raise InputError(f"frame {where}, time: expected two frames or more whose times rise")
-    return take_from_columns(values, names, _check_rate(1.0 / float(np.median(steps))), stamps - stamps[0])
+    return take_from_columns(values, names, 1.0 / float(np.median(steps)), stamps - stamps[0])
 
 
-def _list_weights(frame: Any, where: str, names: list[str]) -> list[float]:
-    listed = frame.get("weights") if isinstance(frame, dict) else None
+def has_audio2face_weights(text: str) -> bool:
+    """Whether a JSON text has the keys of Audio2Face's exports."""
+    return '"facsNames"' in text and '"weightMat"' in text
+
+
+def read_audio2face(text: str) -> Take:
+    """Read weights that NVIDIA's Audio2Face exported for ARKit's 52; InputError names frame and expression.
+
+    {"exportFps": 30, "facsNames": ["eyeBlinkLeft", ...], "weightMat": [[0.2, ...], ...]}
+    """
+    content = load_json(text, allow_nan=True)
+    rows = content.get("weightMat") if isinstance(content, dict) else None
+    if not isinstance(rows, list) or not rows:
+        raise InputError('not a take: expected an object with a list "weightMat" that is not empty')
+    TAKE_FRAMES.check('"weightMat"', len(rows))
+    names = _list_names(content.get("facsNames"), "facsNames")
+    values = np.array([_list_weights(row, f"frame {number}", names) for number, row in enumerate(rows)])
+    rate = _finite_number(content.get("exportFps"), "exportFps")
+    check_rate(rate)
+    return take_from_columns(values, names, rate, np.arange(len(rows)) / rate)
+
+
+def _list_weights(listed: Any, where: str, names: list[str]) -> list[float]:
     if not isinstance(listed, list) or len(listed) != len(names):
-        raise InputError(f"{where}: expected an object with a list of {len(names)} weights, one for each of names")
+        raise InputError(f"{where}: expected a list of {len(names)} weights, one for each name")
     return [_finite_number(value, f"{where}, {name}") for value, name in zip(listed, names, strict=True)]
 
 
-def _list_names(listed: Any) -> list[str]:
+def _list_names(listed: Any, key: str) -> list[str]:
     if not isinstance(listed, list) or not listed:
-        raise InputError('"names": expected the list of the expressions that each frame lists')
-    names = [_find_name(name, "names") for name in listed]
+        raise InputError(f'"{key}": expected the list of the expressions that each frame lists')
+    names = [_find_name(name, key) for name in listed]
     twice = [name for name in ARKIT if names.count(name) > 1]
     if twice:
-        raise InputError(f'"names": {twice[0]} stands there {names.count(twice[0])} times')
+        raise InputError(f'"{key}": {twice[0]} stands there {names.count(twice[0])} times')
     return names
 
 
 def _find_name(name: Any, where: str) -> str:
-    known = BY_LOWER.get(str(name).lower())
+    known = arkit_name(str(name))
     if known is not None:
         return known
     try:
@@ -450,11 +431,20 @@ def _named_one_of(content: dict[str, Any], names: Sequence[str]) -> Any:
 # What both kinds of CSV share.
 
 
+def _delimiter(text: str) -> str:
+    """Return what the first line is divided by most: a comma, a semicolon or a tab."""
+    first = text.lstrip("\r\n").split("\n", 1)[0]
+    return max(",;\t", key=first.count)
+
+
 def _rows(text: str) -> list[Row]:
-    """The lines of a CSV that hold anything."""
+    """The lines of a CSV that hold anything, with points for decimal commas; Excel's line sep=; is none."""
+    lines = csv.reader(io.StringIO(text, newline=None), delimiter=_delimiter(text))
     try:
         return [
-            (number, row) for number, row in enumerate(csv.reader(io.StringIO(text, newline=None)), start=1) if any(row)
+            (number, [cell.replace(",", ".") for cell in row])
+            for number, row in enumerate(lines, start=1)
+            if any(row) and row[0] != "sep="
         ]
     except csv.Error as error:
         raise InputError(f"not a take ({error})") from None
@@ -490,6 +480,7 @@ READERS = (
     Reader(".csv", has_quantity_rows, read_recorder),
     Reader(".csv", lambda text: True, read_livelink),
     Reader(".json", has_landmarker_results, read_landmarker),
+    Reader(".json", has_audio2face_weights, read_audio2face),
     Reader(".json", lambda text: True, read_json_take),
     Reader(".jsonl", lambda text: True, read_landmarker),
 )

@@ -15,8 +15,8 @@ from ..identities.arkit import ARKIT
 FEW = 5
 GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
-FASTEST = 10_000.0
-"""Frames per second [Hz]."""
+RATES = 0.25, 1000.0
+"""[Hz] Least and greatest. Milliseconds taken for seconds make 24 to 240 Hz less; cameras end there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +100,9 @@ class Take:
 
 
 def check_rate(rate: float) -> None:
-    """Raise InputError unless a frame rate [Hz] is positive, and no more than FASTEST."""
-    if not 0.0 < rate <= FASTEST:
-        raise InputError(f"rate: {rate:g} Hz, expected a number above 0, {FASTEST:,.0f} at most")
+    """Raise InputError unless a frame rate [Hz] lies within RATES."""
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(f"rate: {rate:.6g} Hz, expected {RATES[0]:g} to {RATES[1]:,g}; are its times milliseconds?")
 
 
 def check_frames(frames: float, rate: float) -> None:
@@ -141,7 +141,7 @@ def resample(take: Take, rate: float) -> Take:
     Between frames weights and head are linear in time, also where frames were lost: what is further apart than GAP
     stands in `gaps`. Where the rate rises or stays, they are read off there; where it falls, they are averaged exactly
     over 1/rate around each new time (as much of it as lies within the take), so that what is faster than the new rate
-    fades rather than folds back. Raises InputError for a rate that is not positive.
+    fades rather than folds back. Raises InputError for a rate outside RATES.
     """
     start, end = take.times[0], take.times[-1]
     check_frames(1 + (end - start) * rate, rate)

@@ -28,32 +28,36 @@ _OPPOSITE = {"Left": "Right", "Right": "Left"}
 MIRRORED = np.array([ARKIT.index(re.sub("Left$|Right$", lambda side: _OPPOSITE[side[0]], name)) for name in ARKIT])
 """The number of the expression that mirrors each, shape (52,): its own where both sides move."""
 
-_SIDES = {"_l": "left", "_r": "right", ".l": "left", ".r": "right", "-l": "left", "-r": "right"}
+_SIDES = {"l": "left", "r": "right"}
+_SIDE = re.compile(r"(?:[\s_.-][lrLR]|(?<=[a-z])[LR])$")
+_PREFIX = re.compile(r"(?:[a-z]*\d+|bs|arkit|blendshape|face|head)[\s_-]+", re.IGNORECASE)
 _KNOWN = {name.lower(): name for name in ARKIT}
 _HALVED = {name.lower() for name in ("browInnerUp", "cheekPuff")}
 
 
 def arkit_name(name: str) -> str | None:
-    """Find the ARKit expression that a morph target's name stands for, or None.
+    """Find the ARKit expression that another program's name stands for, or None.
 
-    Letters' case, underscores, what stands before a dot or colon, and _L, _R for Left, Right make no difference. The
-    halves of browInnerUp and cheekPuff, which some rigs have, stand for the whole.
+    Letters' case, underscores, and L, R for Left, Right make no difference, nor does what stands before a dot or colon,
+    or a number or a word such as face before an underscore. The halves of browInnerUp and cheekPuff, which some rigs
+    have, stand for the whole.
     """
     return _name_and_half(name)[0]
 
 
 def _name_and_half(name: str) -> tuple[str | None, str]:
     """Find the expression that a name stands for, or None, and "left" or "right" where it is half of one."""
-    for text in (name, re.split(r"[.:|]", name)[-1] if not re.search(r"[.][lrLR]$", name) else name):
-        text = text.strip().lower()
-        if text[-2:] in _SIDES:
-            text = text[:-2] + _SIDES[text[-2:]]
-        text = re.sub(r"[\s_.-]", "", text)
-        if text in _KNOWN:
-            return _KNOWN[text], ""
-        for side in ("left", "right"):
-            if text.removesuffix(side) in _HALVED:
-                return _KNOWN[text.removesuffix(side)], side
+    text = name.strip()
+    if side := _SIDE.search(text):
+        text = text[: side.start()] + _SIDES[text[-1].lower()]
+    last = re.split(r"[.:|]", text)[-1]
+    for spelling in (text, last, _PREFIX.sub("", last, count=1)):
+        known = re.sub(r"[\s_.-]", "", spelling).lower()
+        if known in _KNOWN:
+            return _KNOWN[known], ""
+        for side in _SIDES.values():
+            if known.removesuffix(side) in _HALVED:
+                return _KNOWN[known.removesuffix(side)], side
     return None, ""
 
 

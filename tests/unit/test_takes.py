@@ -1,6 +1,8 @@
 """Takes: LiveLink Face's CSV and JSON, by name and with their times, and resampling."""
 
+import codecs
 import json
+import re
 
 import numpy as np
 import pytest
@@ -62,6 +64,59 @@ def test_columns_are_found_in_any_order_and_case(write):
     np.testing.assert_array_equal(take.weights, values)
 
 
+@pytest.mark.parametrize(
+    "spell",
+    [
+        lambda name: re.sub("(Left|Right)$", lambda side: f"_{side[0][0]}", name),
+        lambda name: re.sub("(?=[A-Z])", "_", name).lower(),
+        lambda name: f"blendShape1.{name}",
+        lambda name: f"A25_{name}",
+        str.upper,
+    ],
+)
+@pytest.mark.parametrize("form", ["livelink", "recorder", "beat", "audio2face", "mediapipe"])
+def test_names_are_known_to_all_readers_however_they_are_written(write, form, spell):
+    """One table of spellings, `arkit_name`, behind every format."""
+    values, names = ramp(3), [spell(name) for name in ARKIT]
+    if form == "livelink":
+        file = write(csv_text(values, timecodes(3), [*HEADER[:2], *names, "LeftEyeYaw"]))
+    elif form == "recorder":
+        rows = [",0,1,2", *(",".join([name, *map(str, row)]) for name, row in zip(names, values.T, strict=True))]
+        file = write("\n".join(rows))
+    elif form == "beat":
+        frames = [{"weights": row.tolist(), "time": k / 30} for k, row in enumerate(values)]
+        file = write(json.dumps({"names": names, "frames": frames}), "take.json")
+    elif form == "audio2face":
+        export = {"exportFps": 25, "numPoses": 52, "numFrames": 3, "facsNames": names, "weightMat": values.tolist()}
+        file = write(json.dumps(export), "take.json")
+    else:
+        scores = [dict(zip(names, row.tolist(), strict=True)) for row in values]
+        file = write(json.dumps(landmarker(*scores)), "take.json")
+    take = read_take(file)
+    np.testing.assert_array_equal(take.weights, values)
+    assert take.missing == () and (form != "audio2face" or (take.rate == 25 and take.times[2] == 2 / 25))
+
+
+@pytest.mark.parametrize(
+    "save",
+    [
+        lambda text: text.replace(",", ";"),
+        lambda text: text.replace(",", "\t"),
+        lambda text: "\ufeffsep=;\n" + text.replace(",", ";").replace(".", ","),
+        lambda text: text.replace(",", "\t").replace(".", ",").encode("utf-16"),
+        lambda text: codecs.BOM_UTF16_BE + text.encode("utf-16-be"),
+    ],
+)
+def test_tables_may_come_from_excel_or_windows(write, save):
+    """With semicolons, tabs, decimal commas, or as UTF-16; a line and a row per quantity alike."""
+    values = ramp(90)
+    np.testing.assert_array_equal(read_take(write(save(csv_text(values, timecodes(90))))).weights, values)
+    stamps, still = np.arange(90) / 60, np.tile([0.0, 0.0, 0.0, 1.0], (90, 1))
+    take = read_take(write(save(recorder_csv(values, stamps, still))))
+    np.testing.assert_array_equal(take.weights, values)
+    np.testing.assert_allclose(take.times, stamps, atol=1e-5)
+
+
 def test_missing_columns_are_zero_and_named(write):
     kept = [k for k in range(52) if ARKIT[k] not in ("tongueOut", "jawLeft")]
     header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "LeftEyeYaw"]
@@ -86,6 +141,35 @@ def test_rate_is_that_of_the_timecodes(write, rate, step, expected):
     take = read_take(write(csv_text(ramp(150), timecodes(150, rate=rate, step=step))))
     assert take.rate == pytest.approx(expected)
     np.testing.assert_allclose(take.times, np.arange(150) / expected, atol=1e-12)
+
+
+def video_codes(fps, seconds):
+    """Labels that converters of videos write: whole frames since the second, at the video's rate."""
+    return [
+        f"00:{int(n / fps) // 60:02d}:{int(n / fps) % 60:02d}:{int(n % fps):02d}" for n in range(int(fps * seconds))
+    ]
+
+
+@pytest.mark.parametrize("fps", [10, 12, 15, 22, 23, 27, 28, 29, 29.83, 45, 47, 56, 58, 59, 59.94, 72, 75, 90, 119.88])
+def test_a_video_may_have_any_rate(write, fps):
+    codes = video_codes(fps, 40)
+    take = read_take(write(csv_text(ramp(len(codes)), codes)))
+    assert take.rate == pytest.approx(fps, abs=0.03)
+    np.testing.assert_allclose(take.times, np.arange(len(codes)) / fps, atol=0.6 / fps)
+    np.testing.assert_allclose(np.diff(take.times), 1 / take.rate, atol=1e-9)
+    assert not len(resample(take, 30.0).gaps)
+
+
+@pytest.mark.parametrize(("labels", "dropped"), [(30, 2), (60, 4)])
+@pytest.mark.parametrize("step", [1, 2])
+@pytest.mark.parametrize("mark", [";", ":"])
+def test_drop_frame_labels_are_of_29_97_and_59_94_hertz(write, labels, dropped, mark, step):
+    """SMPTE ST 12-1: no label is of frame 0 or 1 (0 to 3) of a minute, but for each tenth."""
+    every = [(s, f) for s in range(535, 660) for f in range(labels) if s % 60 or not s % 600 or f >= dropped][::step]
+    codes = [f"00:{s // 60:02d}:{s % 60:02d}{mark}{f:02d}" for s, f in every]
+    take = read_take(write(csv_text(ramp(len(codes)), codes)))
+    assert take.rate == pytest.approx(labels / 1.001 / step, rel=1e-12)
+    np.testing.assert_allclose(take.times, np.arange(len(codes)) / take.rate, atol=1e-9)
 
 
 @pytest.mark.parametrize("rate", [24, 25, 30, 50, 60])
