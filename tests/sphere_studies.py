@@ -9,7 +9,6 @@ from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
@@ -19,7 +18,6 @@ from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.lhm import expressions
 from softdeca.reference import Face
-from softdeca.surrogate.methods import READY
 
 
 class Sphere(Person):
@@ -68,13 +66,6 @@ class SphereMinimal(OfSphere, Minimal):
 @dataclass(frozen=True)
 class SphereThroughput(OfSphere, Throughput):
     pass
-
-
-@dataclass(frozen=True)
-class SphereWorkPrecision(OfSphere, WorkPrecision):
-    def tasks(self):
-        # No network knows spheres.
-        return [task for task in super().tasks() if task.method not in READY]
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ def file(person, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fitted(file, tmp_path_factory):
+    """The head's file, and the ended command. 20 s of processor: registration."""
     out = tmp_path_factory.mktemp("head") / "head.npz"
     code = "from softdeca.cli import main; main()"
     arguments = [sys.executable, "-c", code, "head", "fit", "--skin", file, "--level", "1", "--out", out]

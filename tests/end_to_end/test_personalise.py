@@ -48,6 +48,7 @@ def own(person):
 
 
 def test_the_rig_becomes_the_persons(person, own, command):
+    """20 s of processor: the registration of a scan of other triangles."""
     _, head, shapes = person
     out = own / "own.npz"
     ended = command("head", "personalise", own / "head.npz", own / "weights.json", "--out", out, "--json")

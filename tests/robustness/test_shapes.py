@@ -1,4 +1,4 @@
-"""ARKit's shapes at full weight on random identities of two spaces: soft tissue stays upright, and lids shut."""
+"""ARKit's shapes at full weight on a random identity of two spaces: soft tissue stays upright, and lids shut."""
 
 import numpy as np
 import pytest
@@ -19,17 +19,14 @@ BLINK = {"anny": 0.33, "ict": 0.22}
 def test_full_weights_invert_no_soft_tissue(name, request):
     """Without a guard, and with bone behind the lids, 14 % of anny's pairs and 31 % of ICT-FaceKit's had some."""
     whose = name if name == "anny" else f"ict:{request.getfixturevalue('data') / 'ict_facekit.npz'}"
-    inverted, lids_off = 0, []
-    for seed in (0, 1):
-        of = person(whose, seed)
-        head, skin, deltas = of.head, of.head.skin.vertices, of.space.expression_deltas(of.code)
-        for shape in WORST:
-            target = skin + deltas[expressions.index(shape)]
-            solution = solve(facial_scene(head, Parameters(), target), solver="projective", tolerance=3e-4)
-            assert solution.converged
-            inverted += bool((solution.volume_ratio[: len(head.soft.tets)] <= 0.0).any())
-            if shape.startswith("eyeBlink"):
-                targets = head.wrap_targets(target)
-                off = np.linalg.norm(solution.positions[: len(targets)] - targets, axis=1)
-                lids_off.append(off[head.regions["lids"]].mean())
-    assert inverted <= 0.02 * 2 * len(WORST) and np.mean(lids_off) < BLINK[name]
+    of, lids_off = person(whose, 0), []
+    head, skin, deltas = of.head, of.head.skin.vertices, of.space.expression_deltas(of.code)
+    for shape in WORST:
+        target = skin + deltas[expressions.index(shape)]
+        solution = solve(facial_scene(head, Parameters(), target), solver="projective", tolerance=3e-4)
+        assert solution.converged and solution.volume_ratio[: len(head.soft.tets)].min() > 0.0, shape
+        if shape.startswith("eyeBlink"):
+            targets = head.wrap_targets(target)
+            off = np.linalg.norm(solution.positions[: len(targets)] - targets, axis=1)
+            lids_off.append(off[head.regions["lids"]].mean())
+    assert np.mean(lids_off) < BLINK[name]

@@ -34,6 +34,7 @@ def study():
 
 @pytest.fixture(scope="module")
 def exported(study, tmp_path_factory):
+    """The archive's folder, and the results. 24 s of processor: FEniCSx answers four problems on three meshes."""
     folder = tmp_path_factory.mktemp("face")
     results, size = export(folder / "benchmark.zip", study, folder / "rows")
     assert size == (folder / "benchmark.zip").stat().st_size

@@ -4,6 +4,7 @@ import base64
 import json
 import os
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,9 +147,9 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
         refused(f"{uri}: .*{said}", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
 
 
-def test_a_draco_file_is_read(data):
+def test_a_draco_file_is_read():
     pytest.importorskip("DracoPy")
-    done = repair_scan(read_scan(data / "heads" / "lee_perry_smith.glb"))
+    done = repair_scan(read_scan(Path(__file__).parents[1] / "lee_perry_smith.glb"))
     assert len(done.scan.vertices) == 8844 and len(find_openings(done.scan.triangles)) == 4
     assert any("379 vertices" in note for note in done.notes)
 
