@@ -105,7 +105,8 @@ def facial_scene(
     drawn_to = springs.positions(wrap_targets, rest)
     triangles = head.skin_wrap.triangles
     triangles = triangles[inside[triangles].any(axis=1)]
-    parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness, triangles))
+    lumped = cells == "tets" or stack.counts is None
+    parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness, triangles, lumped))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":
         parts += soft_bones(head, parameters, vertices, first)

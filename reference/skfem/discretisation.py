@@ -148,14 +148,12 @@ class Discretisation:
     """
 
     def __init__(self, scene: Scene, element: str = "P1"):
-        self.element, self._degree = element, DEGREES[element]
+        self.element, self.degree = element, DEGREES[element]
         self._scene = scene
         points, corners = (np.ascontiguousarray(array.T) for array in (scene.vertices, scene.tets))
-        self.basis = Basis(
-            MeshTet(points, corners), ElementVector(TETS[self._degree]), quadrature=tet_rule(self._degree)
-        )
+        self.basis = Basis(MeshTet(points, corners), ElementVector(TETS[self.degree]), quadrature=tet_rule(self.degree))
         n, vertices = len(scene.vertices), self.basis.nodal_dofs.T
-        on_edges = self.basis.edge_dofs.T if self._degree == 2 else np.empty((0, 3), dtype=np.int64)
+        on_edges = self.basis.edge_dofs.T if self.degree == 2 else np.empty((0, 3), dtype=np.int64)
         edges = np.sort(self.basis.mesh.edges.T, axis=1)[: len(on_edges)]
         self.ends: Ints = np.concatenate([np.repeat(np.arange(n)[:, None], 2, axis=1), edges])
         self.size = 3 * len(self.ends)
@@ -182,7 +180,7 @@ class Discretisation:
         """
         nodes = np.zeros(self.dofs.shape, dtype=bool)
         nodes[: len(vertices)] = vertices
-        if self._degree == 2:
+        if self.degree == 2:
             mesh = self.basis.mesh
             faces = mesh.facets[:, mesh.boundary_facets()].T
             on_sides = self.nodes_of("boundary", faces)[:, 3:]
@@ -197,7 +195,7 @@ class Discretisation:
 
         Raises SceneError for a side of a quadratic triangle that is no edge of a tet.
         """
-        if self._degree == 1:
+        if self.degree == 1:
             return triangles
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]], axis=2) @ [len(self.vertex_dofs), 1]
         edge = np.minimum(np.searchsorted(self._keys, sides), len(self._keys) - 1)
@@ -214,9 +212,9 @@ class Discretisation:
         X = self._scene.vertices
         _, areas = rest_gradients(X, triangles)
         linear, _ = rest_gradients(X if rest is None else rest, triangles)
-        points, weights = triangle_rule(self._degree)
+        points, weights = triangle_rule(self.degree)
         nodes = self.nodes_of(name, triangles)
-        both = [TRIANGLES[self._degree].lbasis(points, a) for a in range(nodes.shape[1])]
+        both = [TRIANGLES[self.degree].lbasis(points, a) for a in range(nodes.shape[1])]
         shapes = np.stack([shape + np.zeros_like(weights) for shape, _ in both], axis=1)
         by_reference = np.stack([np.broadcast_to(d.T, (len(weights), 2)) for _, d in both], axis=1)
         # The last two barycentric coordinates are scikit-fem's on the reference triangle.
@@ -229,7 +227,7 @@ class Discretisation:
         """The integral of density u v over a term's triangles (k, 3), shape (size, size); density (k, 3) is linear."""
         points, weights = get_quadrature(RefTri, 5)
         nodes, areas = self.nodes_of(name, triangles), rest_gradients(self._scene.vertices, triangles)[1]
-        values = [TRIANGLES[self._degree].lbasis(points, a)[0] + np.zeros_like(weights) for a in range(nodes.shape[1])]
+        values = [TRIANGLES[self.degree].lbasis(points, a)[0] + np.zeros_like(weights) for a in range(nodes.shape[1])]
         linear = np.stack([1.0 - points[0] - points[1], *points])
         blocks = np.einsum("m,q,mq,aq,bq->mab", areas, 2 * weights, density @ linear, values, values, optimize=True)
         dofs = self.dofs[nodes]
@@ -241,8 +239,8 @@ class Discretisation:
         m, k = len(self._scene.tets), self.basis.Nbfun // 3
         first = [self.basis.basis[3 * a][0] for a in range(k)]  # of the three components the first
         gradients = np.stack([field.grad[0].transpose(1, 2, 0) for field in first], axis=2)
-        points, _ = tet_rule(self._degree)
-        shapes = [TETS[self._degree].lbasis(points, a)[0] + np.zeros(points.shape[1]) for a in range(k)]
+        points, _ = tet_rule(self.degree)
+        shapes = [TETS[self.degree].lbasis(points, a)[0] + np.zeros(points.shape[1]) for a in range(k)]
         dofs = self.basis.element_dofs.T.reshape(m, k, 3).astype(np.int64)
         return Elements(self.by_dof(self._scene.vertices), dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)
 

@@ -64,10 +64,10 @@ class Springs:
 
     @classmethod
     def of_target(cls, term: terms.Target, scene: Scene, discretisation: Discretisation) -> Springs:
-        """The springs of a Target: quadratic elements have them spread over its triangles, if it has some."""
+        """The springs of a Target, spread over its triangles where these elements do so."""
         places = np.array(scene.vertices)
         places[term.vertices] = term.positions
-        if discretisation.element == "P1" or not term.triangles.size:
+        if not term.is_spread(discretisation.degree):
             return cls.at_vertices(term.vertices, term.positions, term.stiffness, discretisation)
         alone, density, _ = term.spread(scene)
         stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[alone]

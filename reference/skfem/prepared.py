@@ -130,8 +130,10 @@ def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     discretisation = Discretisation(scene, element)
     parts, volume = Tissue.from_scene(scene, discretisation), discretisation.tets.weights
     F, P = parts[0].stress(x)
-    if len(scene.prisms):  # each tet of a prism has its F and P
-        F[scene.prisms], P[scene.prisms] = (values[:, None] for values in parts[1].stress(x))
+    if len(scene.prisms):  # each tet of a prism has its F, and its P beside that of terms on the tet alone
+        mean, stress = parts[1].stress(x)
+        F[scene.prisms] = mean[:, None]
+        P[scene.prisms] += stress[:, None]
     forces = np.where(discretisation.held_dofs(scene.dirichlet()[0]), Energy(scene, discretisation).gradient(x), 0.0)[
         discretisation.dofs
     ]

@@ -17,9 +17,9 @@ class Target(Term):
     """Springs: stiffness/2 |x_i - positions_i|² for each vertex (SoftDECA Eq. 14).
 
     vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
-    `triangles` (t, 3) of these vertices, if any, are where the springs are spread. Linear elements integrate by their
-    corners, and so have springs at vertices. Quadratic elements integrate over the triangles: a face between springs
-    at vertices would dimple.
+    `triangles` (t, 3) of these vertices, if any, are where the springs are spread: elements integrate over them, with
+    stiffness per area and places linear between the corners. A `lumped` term is spread by quadratic elements alone,
+    whose face would dimple between springs at vertices.
     """
 
     varying: ClassVar[tuple[str, ...]] = ("positions",)
@@ -28,6 +28,7 @@ class Target(Term):
     positions: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
     triangles: Ints = field(default_factory=lambda: np.empty((0, 3), dtype=np.int64), repr=False)
+    lumped: bool = False
 
     def __post_init__(self):
         count = len(self._set_ids("vertices"))
@@ -44,8 +45,12 @@ class Target(Term):
         if strange[self.triangles].any():
             raise SceneError(f"triangles: vertex {self.triangles[strange[self.triangles]].min()} is none of the term's")
 
+    def is_spread(self, degree: int) -> bool:
+        """Tell whether elements of a degree, 1 or 2, integrate it over its triangles."""
+        return len(self.triangles) > 0 and not (self.lumped and degree == 1)
+
     def spread(self, mesh: Mesh) -> tuple[np.ndarray, Floats, Floats]:
-        """Return what quadratic elements integrate: which vertices (k,) have no triangle, and values at corners.
+        """Return what elements integrate: which vertices (k,) have no triangle, and values at corners.
 
         These are the springs' stiffness per area [mN/mm³], shape (t, 3), and places [mm], shape (t, 3, 3).
         """

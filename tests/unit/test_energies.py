@@ -67,7 +67,7 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "SurfaceStrain of another rest": ([MEMBRANE], 0.3, SOLVERS),
     "Bending": ([BENDING], 0.3, SOLVERS[:2]),
     "Bending of another rest": ([terms.Bending(SKIN, 1.0, rest=OTHER_SHAPE)], 0.3, SOLVERS[:2]),
-    "Target and loads": ([PULL, EVERYWHERE, *LOADS], 1.0, SOLVERS),
+    "Target and loads": ([PULL, EVERYWHERE, SPREAD, replace(SPREAD, lumped=True), *LOADS], 1.0, SOLVERS),
     "bodies": ([*PD[1:], *OVERLAPPING, MEMBRANE, PULL, *BODIES], 0.2, SOLVERS),
     "held": ([terms.Strain(5.0), PULL, terms.Fixed([3, 4], components=1), terms.Fixed([7, 8])], 0.3, ("projective",)),
     "all but bending": ([*PD, SOFT, MEMBRANE, PULL, SPREAD, EVERYWHERE, *LOADS], 0.02, SOLVERS[1:]),

@@ -31,10 +31,11 @@ def stretched(term, ratio):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_bar_of_prisms_is_stretched_as_one_of_tets(solver):
-    """The patch test: an affine answer and its stresses, with some tets left alone among the prisms."""
+    """The patch test: an affine answer and its stresses, with some tets left alone, and terms on tets of prisms."""
     prisms = np.arange(len(TETS)).reshape(-1, 6)[:, [0, 1, 4, 2, 3, 5]].reshape(-1, 3)[3:]
     rest = np.setdiff1d(np.arange(len(TETS)), prisms)
-    parts = [replace(term, tets=tets) for term in PD for tets in (prisms, rest)]
+    shares = ((1.0, rest), (0.6, prisms), (0.4, prisms.ravel()))
+    parts = [replace(term, stiffness=share * term.stiffness, tets=tets) for term in PD for share, tets in shares]
     by_tets = solve_by(solver, stretched(PD, 1.3))
     by_prisms = solve_by(solver, stretched([*parts, terms.Hourglass(0.3, prisms)], 1.3))
     assert by_prisms.positions == pytest.approx(by_tets.positions, abs=1e-8)

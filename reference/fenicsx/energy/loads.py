@@ -25,7 +25,7 @@ from .nodal import NodalEnergy
 PRESSURE_DEGREES = {3: 2, 6: 6}
 """Degree of the rule that is exact, by the nodes of a triangle."""
 SPREAD_DEGREE = 5
-"""Degree of the rule that is exact for springs of linear stiffness between quadratic shape functions."""
+"""Degree of the rule that is exact for springs of linear stiffness between shape functions up to quadratic ones."""
 
 
 def dead_loads(scene: Scene, numbering: Numbering) -> Floats:
@@ -102,7 +102,7 @@ class FollowerPressure(NodalEnergy):
 
 @dataclass(frozen=True, eq=False)
 class Springs(NodalEnergy):
-    """Springs of a Target: at nodes (m, 1) that this process owns, or spread over its triangles (m, 6).
+    """Springs of a Target: at nodes (m, 1) that this process owns, or spread over its triangles (m, 3) or (m, 6).
 
     places [mm] (m, k, 3); stiffness [mN/mm] (m, k, k) joins the nodes of an element.
     """
@@ -117,7 +117,7 @@ class Springs(NodalEnergy):
         springs = []
         for term in scene.of(Target):
             at_vertices = np.ones(len(term.vertices), dtype=bool)
-            if numbering.degree == 2 and term.triangles.size:
+            if term.is_spread(numbering.degree):
                 at_vertices, density, places = term.spread(scene)
                 springs.append(cls.over_triangles(term, scene, numbering, density, places))
             stiffness = np.broadcast_to(term.stiffness, len(term.vertices))[at_vertices]
@@ -135,16 +135,16 @@ class Springs(NodalEnergy):
     def over_triangles(
         cls, term: Target, scene: Scene, numbering: Numbering, density: Floats, places: Floats
     ) -> Springs:
-        """Springs of a density and to places that are linear on quadratic triangles; see `Target.spread`."""
+        """Springs of a density and to places that are linear on the triangles; see `Target.spread`."""
         here, nodes = numbering.faces(term.name, term.triangles)
         points, weights = seam.quadrature_rule(SPREAD_DEGREE, "triangle")
-        shapes, linear = (seam.shapes(degree, points, "triangle")[0] for degree in (2, 1))
+        shapes, linear = (seam.shapes(degree, points, "triangle")[0] for degree in (numbering.degree, 1))
         weighted = (density[here] @ linear.T) * weights / weights.sum()
         areas = triangle_areas(scene.vertices, term.triangles[here])
         stiffness = np.einsum("m,mq,qa,qb->mab", areas, weighted, shapes, shapes)
         corners = places[here]
         between = 0.5 * (corners[:, [1, 2, 0]] + corners[:, [2, 0, 1]])
-        return cls(nodes, np.concatenate([corners, between], axis=1), stiffness)
+        return cls(nodes, np.concatenate([corners, between], axis=1)[:, : nodes.shape[1]], stiffness)
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""

@@ -16,6 +16,7 @@ from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...terms import Contact, Target
 from ..terms.energy import ENERGIES, Energy
+from ..terms.springs import Springs
 from ..unknowns.coordinates import Coordinates, Place
 from ..unknowns.sparsity import Sparsity
 
@@ -114,10 +115,13 @@ class Tangent:
         moved = np.asarray(moved, dtype=np.float64)
         if moved.ndim != 3 or moved.shape[1:] != target.positions.shape or not np.isfinite(moved).all():
             raise SceneError(f"moved targets: expected finite values of shape (k, {len(target.positions)}, 3)")
+        springs = self.energy.part(Springs)
+        assert springs is not None
+        matrix = springs.drawn[0][2]
         right = np.empty((self.coordinates.size, len(moved)))
         force = np.zeros(self.place.u.shape)
         for k, move in enumerate(moved):
-            force[target.vertices] = np.reshape(target.stiffness, (-1, 1)) * move
+            force[target.vertices] = matrix @ move
             right[:, k] = self.coordinates.pull(force, self.place)
         return np.stack([self._move(step) for step in self.solve(right).T])
 

@@ -110,8 +110,7 @@ class Energy:
         anchored = np.zeros(n)
         for part in self.parts:
             part.add_anchors(anchored)
-        entries = [(np.arange(n), np.arange(n), anchored)]
-        entries += [part.matrix_entries(scene, volume_share) for part in self.parts]
+        entries = [part.matrix_entries(scene, volume_share) for part in self.parts]
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
 
