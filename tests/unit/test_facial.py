@@ -103,7 +103,8 @@ def test_cells_are_prisms_or_their_tets(sphere_head):
         triangles,
         len(prisms.tets) - 9 * triangles,
     ]
-    stretched = prepare(prisms), prepare(by_tets)
+    assert [scene.of(terms.Target)[0].lumped for scene in (prisms, by_tets)] == [False, True]
+    stretched = [prepare(replace(scene, terms=scene.of(terms.Solid))) for scene in (prisms, by_tets)]
     motion = prisms.vertices @ np.diag([0.1, -0.05, 0.02])
     energies = [each.energy.evaluate(motion)[0] for each in stretched]
     assert energies[0] == pytest.approx(energies[1], rel=1e-12)
