@@ -29,7 +29,7 @@ check: setup
 	.venv/bin/lint-imports
 	.venv/bin/cog --check -I docs README.md docs/*.md docs/first-hour/*.md
 	@tools/set-up docs
-	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=$(PAGES) -D suppress_warnings=myst-nb.lexer docs build/docs
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=$(PAGES) -D suppress_warnings=myst-nb.lexer docs build/docs
 
 check-results: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) tools/kept.py check

@@ -14,6 +14,7 @@ from softdeca.lhm.template.file import read_template
 
 
 def test_template_and_fit(command, data, tmp_path):
+    """50 s of processor: envelopes of skull and muscles on a grid of 1.5 mm."""
     space = f"ict:{data / 'ict_facekit.npz'}"
     anatomy = data / "bodyparts3d_head.npz"
     file = tmp_path / "template.npz"

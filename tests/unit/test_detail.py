@@ -135,9 +135,10 @@ def test_expressions_carry_the_detail(detail, fine):
     assert np.allclose(along, detailed.heights, atol=1e-6)
 
 
-@pytest.mark.parametrize("size", [0.5, 5.0])
-def test_a_scan_of_noise_folds_nothing(template, fine, size):
+def test_a_scan_of_noise_folds_nothing(template, fine):
+    """Noise of half a millimetre on one side of the head, of five on the other."""
     smooth = fine.refine(MEAN.vertices)
+    size = np.where(smooth.vertices[:, :1] > 0.0, 5.0, 0.5)
     noise = np.random.default_rng(0).normal(scale=size, size=smooth.vertices.shape)
     detail = lay_detail(template, MEAN, smooth.with_vertices(smooth.vertices + noise))
     assert np.abs(detail.heights).max() < POLICY.reach

@@ -48,7 +48,7 @@ def test_nothing_crosses_at_rest_in_random_people(fit):
     """By ipctk, of each eyeball and each tooth with the whole skin wrap; and contact pushes nothing."""
     ipctk = pytest.importorskip("ipctk")
     rng = np.random.default_rng(11)
-    for _ in range(5):
+    for _ in range(2):
         head = fit(SPACE.skin(SPACE.sample(rng)[0]))
         organs = find_organs(head)
         assert len(organs) == 4
