@@ -98,7 +98,7 @@ class Train:
 
     @property
     def _options(self) -> dict[str, Any]:
-        """What the network's own options are replaced by."""
+        """Options that replace the network's own."""
         return {"device": self.device} | ({} if self.steps is None else {"steps": self.steps})
 
     def _train_modal(self, faces: Faces, teachers: dict[str, Any], progress: OnProgress) -> Weights:

@@ -1,4 +1,4 @@
-"""What to model: vertices, tets and a list of terms. Every solver takes the same scene."""
+"""A scene to solve: vertices, tets and a list of terms. Every solver takes the same scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a solver returns: positions, why it stopped, how it got there, stresses when asked, and a file of them."""
+"""A solver's answer: positions, why it stopped, how it got there, stresses when asked, and a file of them."""
 
 from __future__ import annotations
 

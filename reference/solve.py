@@ -14,7 +14,7 @@ from .solution import OnIteration, Solution
 
 
 class Prepared(Protocol):
-    """What `prepare` returns: all that depends on mesh and stiffnesses is done, `solve` may be called per frame."""
+    """A prepared scene: work on mesh and stiffnesses is done, `solve` may be called per frame."""
 
     scene: Scene
 

@@ -41,7 +41,7 @@ SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensor
 
 
 class Described(NamedTuple):
-    """What a network needs of a face: skin, code, p at its vertices, shapes, how it swings, and how bones carry it."""
+    """A face as a network needs it: skin, code, p at its vertices, shapes, how it swings, and how bones carry it."""
 
     skin: Surface
     code: Floats
@@ -284,4 +284,4 @@ def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], be
 
 
 BoundRig = BoundSurrogate | GradientRig
-"""What weights of either kind are bound to."""
+"""Rigs that weights of either kind are bound to."""

@@ -215,7 +215,7 @@ def keep(name: str, work: Path, progress: OnProgress = silent) -> Results:
 
 @dataclass(frozen=True)
 class Check:
-    """What measuring a cheap part of a kept result anew gave: what moved, in words, or why nothing was measured."""
+    """Findings of a cheap part of a kept result, measured anew: changes in words, or why nothing was measured."""
 
     state: State
     moved: tuple[str, ...] = ()

@@ -73,7 +73,7 @@ PRESETS: dict[str, dict[str, float]] = {
     "palsy, left": {"paralysis_left": 1.0},
     "grown skin": {"skin_growth": 1.25, "skin_bending": 16.0},
 }
-"""What differs from the default in each effect; growing skin also bends, or it would fold into several minima."""
+"""Parameters of each effect beside the defaults; growing skin also bends, or it would fold into several minima."""
 
 
 def describe_controls(start: Parameters) -> list[dict[str, Any]]:

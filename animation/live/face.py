@@ -33,7 +33,7 @@ def list_methods(face: Face) -> tuple[str, str, str]:
 
 @dataclass(frozen=True, eq=False)
 class _Answering:
-    """What answers under one p: a rig, the typical share of the motion that it leaves, and how bones carry the skin."""
+    """Answers under one p: a rig, the typical share of the motion that it leaves, and how bones carry the skin."""
 
     method: str
     rig: Rig

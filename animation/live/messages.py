@@ -1,4 +1,4 @@
-"""What travels between page, server and refining process: changes in, frames and notes out.
+"""Messages between page, server and refining process: changes in, frames and notes out.
 
 A change is JSON: its number, the weights that are not 0, and the parameters that differ from where the page began.
 A frame is binary: the length of a JSON header (uint32), the header, and little-endian float32 of n vertices: positions

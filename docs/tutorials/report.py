@@ -20,7 +20,7 @@ out = Path(tempfile.mkdtemp())
 
 
 def softdeca(*arguments):
-    """What the command prints; it ends with status 0 only where every gate holds."""
+    """Return what the command prints; it ends with status 0 only where every gate holds."""
     command = [
         sys.executable,
         "-c",

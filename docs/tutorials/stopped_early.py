@@ -56,7 +56,7 @@ class StoppedEarly(Study):
         return {"error_mm": error, "iterations": early.iterations}
 
     def gates(self, rows):
-        """What a face needs: 0.01 mm at the tightest tolerance."""
+        """Bound the error by 0.01 mm, which a face needs, at the tightest tolerance."""
         return [
             at_most(
                 "error at the tightest tolerance [mm]",

@@ -184,7 +184,7 @@ class _Grid:
 
 
 def _keep_inside(surface: Surface, within: Surface, clearance: float) -> Surface:
-    """What smoothing has brought closer than `clearance` to the skin goes back."""
+    """Move back vertices that smoothing has brought closer than `clearance` to the skin."""
     phi = SignedDistance(within)
     x = surface.vertices.copy()
     for _ in range(3):

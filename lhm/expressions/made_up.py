@@ -49,7 +49,7 @@ UNITS: tuple[tuple[str, ...], ...] = (
         ).split()
     ),
 )
-"""What is drawn together: a symmetric pair, the two eyes looking to one side, or a shape of its own."""
+"""Units that are drawn as one: a symmetric pair, the two eyes looking to one side, or a shape of its own."""
 
 CONTRADICTORY = (
     ("browDown", "browOuterUp"),

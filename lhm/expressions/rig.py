@@ -1,4 +1,4 @@
-"""What the 52 ARKit expressions do to one head's skin."""
+"""The 52 ARKit expressions as motions of one head's skin."""
 
 from __future__ import annotations
 

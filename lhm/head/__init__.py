@@ -1,1 +1,1 @@
-"""What a head is: its layers, its file, and the gates that it has to pass."""
+"""A head: its layers, its file, and the gates that it has to pass."""

@@ -21,7 +21,7 @@ LEVELS = 2
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """What a scan has and a head's skin has not.
+    """A scan's detail beyond a head's skin.
 
     heights (k,) [mm] of the scan over the fine skin, along its normals; colours (k, 3), 0 to 255, of its texture.
     `place` (3, 4): the file's point x lies at place[:, :3] x + place[:, 3] [mm] of the head.

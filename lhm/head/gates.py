@@ -179,7 +179,7 @@ OUTSIDE_TOLERANCE = 0.2
 CROSSINGS = 10_000
 """Pairs after which no more are counted: a head of noise has millions, and its check would take minutes."""
 REGIONS = ("face", "lips", "lids", "mouth", "eyes", "teeth", "ears", "neck")
-"""What a face's wrap has by name."""
+"""Names of a face's regions on its wrap."""
 _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 

@@ -1,4 +1,4 @@
-"""What a skin has to be before a head is fitted to it, and what shapes of it have to be."""
+"""Requirements of a skin before a head is fitted to it, and of its shapes."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from ..base.mesh import Floats, Ints, Surface
 from .transfer import transfer_expressions
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
-"""What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
+"""Parts of a skin, one per vertex: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
 
 CLIP = 2.5
 

@@ -1,4 +1,4 @@
-"""What a scan has and a registered skin has not: heights over the fine skin, along its normals, and colours."""
+"""A scan's detail beyond a registered skin: heights over the fine skin, along its normals, and colours."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ POLICY = FitPolicy()
 
 
 class _Prepared:
-    """What depends on the template alone: two factorisations, and the warp's matrices at the points that it moves."""
+    """Quantities of the template alone: two factorisations, and the warp's matrices at the points that it moves."""
 
     def __init__(self, template: Template, policy: FitPolicy):
         skin, n = template.skin.vertices, template.columns.n

@@ -59,7 +59,7 @@ class Template:
 
     @cached_property
     def columns(self) -> Columns:
-        """What the triangulation decides."""
+        """Columns of the triangulation."""
         return Columns(self.triangles, len(self.stack) // 3)
 
     @cached_property

@@ -38,7 +38,7 @@ OF_TETS = (
     "muscle_volume",
 )
 GAP = 0.1
-"""What contact leaves between surfaces [mm], as thin as a film of tears; where they are nearer at rest, that."""
+"""Gap that contact leaves between surfaces [mm], as thin as a film of tears, or the gap at rest if that is less."""
 HOURGLASS = 0.05
 """Stiffness of prisms' Hourglass over Strain's.
 

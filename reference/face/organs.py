@@ -27,7 +27,7 @@ from .bones import scale_bone
 from .parameters import Parameters
 
 BEHIND_LIDS, BEHIND_LIPS = 0.75, 0.3
-"""What eyeballs and teeth leave at rest to the skin wrap [mm]: more than contact keeps, so the neutral face meets none.
+"""Gap of eyeballs and teeth to the skin wrap at rest [mm]: more than contact keeps, so the neutral face meets none.
 
 Blendshapes draw lids along straight lines, which cut into a ball that fills its socket: it would press them thin.
 """

@@ -53,7 +53,7 @@ class ParameterInfo:
         return 2.0 * (scale(values) - low) / (high - low) - 1.0
 
     def denormalise(self, values):
-        """What `normalise` maps to these values; beyond [-1, 1] it is cut to the range."""
+        """Invert `normalise`; values beyond [-1, 1] are cut to the range."""
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
         low, high = scale(self.low), scale(self.high)
         values = back(low + 0.5 * (np.asarray(values, dtype=np.float64) + 1.0) * (high - low))

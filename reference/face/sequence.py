@@ -245,7 +245,7 @@ class Sequence:
         return start
 
     def _last(self) -> State | None:
-        """What the next frame starts from: the last, or the neutral face settled under p."""
+        """Return the next frame's start: the last frame, or the neutral face settled under p."""
         settled = self.face.settled()
         if self.state is not None or not settled.displacement.any():
             return self.state

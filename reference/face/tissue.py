@@ -34,7 +34,7 @@ from ..scene import Scene
 from ..terms import Strain
 
 CellKind = Literal["prisms", "tets"]
-"""What has one deformation each in a head's layers: prisms of three tets, or their tets."""
+"""Cells of one deformation each in a head's layers: prisms of three tets, or their tets."""
 EYE_RADIUS = 12.0
 """[mm], of an adult's eyeball (axial length 24 mm)."""
 

@@ -68,7 +68,7 @@ def layers(ratio: float) -> Scene:
 
 
 def elongation(ratio: float) -> float:
-    """What the pull makes the bar of `layers` longer by [mm]: F/A (L1/w1 + L2/w2)."""
+    """Return the elongation [mm] of the bar of `layers`: F/A (L1/w1 + L2/w2)."""
     return 0.1 * (0.5 + 0.5 / ratio)
 
 

@@ -42,7 +42,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
+    """Function to minimise: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
     `untangling`, where given, is the problem of an energy that leads out of inverted tets. `bounded` says that A bounds
     the energies of free vertices, so that a plain step never raises them; see `Part.is_bounded`.

@@ -1,4 +1,4 @@
-"""What L-BFGS remembers: its last steps s and the changes y of the gradient along them, and what follows from both."""
+"""The memory of L-BFGS: its last steps s, the changes y of the gradient along them, and products of both."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ METHODS: dict[str, Descent] = {
 TERMS: tuple[type[Term], ...] = (*ENERGIES, Fixed, RigidBody, Contact)
 """Those with an energy, those that restrict `Coordinates`, and contact, which has a descent of its own."""
 PREPARED = ((RigidBody, "rest"),)
-"""What varies for other solvers, but has gone into this one's matrix."""
+"""Fields that may vary for other solvers, but are part of this one's matrix."""
 
 
 @dataclass

@@ -14,7 +14,7 @@ from ..materials import Material
 
 
 class Mesh(Protocol):
-    """What a term sees of its scene: rest vertices [mm], (n, 3), tets (m, 4) and their volumes [mm³], (m,)."""
+    """A scene as its terms see it: rest vertices [mm], (n, 3), tets (m, 4) and their volumes [mm³], (m,)."""
 
     @property
     def vertices(self) -> Floats: ...

@@ -1,4 +1,4 @@
-"""What others need to publish a corpus: a dataset card (README.md) with figures."""
+"""A dataset card (README.md) with figures, to publish a corpus."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ class Corpus:
 
     @property
     def made_with(self) -> Mapping[str, Any]:
-        """What a command needs to make the people again, empty for a corpus made from Python."""
+        """Options by which a command makes the people again, empty for a corpus made from Python."""
         return self.said.get("made_with", {})
 
     def heads(self, on_progress: OnProgress = silent) -> Heads:

@@ -1,4 +1,4 @@
-"""What parameter sets a corpus holds: a documented mixture of materials and effects, uniform or varying over the face.
+"""Parameter sets of a corpus: a documented mixture of materials and effects, uniform or varying over the face.
 
 | kind      | what differs from the default face                                                                      |
 |-----------|---------------------------------------------------------------------------------------------------------|

@@ -1,4 +1,4 @@
-"""What a corpus will hold, decided before anything is simulated: every sample follows from the plan alone."""
+"""The content of a corpus, decided before anything is simulated: every sample follows from the plan alone."""
 
 from __future__ import annotations
 

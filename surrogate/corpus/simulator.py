@@ -1,4 +1,4 @@
-"""What a corpus simulates of a face: settled and differentiated once, then asked for expressions."""
+"""Simulations of a face for a corpus: settled and differentiated once, then asked for expressions."""
 
 from __future__ import annotations
 

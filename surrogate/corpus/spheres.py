@@ -61,7 +61,7 @@ class Spheres:
         return Surface(100.0 * (1.0 + 0.04 * dents[:, None]) * unit, triangles)
 
     def expression_deltas(self, code: Floats) -> Floats:
-        """What each of the 52 expressions adds to the neutral surface [mm], shape (52, n, 3)."""
+        """Return the motion of each of the 52 expressions [mm], shape (52, n, 3)."""
         unit, _ = self._unit
         rng = np.random.default_rng(1)
         centres = rng.normal(size=(52, 3)) * [1.0, 0.5, 1.0] - [0.0, 0.7, 0.0]

@@ -1,4 +1,4 @@
-"""What the surrogate sees of p and h: p at each vertex, and one summary of both for the whole face.
+"""The surrogate's inputs from p and h: p at each vertex, and one summary of both for the whole face.
 
 Without gravity a minimiser depends on ratios of stiffnesses only. Stiffnesses come mapped to [-1, 1] by their
 logarithm, in which ratios are differences; gravity comes as an acceleration, and divided by the stiffness it acts on.
@@ -101,7 +101,7 @@ class Features:
         return there * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
 
     def mirror_shapes(self, shapes: np.ndarray, vertices: Any = EVERY) -> np.ndarray:
-        """What each weight adds to the mirrored face at some vertices, shape (52, v, 3), of shapes (52, n, 3)."""
+        """Return each weight's motion of the mirrored face at some vertices, (52, v, 3), from shapes (52, n, 3)."""
         return self.mirror_move(shapes, vertices)[MIRRORED]
 
     def local(self, at_vertices: Floats) -> Floats32:

@@ -55,7 +55,7 @@ class LessonFace:
         return self._turn(self.kept.carried)
 
     def shapes_at(self, vertices: Any = EVERY) -> np.ndarray:
-        """What the 52 weights add to the skin at some vertices [mm], shape (52, v, 3)."""
+        """Return the motion of each of the 52 weights at some vertices [mm], shape (52, v, 3)."""
         return self._turn_shapes(self.kept.shapes, vertices)
 
     def responses_at(self, vertices: Any = EVERY) -> np.ndarray:

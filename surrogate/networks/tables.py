@@ -1,4 +1,4 @@
-"""What is linear in w or in effects of p: tables of every vertex, which small networks mix.
+"""Tables of every vertex, linear in w or in effects of p, which small networks mix.
 
     R_j(v) = g(v) Σ_k φ_k(v) M_kj(v) - l(v) S_j(v)
     o(v)   = Σ_b b Σ_c h_c C_cb(v) + Σ_e e(v) Σ_k ψ_k(v) N_ke(v)

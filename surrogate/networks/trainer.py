@@ -62,13 +62,13 @@ class TrainerConfig:
 
 
 class Lesson(ABC):
-    """What is learned: a network's tensors, and the loss of a step."""
+    """A training's subject: a network's tensors, and the loss of a step."""
 
     network: Tensors
     slow: tuple[str, ...] = ()
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
     about: Sequence[str] = ()
-    """What a kept state has to be of."""
+    """Description that a kept state has to match."""
 
     @abstractmethod
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:

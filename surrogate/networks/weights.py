@@ -49,7 +49,7 @@ def has_tables(kind: str) -> bool:
 
 @dataclass(frozen=True)
 class TrainingNote:
-    """What weights say of their training: people, faces (each under one p), frames, neutrals, steps, options, curve.
+    """A record of weights' training: people, faces (each under one p), frames, neutrals, steps, options, curve.
 
     seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1]. held: numbers of the people that
     were held out for the curve, besides `people`. before: the same of the weights that the training began with, if it

@@ -46,7 +46,7 @@ class BoundSurrogate:
 
     @property
     def linear_targets(self) -> Floats32 | None:
-        """What each weight adds to the neutral skin [mm], shape (52, n, 3), where frames are sums of these alone."""
+        """Motion of each weight [mm], shape (52, n, 3), where frames are sums of these alone; else None."""
         return None if len(self.modes.modes) else self._shapes.reshape(WEIGHTS, -1, 3)
 
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:

@@ -171,7 +171,7 @@ class DynamicRig:
         return skin
 
     def _push(self, now: Floats) -> None:
-        """What the head's turning adds to this frame [mm], and the turns that the next one has before it."""
+        """Compute the motion that the head's turning adds to this frame [mm], and keep its turns for the next."""
         middle = self._pivot
         behind = base_lag(now, self._last - middle, self._before - middle, self._turns)
         self._pushed[:] = 0.0 if behind is None else self._driven * behind

@@ -23,7 +23,7 @@ FARTHEST_CODE = 4.0
 
 
 Needs = Literal["nothing", "head", "simulator"]
-"""What a method needs to bind a face, or for a frame, beside its skin, shapes and p."""
+"""Need of a method to bind a face, or for a frame, beside its skin, shapes and p."""
 
 
 class Rig(Protocol):

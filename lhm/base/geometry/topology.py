@@ -1,4 +1,4 @@
-"""What hangs together in a mesh: edges, openings and connected parts; elements split at the middles of their edges."""
+"""Connectivity of a mesh: edges, openings and connected parts; elements split at the middles of their edges."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def rigid_motions(X: Floats, comm: MPI.Intracomm) -> PETSc.NullSpace:
 
 
 def null_space(basis: Floats, comm: MPI.Intracomm) -> PETSc.NullSpace:
-    """What vectors (6, n, 3) span, made orthonormal by Cholesky's factor of their products, twice against rounding."""
+    """Make the null space of vectors (6, n, 3), orthonormal by Cholesky's factor of their products, twice."""
     vectors = basis.reshape(len(basis), -1)
     for _ in range(2):
         vectors = np.linalg.solve(np.linalg.cholesky(comm.allreduce(vectors @ vectors.T)), vectors)

@@ -55,7 +55,7 @@ class Tets(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """What a kernel integrates over: nodes (k, a), volumes (k,) [mm³], and geometry (k, g) as of kernels.c.
+    """Elements that a kernel integrates over: nodes (k, a), volumes (k,) [mm³], and geometry (k, g) as of kernels.c.
 
     A rule of q points: weights (q,) that add up to 1, derivatives of the shape functions on the reference tet
     (q, a, 3), None of prisms, and the corners' linear shape functions (q, 4).

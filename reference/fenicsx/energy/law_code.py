@@ -263,7 +263,7 @@ class Law:
 
     @property
     def parameters(self) -> Floats:
-        """What the code calls `parameters`, shape (k, N)."""
+        """The code's array `parameters`, shape (k, N)."""
         return np.column_stack([value for value in self._values.values() if isinstance(value, np.ndarray)])
 
     @cached_property

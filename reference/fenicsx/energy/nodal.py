@@ -1,4 +1,4 @@
-"""What the solver asks of a term that is known node by node: the class that models it is a NodalEnergy."""
+"""The base of classes that model terms given node by node."""
 
 from __future__ import annotations
 

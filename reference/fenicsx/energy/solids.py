@@ -154,7 +154,7 @@ class Solid:
 
 
 class Solids:
-    """What a scene's solids have in common: kernels, and the quadrature of all their cells.
+    """All solids of a scene: kernels, and the quadrature of all their cells.
 
     `mixed_forms` are of the laws with a pressure, for their derivatives. `softness` (cells,) [1/kPa] is the sum of 1/mu
     of these laws. `pressure` is a function of linear elements and `pressure_dofs` its nodes by cell, (cells, 4).

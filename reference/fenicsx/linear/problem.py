@@ -55,7 +55,7 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
 
 
 class Problem:
-    """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
+    """The fixed parts of a sequence (mesh, forms, matrix), and the present scene's numbers.
 
     Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
     pressure [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices

@@ -109,7 +109,7 @@ def set_diagonal(matrix: PETSc.Mat, rows: Ints, value: float):
 
 @dataclass
 class SaddleWork:
-    """What solves have cost: systems that were set up or factored, and iterations, of which a direct answer is one."""
+    """Cost of solves: systems that were set up or factored, and iterations, of which a direct answer is one."""
 
     systems: int = 0
     iterations: int = 0

@@ -53,7 +53,7 @@ def make_saddle_solver(
 
 @dataclass(frozen=True, eq=False)
 class Experience:
-    """What earlier solves say of the next matrix.
+    """Findings of earlier solves about the next matrix.
 
     pace: GMRES' iterations for a decade of the residual, of the hardest projected system so far; 0 before the first.
     has_failed: whether the last solve found no answer, so that the next matrix is a projected one.

@@ -81,7 +81,7 @@ class Condensed:
         return self.at(state.u + self.problem.numbering.nodes.spread(step.reshape(-1, 3)))
 
     def stretched(self, p: Floats) -> Floats:
-        """What the springs hold back [mm³], a vector: the volumes by which a minimiser is not the problem's own."""
+        """Return the volumes [mm³] that the springs hold back, a vector, zero where a minimiser solves the problem."""
         return self.matrix.springs * multiply(self.matrix.mass, p - self.centre)
 
     def _place(self, u: Floats, p: Floats) -> State:

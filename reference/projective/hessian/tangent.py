@@ -44,7 +44,7 @@ def hessian(
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """What all tangents of a topology share: where entries are, and, by CHOLMOD, in which order they are eliminated."""
+    """The sparsity that all tangents of a topology share, and, by CHOLMOD, the order of elimination."""
 
     sparsity: Sparsity
     analysis: cholesky.CholmodAnalysis | None

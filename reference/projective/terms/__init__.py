@@ -1,1 +1,1 @@
-"""What each term adds: energy, gradient, and its part of the system."""
+"""Contributions of each term: energy, gradient, and its part of the system."""

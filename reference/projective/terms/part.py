@@ -1,4 +1,4 @@
-"""What the solver asks of a term: the class that models it is a Part."""
+"""The base of classes that model terms."""
 
 from __future__ import annotations
 
