@@ -87,10 +87,12 @@ def run_contest(
     *,
     compare: Compare | None = None,
     warm: Case | None = None,
+    on_frame: Callable[[str, Made], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run methods and truths on a case: a row for each method and frame; a failure is a row with its reason.
 
     compare: by default `compare_skins`. warm: the case that each method runs once in this process before it is timed.
+    on_frame: sees each frame with its method's name.
     """
     known = {method.name: method for method in map(_find_method, (*truths, *methods))}
     made: dict[str, list[Made | None]] = {}
@@ -100,6 +102,9 @@ def run_contest(
         made[name], rows[name] = _run(case, method)
         for row in rows[name]:
             row["compile_s"] = compiled
+        for frame in made[name]:
+            if frame is not None and on_frame is not None:
+                on_frame(name, frame)
     face, measure_them = case.make(), compare_skins if compare is None else compare
     for truth in map(_find_method, truths):
         for name in known:

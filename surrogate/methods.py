@@ -49,6 +49,9 @@ SOFTDECA_BEGUN, TABLES = "SoftDECA, our form, on the network's tables", "the net
 SOFTSMPL_SMALL, SOFTSMPL_LARGE, SOFTSMPL_GRU = "SoftSMPL, small", "SoftSMPL, large", "SoftSMPL, dynamic (GRU)"
 SNP = "SNP"
 
+ROUGH = 1e-6
+"""Tolerance of PD's answer that other solvers start at: what is left of the gradient must be more than rounding."""
+
 AnyFace = Face | KeptFace
 Binder = Callable[[Any], Rig]
 """Binds any face; what has learned from a corpus binds kept ones alone."""
@@ -58,8 +61,8 @@ Binder = Callable[[Any], Rig]
 class Solver:
     """What solves any scene: options of `prepare`, with the solver's name.
 
-    law: of the tissue. near: it starts at PD's answer, to which it is near. tolerance: gradient norm relative to that
-    at the start.
+    law: of the tissue. near: it starts at PD's answer to ROUGH, to which it is near. tolerance: gradient norm relative
+    to that at the start.
     """
 
     how: Mapping[str, Any]
@@ -110,11 +113,15 @@ def get_cells(face: AnyFace) -> CellKind:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A frame that was solved for: skin (n, 3) [mm], the scene's vertices (k, 3) [mm], and what its solver told."""
+    """A frame that was solved for: skin (n, 3) [mm], the scene's vertices (k, 3) [mm], and what its solver told.
+
+    solution: of the scene, if one solve made it.
+    """
 
     skin: Floats | Floats32
     positions: Floats
     told: Mapping[str, Any]
+    solution: Solution | None = None
 
 
 @dataclass(eq=False)
@@ -152,7 +159,8 @@ def use_solver(solver: Solver, cells: CellKind | None = None) -> Binder:
         settling = {"solver": solver.how["solver"], "tolerance": solver.tolerance}
         if "element" in solver.how:
             settling["element"] = solver.how["element"]
-        by_pd = METHODS[PD].bind(live) if solver.near else None  # by prisms where the face has them
+        # By prisms where the face has them.
+        by_pd = use_solver(Solver({"solver": "projective"}, tolerance=ROUGH))(live) if solver.near else None
         if by_pd is not None and by_pd.settled is not None and law == PD_ENERGY:
             settling["start"] = by_pd.settled.positions
         own = replace(on_cells(live, cells), settling=settling)
@@ -167,14 +175,14 @@ def use_solver(solver: Solver, cells: CellKind | None = None) -> Binder:
                 near = by_pd.solve(weights)
                 start = start if law != PD_ENERGY and near.told["inverted"] else near.positions
             solution = prepared.solve(own.scene(weights, law), start=start, tolerance=solver.tolerance)
-            return _tell(own, weights, solution, law)
+            return tell_solution(own, weights, solution, law)
 
         return SolvedRig(own.skin, solve, settled)
 
     return bind
 
 
-def _tell(face: Face, weights: Floats, solution: Solution, law: FaceLaw = PD_ENERGY) -> Solved:
+def tell_solution(face: Face, weights: Floats, solution: Solution, law: FaceLaw = PD_ENERGY) -> Solved:
     """Return the frame of a solution; InputError for one that has not converged."""
     if not solution.is_balanced:
         raise InputError(str(solution.reason))
@@ -184,7 +192,7 @@ def _tell(face: Face, weights: Floats, solution: Solution, law: FaceLaw = PD_ENE
         "reason": solution.reason.name,
         "inverted": int(np.count_nonzero(solution.volume_ratio <= 0.0)),
     }
-    return Solved(face.skin_after(weights, solution.positions, law), solution.positions, told)
+    return Solved(face.skin_after(weights, solution.positions, law), solution.positions, told, solution)
 
 
 def blend(face: AnyFace) -> CorrectedRig:
@@ -249,7 +257,7 @@ def start_at_first_order(face: AnyFace) -> SolvedRig:
         scene = live.scene(weights)
         stop = FRAME_ACCURACY * spring_norm(scene)
         start = predict(live, weights)
-        return _tell(live, weights, prepared.solve(scene, start=start, absolute=stop, untangle=False))
+        return tell_solution(live, weights, prepared.solve(scene, start=start, absolute=stop, untangle=False))
 
     return SolvedRig(live.skin, solve)
 
@@ -260,7 +268,7 @@ def solve_as_corpora(face: AnyFace) -> SolvedRig:
     _ = live.first_order
 
     def solve(weights: Floats) -> Solved:
-        return _tell(live, weights, solve_frame(plan, live, weights))
+        return tell_solution(live, weights, solve_frame(plan, live, weights))
 
     return SolvedRig(live.skin, solve)
 
@@ -303,7 +311,7 @@ METHODS: Mapping[str, Method] = {
             FENICSX_P2P1, "fenicsx", "#a0522d", law=NEO_HOOKEAN, tolerance=1e-6, near=True, cells="tets", element="P2P1"
         ),
         solve_by(FENICSX_NEO_HOOKEAN, "fenicsx", "#8c564b", law=NEO_HOOKEAN, near=True),
-        solve_by(SKFEM, "skfem", "#c49c94", tolerance=1e-3, near=True),
+        solve_by(SKFEM, "skfem", "#c49c94", tolerance=1e-4, near=True),
         solve_by(SKFEM_P2, "skfem", "#b08a82", tolerance=1e-6, near=True, cells="tets", element="P2"),
         solve_by(SKFEM_NEO_HOOKEAN, "skfem", "#7a5c52", law=NEO_HOOKEAN, near=True),
         Method(NETWORK, use_network(), colour="#17becf", mark="o", cells="tets"),

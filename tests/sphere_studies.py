@@ -17,7 +17,6 @@ from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput
 from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
 from softdeca.lhm import expressions
-from softdeca.reference import Face
 
 
 class Sphere(Person):
@@ -31,14 +30,16 @@ class Sphere(Person):
     def shape(self, text):
         return self.blend(expressions.parse_weights(text)[None])[0]
 
-    def face(self, parameters):
-        return Face(self.head, self.blend(np.eye(52)) - self.head.skin.vertices, parameters, per="wraps")
+    @property
+    def shapes(self):
+        return self.blend(np.eye(52)) - self.head.skin.vertices
 
 
 @lru_cache
 def sphere(level):
     head = layered_sphere(level)
-    return Sphere(SimpleNamespace(name="spheres"), np.zeros(3), with_regions(head) if level > 2 else head)
+    space = SimpleNamespace(name="spheres", mean=head.skin)
+    return Sphere(space, np.zeros(3), with_regions(head) if level > 2 else head)
 
 
 class OfSphere:
@@ -58,9 +59,9 @@ class SphereMinimal(OfSphere, Minimal):
     # A sphere has no flesh that hangs.
     needed = 0.0
 
-    def tasks(self):
+    def list_methods(self, name):
         # A sphere has no face with lips.
-        return [task for task in super().tasks() if "face" not in task.method and "lips" not in task.method]
+        return [piece for piece in super().list_methods(name) if "face" not in piece.name and "lips" not in piece.name]
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ LIVE_PAGE = (
 )
 CUT = (
     "benchmarks/studies/cases.py",
-    "benchmarks/studies/agreement/solved.py",
+    "benchmarks/studies/agreement/solvers.py",
     "benchmarks/studies/agreement/pictures.py",
 )
 EXPORTED = ("tools/exported.html", "animation/export.py", *DRAWING[1:], "lhm/base/files/glb.py")
@@ -124,19 +124,16 @@ def weight(scan: Path) -> bytes:
 def collisions(scan: Path) -> bytes:
     """Draw both lips cut open, the lower one raised, without contact and with it."""
     from softdeca.benchmarks.studies.agreement.pictures import draw_lips
-    from softdeca.benchmarks.studies.agreement.solved import SolvedCase
     from softdeca.benchmarks.studies.cases import CASES
     from softdeca.benchmarks.studies.person import Person
-    from softdeca.surrogate.methods import PD
+    from softdeca.reference import Parameters
+    from softdeca.surrogate.methods import METHODS, PD
 
     head, space, code = face()
-    solved = SolvedCase(Person(space, code, head), CASES["collisions"])
-    assert solved.without is not None
-    answers = {"without contact": solved.without.answer(PD), "with contact": solved.answer(PD)}
-    for caption, answer in answers.items():
-        if not answer.converged:
-            raise SystemExit(f"collisions, {caption}: {answer.solution.reason}")
-    return draw_lips(head, {caption: answer.solution.positions for caption, answer in answers.items()})
+    person, case = Person(space, code, head), CASES["collisions"]
+    regions = {"without contact": (), "with contact": case.contact}
+    rigs = {name: METHODS[PD].bind(person.face(Parameters(), kept)) for name, kept in regions.items()}
+    return draw_lips(head, {name: rig.solve(case.weights).positions for name, rig in rigs.items()})
 
 
 def effects(scan: Path) -> bytes:
@@ -152,20 +149,17 @@ def more_effects(scan: Path) -> bytes:
 def draw_effects(names: Iterable[str]) -> bytes:
     """Draw PD's answers to some cases of the mean person."""
     from softdeca.animation.pictures import Panel, draw_strip
-    from softdeca.benchmarks.studies.agreement.solved import SolvedCase
     from softdeca.benchmarks.studies.cases import CASES
     from softdeca.benchmarks.studies.person import Person
-    from softdeca.surrogate.methods import PD
+    from softdeca.surrogate.methods import METHODS, PD
 
     head, space, code = face()
     person, panels = Person(space, code, head), []
     for case in map(CASES.__getitem__, names):
         changed = person if case.changed is None else person.change(case.changed(head), 2)
-        answer = SolvedCase(changed, case).answer(PD)
-        if not answer.converged:
-            raise SystemExit(f"{case.name}: {answer.solution.reason}")
+        shown_face = changed.face(case.parameters(changed.head), case.contact)
         figure = case.shown.partition(":")[0]
-        shown = changed.head.skin.with_vertices(answer.skin)
+        shown = changed.head.skin.with_vertices(METHODS[PD].bind(shown_face).frame(case.weights))
         panels.append(Panel(f"{figure}: {case.name}", shown, weights=case.weights))
     return draw_strip(panels, size=260, rest=head.skin)
 

@@ -31,17 +31,6 @@ def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
             raise InputError(f"unknown {name} {value!r}; there are {', '.join(known)}")
 
 
-def parse_poisson(text: str) -> float:
-    """Read a Poisson's ratio between 0 and 0.5; InputError for another text."""
-    try:
-        ratio = float(text)
-    except ValueError:
-        ratio = -1.0
-    if not 0.0 < ratio < 0.5:
-        raise InputError(f"Poisson's ratio {text!r}: expected a number between 0 and 0.5")
-    return ratio
-
-
 def parse_solvers(solvers: Sequence[str]) -> tuple[str, ...]:
     """Give these solvers, or all where none is named; InputError for an unknown one."""
     check_known("solver", solvers, all_solvers())
@@ -56,9 +45,10 @@ class Person:
     code: Floats | None
     head: LayeredHead
 
-    def face(self, parameters: Parameters) -> Face:
-        """Give the face under p, local values one per triangle of the wraps, by CELLS."""
-        return Face(self.head, self.shapes, parameters, per="wraps", code=self.code, choices={"cells": CELLS})
+    def face(self, parameters: Parameters, contact: Sequence[str] = ()) -> Face:
+        """Give the face under p, local values one per triangle of the wraps, by CELLS; regions in contact by name."""
+        choices = {"cells": CELLS, **({"contact": contact} if contact else {})}
+        return Face(self.head, self.shapes, parameters, per="wraps", code=self.code, choices=choices)
 
     @property
     def shapes(self) -> Floats:

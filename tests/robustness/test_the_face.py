@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.agreement.solved import SolvedCase
+from softdeca.benchmarks.studies.agreement.solvers import leave_out, start_elsewhere, watch_pd
 from softdeca.benchmarks.studies.cases import CASES
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import Face, Parameters, facial_scene, solve
 from softdeca.reference.face.sequence import Sequence
-from softdeca.surrogate.methods import PD
 
 SPACE = identities.Anny()
 
@@ -21,11 +20,13 @@ def head():
 
 @pytest.mark.parametrize("name", ["weight-40", "zombie", "gravity-3"])
 def test_an_effect_ends_in_the_minimum_that_another_start_finds(head, name):
-    solved = SolvedCase(Person(SPACE, np.zeros(SPACE.code_size), head), CASES[name])
-    for each in (solved, solved.without):
-        assert each.answer(PD).converged and each.answer(PD).solution.volume_ratio.min() > 0.0
-    told = solved.tell_face()
-    assert told["to_other_start_mm"] < 1e-5 and told["change_max_mm"] > 1.0 and told["energy_rise"] < 1e-12
+    case, person = CASES[name], Person(SPACE, np.zeros(SPACE.code_size), head)
+    face = person.face(case.parameters(head))
+    rigs = watch_pd(face), start_elsewhere(face), leave_out(case, face)
+    answer, other, without = (rig.solve(case.weights) for rig in rigs)
+    assert answer.told["least_ratio"] > 0.0 and answer.told["energy_rise"] < 1e-12 and without.told["least_ratio"] > 0.0
+    assert np.linalg.norm(answer.positions - other.positions, axis=1).max() < 1e-5
+    assert np.linalg.norm(answer.skin - without.skin, axis=1).max() > 1.0
 
 
 def test_random_starts_of_a_face_end_in_one_minimum(head):

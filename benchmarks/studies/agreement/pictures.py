@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,12 @@ from ....animation.pictures import VIEW, Panel, draw_strip
 from ....animation.plots import subplots, to_png
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head.head import LayeredHead
+from ....reference import Face
 from ....surrogate.methods import BLENDSHAPES, FENICSX_NEO_HOOKEAN, NETWORK, PD, SETTLED
-from ..measures import NEO_HOOKEAN, distances
-from .solved import SolvedCase
+from ...contest import Made
+from ..cases import Case
+from ..measures import distances
+from .solvers import WITHOUT
 
 BESIDE_CAPTION = "blendshapes; simulated; and as colours [mm] on the simulated face, how far the others are from it"
 FRONT = (0.0, 0.05, 1.0)
@@ -27,49 +31,53 @@ EDGE = 4.0
 """[mm] about the lips that a cut shows."""
 
 
-def draw_case(solved: SolvedCase) -> dict[str, bytes]:
+Frames = Mapping[str, Made]
+"""The frames of a case by the method that made them."""
+
+
+def draw_case(face: Face, case: Case, frames: Frames) -> dict[str, bytes]:
     """Draw PNG by caption: the skins of a case beside each other, and where it is an effect, what the effect does."""
-    pictures = {BESIDE_CAPTION: draw_beside(solved)}
-    if solved.without is not None:
-        pictures |= draw_effect(solved)
-        if solved.case.contact:
-            answers = {"without contact": solved.without, "with contact": solved}
-            positions = {caption: each.answer(PD).solution.positions for caption, each in answers.items()}
-            pictures["the lips, cut"] = draw_lips(solved.person.head, positions)
+    pictures = {BESIDE_CAPTION: draw_beside(face, case, frames)}
+    if WITHOUT in frames:
+        pictures |= draw_effect(face, frames)
+        if case.contact:
+            answers = {"without contact": WITHOUT, "with contact": PD}
+            positions = {caption: frames[name].positions for caption, name in answers.items()}
+            pictures["the lips, cut"] = draw_lips(face.head, positions)
     return pictures
 
 
-def draw_beside(solved: SolvedCase) -> bytes:
+def draw_beside(face: Face, case: Case, frames: Frames) -> bytes:
     """Draw the blendshapes, PD's skin, and how far the law's and each method's are from PD's: PNG."""
-    skin, pd = solved.person.head.skin, solved.answer(PD).skin
-    others = {} if solved.case.contact else {NEO_HOOKEAN: solved.answer(FENICSX_NEO_HOOKEAN).skin}
-    others |= {name: solved.skins[name] for name in (BLENDSHAPES, SETTLED, NETWORK) if name in solved.skins}
-    errors = {f"{name} - {PD}": distances(other, pd) for name, other in others.items()}
-    top = find_top(max(errors.values(), key=lambda error: float(error.mean())))
+    skin, pd = face.skin, frames[PD].skin
+    shown = [name for name in (FENICSX_NEO_HOOKEAN, BLENDSHAPES, SETTLED, NETWORK) if name in frames]
+    errors = {name: distances(frames[name].skin, pd) for name in shown}
     simulated = skin.with_vertices(pd)
-    panels = [Panel(BLENDSHAPES, skin.with_vertices(solved.shape)), Panel(f"simulated ({PD})", simulated)]
-    panels += [Panel(f"{name}, mean {error.mean():.2f} mm", simulated, error, top) for name, error in errors.items()]
-    return draw_strip([replace(panel, weights=solved.case.weights) for panel in panels], rest=skin)
+    panels = [Panel(BLENDSHAPES, skin.with_vertices(face.blend(case.weights))), Panel("simulated (PD)", simulated)]
+    if errors:
+        top = find_top(max(errors.values(), key=lambda error: float(error.mean())))
+        panels += [
+            Panel(f"{name} - {PD}, mean {error.mean():.2f} mm", simulated, error, top) for name, error in errors.items()
+        ]
+    return draw_strip([replace(panel, weights=case.weights) for panel in panels], rest=skin)
 
 
-def draw_effect(solved: SolvedCase) -> dict[str, bytes]:
+def draw_effect(face: Face, frames: Frames) -> dict[str, bytes]:
     """Draw the head with and without an effect, from the front and from three quarters, and the face of it."""
-    head, pd = solved.person.head, solved.answer(PD)
-    assert solved.without is not None and pd.settled is not None
-    before = solved.without.answer(PD).skin
-    motion = distances(pd.skin, before)
+    head, before, after = face.head, frames[WITHOUT].skin, frames[PD].skin
+    motion = distances(after, before)
     panels = [
         Panel("neutral", head.skin),
-        Panel("neutral under the effect", head.skin.with_vertices(pd.settled.skin)),
+        Panel("neutral under the effect", head.skin.with_vertices(frames[PD].rig.settled.skin)),
         Panel("expression", head.skin.with_vertices(before)),
-        Panel("expression under the effect", head.skin.with_vertices(pd.skin)),
-        Panel("difference of both", head.skin.with_vertices(pd.skin), motion, find_top(motion)),
+        Panel("expression under the effect", head.skin.with_vertices(after)),
+        Panel("difference of both", head.skin.with_vertices(after), motion, find_top(motion)),
     ]
-    face = head.skin_wrap.vertices[head.regions["face"]]
+    near = head.skin_wrap.vertices[head.regions["face"]]
     return {
         "from the front": draw_strip(panels, view=FRONT),
         "from three quarters": draw_strip(panels, view=VIEW),
-        "the face": draw_strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
+        "the face": draw_strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=near),
     }
 
 

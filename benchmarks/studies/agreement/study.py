@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from ....animation.page import Pose, Rig, render_face_page
 from ....animation.pictures import draw_cut_away
-from ....animation.plots import subplots, to_svg
 from ....lhm import check_head, identities
 from ....lhm.base.limits import LEVEL, SEED
+from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.template.template import DEFAULT_LEVEL
-from ....reference import Parameters
+from ....reference import Face, Parameters
 from ....surrogate import Surrogate
 from ....surrogate import methods as m
-from ...harness.first_screen import ALL_VERTICES, SKIN, select_comparisons
+from ....surrogate.methods import Method
+from ... import contest
+from ...contest import Contest, Made, collect_rows, list_failures
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
-from ..cases import CASES, Case, get_case
-from ..measures import ACCURACY, NEO_HOOKEAN, PD_ENERGY
+from ..cases import CASES, get_case
 from ..person import WHOSE, OfPerson
-from .insides import tabulate_insides
+from .insides import LAYERS, compare_insides
 from .pictures import draw_case
-from .solved import ROUNDING, TRUTHS, SolvedCase
+from .solvers import FENICSX_FROM_PD, FROM_PD, OTHER_START, WATCHED, WITHOUT, FaceOfScene, list_solvers
 
 HEAD, FIT, TURNED, BESIDE = "the head", "fit and gates", "the head in 3D", "side by side"
-ALL_SOLVERS = (m.FENICSX, m.PD, m.PD_PLAIN, m.SKFEM, m.FENICSX_NEO_HOOKEAN, m.SKFEM_NEO_HOOKEAN)
-FEWER_SOLVERS = (m.FENICSX, m.PD, m.FENICSX_NEO_HOOKEAN)
-"""Of effects and of scenes without targets; scikit-fem and plain PD are checked on the others."""
 CUT = "soft tissue (yellow) and muscle (red) cut open; the skin wrap; the skull wrap: cranium white, mandible blue"
-VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
+VIEW_WORDS = "Turn it with the mouse or a finger. In the poses PD's own answers can be chosen and compared."
 NEAR_ACCURACY = 0.01
 """How near [mm] PD's answer must be to that from another start."""
+APART = 1e-4
+"""Of the largest displacement: converged answers that are farther apart than this are two minima."""
+ROUNDING = 1e-12
+"""A rise of the energy by at most this share of it is rounding."""
 
 
 @dataclass(frozen=True)
-class Agreement(OfPerson):
+class Agreement(Contest, OfPerson):
     """Cases of one head: expressions, loads and the paper's effects."""
 
     name = "agreement"
@@ -47,35 +49,32 @@ class Agreement(OfPerson):
         "network and its rivals from it, and what do the paper's effects do to it?"
     )
     needs = ("people", "heads", "network")
-    cheap = "collisions, network"
+    cheap = "cheekPuff, every"
     columns = (
+        Column("method", "by"),
         Column("to", "to"),
-        Column("over", "over"),
-        Column("mean", "mean [mm]"),
-        Column("rms", "RMS [mm]"),
-        Column("p95", "95 % [mm]"),
-        Column("max", "max [mm]"),
-        Column("relative", "max / largest displacement"),
+        Column("everywhere", "skin, mean [mm]"),
+        Column("farthest", "max [mm]"),
         Column("share", "share"),
-        Column("start", "start"),
+        Column("inside", "all vertices, max [mm]"),
+        Column("relative", "the same / largest displacement"),
         Column("iterations", "iterations", cost=True),
         Column("to_001_mm", "iterations to 0.01 mm", cost=True),
-        Column("linear_iterations", "CG iterations", cost=True),
-        Column("gradient", "gradient / start"),
         Column("reason", "ended"),
     )
     note = (
         "PD, FEniCSx and scikit-fem solve PD's energy on the same tets. The neo-Hookean law has the same small-strain "
-        "moduli. PD, FEniCSx and the law each settle the neutral face themselves; scikit-fem solves the scenes of "
-        "FEniCSx. The mandible is free. Distances are those of vertices. Shares are of T less blendshapes that bones "
-        "carry, over vertices that this moves by more than 0.05 mm. Iterations to 0.01 mm count until no vertex is "
-        "farther from the answer. Where FEniCSx ends in another minimum than PD, it also starts at PD's answer: PD is "
-        "right if FEniCSx stays there. The other start of PD moves all wraps by the skin's way to its targets, which "
-        "inverts tets. No target holds the skin where a bone opens the jaw or a load pushes the cheek. FEniCSx models "
-        "no contact. Where an effect changes the neutral face, it settles first, and its displacement is added to the "
-        "expression's targets; the paper does not say how. The study `work-precision` has the seconds."
+        "moduli. Each settles the neutral face itself. The mandible is free. Distances are those of vertices. Shares "
+        "are of T less blendshapes that bones carry, over vertices that this moves by more than 0.05 mm. Iterations "
+        "to 0.01 mm count until no vertex is farther from the answer. FEniCSx starts at the settled face, and at PD's "
+        "answer too: where energy has two minima, PD is right if FEniCSx stays there. The other start of PD moves all "
+        "wraps by the skin's way to its targets, which inverts tets. No target holds the skin where a bone opens the "
+        "jaw or a load pushes the cheek. FEniCSx models no contact, and takes PD's pairs. Where an effect changes the "
+        "neutral face, it settles first, and its displacement is added to the expression's targets; the paper does "
+        "not say how. The study `work-precision` has the seconds."
     )
-    version = 3
+    timed = False
+    version = 4
 
     identities: str = option("anny", WHOSE)
     level: int = option(DEFAULT_LEVEL, "level of the template: 1,212, 4,842 or 19,362 vertices", bound=LEVEL)
@@ -85,16 +84,39 @@ class Agreement(OfPerson):
     )
     weights: str = option("", "weights of `softdeca train`  [those that are shipped]")
 
-    def tasks(self) -> Sequence[Task]:
-        """List the head, and each case by each method; InputError for an unknown space, case or expression."""
+    def list_cases(self) -> Sequence[str]:
+        """Name the cases; InputError for an unknown space, case or expression."""
         self.check()
-        rivals = tuple(m.ready_methods(self.network()))
-        tasks = [Task(case.name, method) for case in self._chosen for method in list_methods(case, rivals)]
-        return [Task(HEAD, FIT), *tasks, Task(TURNED, BESIDE)]
+        return [get_case(name).name for name in dict.fromkeys(self.cases or CASES)]
 
-    @property
-    def _chosen(self) -> list[Case]:
-        return [get_case(name) for name in dict.fromkeys(self.cases or CASES)]
+    def tasks(self) -> Sequence[Task]:
+        """List the head, each case, and the head in 3D."""
+        return [Task(HEAD, FIT), *super().tasks(), Task(TURNED, BESIDE)]
+
+    def make_case(self, name: str) -> contest.Case:
+        """Make a case on the study's person, or on a head that is fitted to the skin that the case makes of it."""
+        case, person = get_case(name), self.person()
+        if case.changed is not None:
+            person = person.change(case.changed(person.head), self.level)
+
+        def make() -> Face:
+            if case.scene is not None:
+                return FaceOfScene(person.head, person.shapes, make_scene=case.scene)
+            return person.face(case.parameters(person.head), case.contact)
+
+        about = {"shown": case.shown, "without_targets": case.scene is not None}
+        kind = "scenes" if case.scene is not None else "expressions" if case.is_plain else "effects"
+        return contest.Case(name, kind, make, case.weights[None], about=about)
+
+    def list_methods(self, name: str) -> Sequence[str | Method]:
+        """List solvers, and where targets hold the skin, methods at the price of blendshapes."""
+        case = get_case(name)
+        ready = [] if case.scene is not None else m.ready_methods(self.network(), beyond="clamp").values()
+        return [*list_solvers(case), *ready]
+
+    def list_truths(self, name: str) -> Sequence[str | Method]:
+        """List PD, and where FEniCSx can, its answer from there and the law's."""
+        return [WATCHED] if get_case(name).contact else [WATCHED, FROM_PD, m.FENICSX_NEO_HOOKEAN]
 
     def network(self) -> Surrogate | None:
         """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
@@ -103,47 +125,45 @@ class Agreement(OfPerson):
         shipped = Surrogate.load()
         return shipped if shipped.space == identities.from_text(self.identities).name else None
 
+    def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, Any]:
+        """Measure skins, and inside where both were solved."""
+        skins = contest.compare_skins(face, weights, own, true)
+        return {**skins, **compare_insides(face.head, own, true)}
+
     def measure(self, task: Task) -> Values:
-        """Measure a method on a case; the head's gates and picture; pictures of a case; the head in 3D."""
-        head = self.person().head
+        """Run all methods on a case and draw it; the head's gates and picture; the head in 3D."""
         if task.case == HEAD:
+            head = self.person().head
             figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(head).figures]
             return {"tets": len(head.tets), "figures": figures, CUT: draw_cut_away(head)}
         if task.case == TURNED:
-            return {"blendshapes, PD, FEniCSx and network": self._draw_page()}
-        solved, method = solve_case(self, task.case), task.method
-        if method == BESIDE:
-            return draw_case(solved)
-        if method not in TRUTHS:
-            laws = () if solved.case.contact else (m.FENICSX_NEO_HOOKEAN,)
-            return {"compared": [line for truth in (m.PD, *laws) for line in solved.compare(method, truth)]}
-        compared = solved.compare(method, TRUTHS[method])
-        about = {"shown": solved.case.shown, "without_targets": solved.case.scene is not None}
-        record = about | solved.tell_solve(method) | {"compared": compared}
-        if method == m.PD:
-            return record | solved.tell_face()
-        return record | {"inside": solved.compare_inside()} if method == m.FENICSX_NEO_HOOKEAN else record
+            return {"blendshapes, PD and network": self._draw_page()}
+        frames: dict[str, Made] = {}
+        case, methods, truths = self.make_case(task.case), self.list_methods(task.case), self.list_truths(task.case)
+        rows = contest.run_contest(case, methods, truths, compare=self.compare, on_frame=frames.__setitem__)
+        pictures = draw_case(case.make(), get_case(task.case), frames) if m.PD in frames else {}
+        return {"rows": rows, **pictures}
 
     def _draw_page(self) -> bytes:
-        """The head in 3D: rigs by network, and the answers to the expressions at default p."""
+        """The head in 3D: a rig by the network, and PD's answers to the expressions at default p."""
         at_rest, network = self.person().face(Parameters()), self.network()
         rigs = [] if network is None else [Rig.baked(m.NETWORK, network.bind_face(at_rest))]
-        poses = []
-        for case in self._chosen:
-            if case.is_plain and case.expression:
-                solved = solve_case(self, case.name)
-                skins = {solver: solved.answer(solver).skin for solver in (m.PD, m.FENICSX_NEO_HOOKEAN)}
-                poses.append(Pose(case.name, case.weights, skins))
-        title = f"the head ({self.person().space.name})"
-        return render_face_page(title, VIEW_WORDS, at_rest, rigs, poses).encode()
+        by_pd = m.METHODS[m.PD].bind(at_rest)
+        shown = [case for case in map(get_case, self.list_cases()) if case.is_plain and case.expression]
+        poses = [Pose(case.name, case.weights, {m.PD: by_pd.frame(case.weights)}) for case in shown]
+        return render_face_page(f"the head ({self.person().space.name})", VIEW_WORDS, at_rest, rigs, poses).encode()
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
-        """Give a line for each comparison, the first with what the solver did; none of pictures."""
-        compared: Sequence[Mapping] = values.get("compared", [])
-        run = {key: value for key, value in values.items() if key != "compared"}
-        lines = [{**(run if k == 0 else {}), **one} for k, one in enumerate(compared)]
-        return lines or ([run] if "reason" in run else [])
+        """Give a line for each method and truth; none of pictures."""
+        lines = []
+        for row in values.get("rows", ()):
+            what = {"method": row["method"], **row["told"], "reason": row["reason"] or row["told"].get("reason")}
+            for truth, to in row["to"].items():
+                inside = to.get("inside", {})
+                far = {"inside": inside.get("max"), "relative": inside.get("relative")}
+                lines.append({**what, "to": truth, **{key: to[key] for key in SKIN}, **far})
+        return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all give one answer, no tet is turned, all was reached that was asked, and acceleration pays.
@@ -151,181 +171,152 @@ class Agreement(OfPerson):
         That PD is FEniCSx to 1e-6 excludes another law, whose least distance is above 1e-3 of the largest displacement,
         and plain PD, stopped at 0.005 mm.
         """
+        lines = collect(rows)
+        if not lines:
+            return []
         gates = []
-        for what, method, bound in (
-            ("PD to FEniCSx, same energy, each settled by itself", m.PD, 1e-6),
-            ("scikit-fem to FEniCSx, PD's energy", m.SKFEM, 1e-8),
-            ("scikit-fem to FEniCSx, neo-Hookean", m.SKFEM_NEO_HOOKEAN, 1e-8),
+        for what, apart, bound in (
+            ("PD to FEniCSx, same energy, each settled by itself", find_nearest(lines), 1e-6),
+            ("scikit-fem to FEniCSx, PD's energy", find_inside(lines, m.SKFEM, FENICSX_FROM_PD), 1e-8),
+            (
+                "scikit-fem to FEniCSx, neo-Hookean",
+                find_inside(lines, m.SKFEM_NEO_HOOKEAN, m.FENICSX_NEO_HOOKEAN),
+                1e-8,
+            ),
         ):
-            lines = select_comparisons(rows, method, TRUTHS[method], ALL_VERTICES)
-            if lines:
-                worst = max(line["relative"] for line in lines)
-                gates.append(at_most(f"{what}, of the largest displacement", worst, bound))
-        faces = [row.values for row in rows if row.method == m.PD]
-        if faces:
-            least = min(values["least_ratio"] for values in faces)
-            gates.append(above("smallest volume ratio of a tet over all cases (none inverted)", least, 0.0))
-            rises = sum(values.get("energy_rise", 0.0) > ROUNDING for values in faces)
-            gates.append(at_most("cases whose energy rises", rises, 0))
+            if apart:
+                gates.append(at_most(f"{what}, of the largest displacement", max(apart.values()), bound))
+        told = {(line["case"], line["method"]): line["told"] for line in lines if line["told"]}
+        pd = {case: each for (case, method), each in told.items() if method == m.PD}
+        least = min((each["least_ratio"] for each in pd.values()), default=0.0)
+        gates.append(above("smallest volume ratio of a tet over all cases (none inverted)", least, 0.0))
+        rises = sum(each.get("energy_rise", 0.0) > ROUNDING for each in pd.values())
+        gates.append(at_most("cases whose energy rises", rises, 0))
         # Expressions at full weight may have two minima, which `words` names; effects are chosen to have one.
-        away = [values["to_other_start_mm"] for values in faces if "change_max_mm" in values]
+        effects = [line for line in lines if line["kind"] == "effects"]
+        away = [line["to"][m.PD]["inside"]["max"] for line in effects if line["method"] == OTHER_START and line["to"]]
         if away:
             what = "largest distance of an effect's answer to PD's from another start [mm]"
             gates.append(at_most(what, max(away), NEAR_ACCURACY))
-        unfinished = sum(not row.values.get("done", True) for row in rows if row.method != m.PD_PLAIN)
-        gates.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
-        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (m.PD, m.PD_PLAIN)}
-        pairs = [
-            (counts[case, m.PD], slow)
-            for (case, solver), slow in counts.items()
-            if solver == m.PD_PLAIN and (case, m.PD) in counts
+        gates.append(at_most("solver runs that did not reach what was asked", len(list_failures(lines)), 0))
+        counts = [
+            (each["to_001_mm"], told[case, m.PD_PLAIN]["to_001_mm"])
+            for case, each in pd.items()
+            if (case, m.PD_PLAIN) in told
         ]
-        if pairs:
+        if counts:
             # None where one does not come to 0.01 mm.
-            ratios = [None if None in pair else pair[0] / max(pair[1], 1) for pair in pairs]
-            worst = None if None in ratios else max(ratio for ratio in ratios if ratio is not None)
+            ratios = [fast / max(slow, 1) for fast, slow in counts if fast is not None and slow is not None]
             what = "accelerated PD's iterations to 0.01 mm over plain PD's, worst case"
-            gates.append(at_most(what, worst, 0.2, answer=False))
+            gates.append(at_most(what, max(ratios) if len(ratios) == len(counts) else None, 0.2, answer=False))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell whether the answers are one, what another law and methods leave, and which effect is most."""
-        sentences = []
-        same = [line["relative"] for line in select_comparisons(rows, m.PD, m.FENICSX, ALL_VERTICES)]
+        lines, sentences = collect(rows), []
+        same = find_nearest(lines)
         if same:
             sentences.append(
                 "Projective dynamics and FEniCSx find the same minimiser of the same energy to "
-                f"{max(same):.1e} of the largest displacement in all {len(same)} cases."
+                f"{max(same.values()):.1e} of the largest displacement in all {len(same)} cases."
             )
-        twice = {
-            row.case: apart
-            for row in rows
-            if (apart := row.values.get("another_minimum_mm") or row.values.get("to_other_start_mm") or 0.0)
-            > NEAR_ACCURACY
-        }
-        if twice:
+        twice = find_inside(lines, m.FENICSX, m.PD) | find_inside(lines, OTHER_START, m.PD)
+        names = [case for case, apart in twice.items() if apart > APART]
+        if names:
             sentences.append(
-                f"PD's energy has two minima on {', '.join(twice)}, up to {max(twice.values()):.2f} mm apart: FEniCSx, "
-                "or PD from another start, ends in the other. FEniCSx is compared from PD's answer there."
+                f"PD's energy has two minima on {', '.join(names)}: FEniCSx, or PD from another start, ends in the "
+                "other. FEniCSx stays at PD's answer there."
             )
         for method in (m.FENICSX_NEO_HOOKEAN, m.NETWORK, m.DERIVATIVES, m.SETTLED, m.BLENDSHAPES):
-            means = [line["mean"] for line in select_comparisons(rows, method, m.PD, SKIN)]
+            means = [line["to"][m.PD]["everywhere"] for line in lines if line["method"] == method and line["to"]]
             if means:
                 sentences.append(f"The skin by {method} is at most {max(means):.3f} mm from PD's on average.")
-        changes = {row.case: row.values["change_max_mm"] for row in rows if "change_max_mm" in row.values}
+        changes = {line["case"]: line["to"][m.PD]["farthest"] for line in lines if line["method"] == WITHOUT}
         if changes:
-            most_changed = max(changes, key=lambda case: changes[case])
+            most = max(changes, key=lambda case: changes[case])
             sentences.append(
-                f"Of {len(changes)} effects {most_changed} changes its expression most, by "
-                f"{changes[most_changed]:.1f} mm."
+                f"Of {len(changes)} effects {most} changes its expression most, by {changes[most]:.1f} mm."
             )
         return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate the head's gates, what effects do, what PD's answers are, each method, and what the law changes."""
+        """Tabulate the head's gates, PD's answers, what effects do, each method's skin, and what the law changes."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
         tables = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
-        faces = [{"case": row.case, **row.values} for row in rows if row.method == m.PD]
-        effects = [values for values in faces if "change_max_mm" in values]
-        if effects:
-            tables.append(Table.of("What each effect does", EFFECT_TITLES, effects, EFFECT_NOTE))
-        if faces:
-            lines = [values | _spread(values.get("lips_mm")) for values in faces]
-            tables.append(Table.of("PD's answers", FACE_TITLES, lines))
-        return [*tables, *_tabulate_methods(rows), *tabulate_insides(rows, PD_ENERGY, NEO_HOOKEAN)]
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw distances, a line per case: means, and of the law the largest of all vertices too."""
-        marks = {
-            (m.PD, m.FENICSX, ALL_VERTICES, "mean"): "PD to FEniCSx, same energy",
-            (m.SKFEM, m.FENICSX, ALL_VERTICES, "mean"): "scikit-fem to FEniCSx, same energy",
-            (m.FENICSX_NEO_HOOKEAN, m.PD, SKIN, "mean"): "neo-Hookean law to PD, skin",
-            (m.FENICSX_NEO_HOOKEAN, m.PD, ALL_VERTICES, "max"): "the same, all vertices, largest",
-            (m.NETWORK, m.PD, SKIN, "mean"): "network to PD, skin",
-            (m.SETTLED, m.PD, SKIN, "mean"): "settled + blendshapes to PD, skin",
-            (m.BLENDSHAPES, m.PD, SKIN, "mean"): "blendshapes to PD, skin",
-        }
-        cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
-        shown = {
-            label: [
-                (max(line[key], 1e-14), cases.index(row.case))
-                for row in rows
-                for line in select_comparisons([row], method, truth, over)
-            ]
-            for (method, truth, over, key), label in marks.items()
-        }
-        if not any(shown.values()):
-            return {}
-        figure, axis = subplots(figsize=(10, 0.45 * len(cases) + 1.7))
-        for label, points in shown.items():
-            if points:
-                axis.plot(*zip(*points, strict=True), "o", label=label)
-        axis.axvline(ACCURACY, color="#bbbbbb", lw=0.8, ls=":")
-        axis.set(xscale="log", xlabel="distance of the vertices, mean unless said [mm]; dotted: 0.01 mm")
-        axis.set_yticks(range(len(cases)), cases)
-        axis.invert_yaxis()
-        axis.grid(False, axis="y")
-        figure.legend(loc="outside upper center", ncol=3)
-        return {"How far apart: solvers of one energy, another law, the network and its rivals.": to_svg(figure)}
+        lines = collect(rows)
+        answers = [{**line, **line["told"]} for line in lines if line["method"] == m.PD and line["told"]]
+        if answers:
+            tables.append(Table.of("PD's answers", ANSWER_TITLES, answers))
+        changes = [{**line, **line["told"], **line["to"][m.PD]} for line in lines if line["method"] == WITHOUT]
+        if changes:
+            tables.append(Table.of("What each effect does", EFFECT_TITLES, changes, EFFECT_NOTE))
+        skins = [
+            (line["case"], line["method"], to["everywhere"], to["farthest"], to["share"])
+            for line in lines
+            if (to := line["to"].get(m.PD)) is not None
+        ]
+        titles = ["case", "method", "mean [mm]", "max [mm]", "share"]
+        note = "Shares are by the ruler of surrogates, over vertices that more than bones move."
+        tables.append(Table("Skins beside PD's", titles, skins, note))
+        return [*tables, tabulate_law(lines)]
 
 
+SKIN = ("everywhere", "farthest", "share")
+ANSWER_TITLES = {
+    "case": "case",
+    "least_ratio": "smallest volume ratio",
+    "energy_rise": "largest rise of the energy",
+    "neutral_change_mm": "neutral face moves, max [mm]",
+    "soft_volume_percent": "soft tissue's volume [%]",
+    "lips_median_mm": "lips to their targets, median [mm]",
+    "lips_max_mm": "max [mm]",
+    "overlap_mm": "lips overlap [mm]",
+}
 EFFECT_TITLES = {
     "case": "effect",
     "shown": "what the paper shows",
-    "neutral_change_mm": "neutral face moves, max [mm]",
-    "change_mean_mm": "changes the expression, mean [mm]",
-    "change_max_mm": "max [mm]",
-    "soft_volume_percent": "soft tissue's volume [%]",
-    "overlap_before_mm": "lips overlap without contact [mm]",
-    "overlap_after_mm": "with contact [mm]",
+    "everywhere": "changes the expression, mean [mm]",
+    "farthest": "max [mm]",
+    "overlap_mm": "lips overlap without contact [mm]",
 }
 EFFECT_NOTE = (
     "Flesh is the neck and the face below the brow, except lips, lids, mouth, eyes, teeth and ears; it fades in over "
     "12 mm along the skin."
 )
-FACE_TITLES = {
-    "case": "case",
-    "least_ratio": "smallest volume ratio",
-    "energy_rise": "largest rise of the energy",
-    "to_other_start_mm": "to the answer from another start [mm]",
-    "lips_median": "lips to their targets, median [mm]",
-    "lips_95": "95 % [mm]",
-    "lips_max": "max [mm]",
-}
 
 
-def list_methods(case: Case, rivals: Sequence[str]) -> Sequence[str]:
-    """List the labels of a case's rows: solvers, `rivals` where targets hold the skin, and its pictures last."""
-    if case.contact:
-        solvers: Sequence[str] = (m.PD, m.FENICSX)
-    else:
-        solvers = ALL_SOLVERS if case.is_plain else FEWER_SOLVERS
-    return (*solvers, *(rivals if case.scene is None else ()), BESIDE)
+def collect(rows: Iterable[Row]) -> list[Mapping[str, Any]]:
+    """Collect the contest's rows of those that have some."""
+    return collect_rows(row for row in rows if "rows" in row.values)
 
 
-@lru_cache(maxsize=len(CASES) + 8)
-def solve_case(study: Agreement, name: str) -> SolvedCase:
-    """Return a case on the study's person; what is solved of it is kept for the tasks that follow."""
-    case, person = get_case(name), study.person()
-    if case.changed is not None:
-        person = person.change(case.changed(person.head), study.level)
-    return SolvedCase(person, case, study.network())
+def find_inside(lines: Iterable[Mapping], method: str, truth: str) -> dict[str, float]:
+    """Find a method's largest distance of a vertex to a truth's, of the largest displacement, by case."""
+    return {
+        line["case"]: line["to"][truth]["inside"]["relative"]
+        for line in lines
+        if line["method"] == method and "inside" in line["to"].get(truth, {})
+    }
 
 
-def _spread(lips: Sequence[float] | None) -> dict[str, float]:
-    return {} if lips is None else dict(zip(("lips_median", "lips_95", "lips_max"), lips, strict=True))
+def find_nearest(lines: Sequence[Mapping]) -> dict[str, float]:
+    """Find the same of FEniCSx to PD, by its nearer start."""
+    from_rest, from_pd = (find_inside(lines, method, m.PD) for method in (m.FENICSX, FENICSX_FROM_PD))
+    return {case: min(apart, from_pd.get(case, apart)) for case, apart in from_rest.items()}
 
 
-def _tabulate_methods(rows: Sequence[Row]) -> list[Table]:
-    """Each method beside PD's skin and beside the law's, by case."""
-    titles = ["case", "method"]
-    for truth in (m.PD, m.FENICSX_NEO_HOOKEAN):
-        titles += [f"to {truth}: mean [mm]", "max [mm]", "share"]
+def tabulate_law(lines: Iterable[Mapping]) -> Table:
+    """Tabulate what the law changes inside: vertices, stress of each layer, and the mandible's place."""
+    titles = ["case", "vertices, mean [mm]", "max [mm]", "mandible [mm]", "turn [degrees]"]
+    titles += [f"{layer}, {law} [kPa]" for layer in LAYERS for law in ("neo-Hookean", m.PD)]
     cells = []
-    for row in rows:
-        beside = [select_comparisons([row], row.method, truth, SKIN) for truth in (m.PD, m.FENICSX_NEO_HOOKEAN)]
-        if any(beside):
-            figures = [line[0].get(key) if line else None for line in beside for key in ("mean", "max", "share")]
-            cells.append((row.case, row.method, *figures))
-    note = "Shares are by the ruler of surrogates, over vertices that more than bones move."
-    return [Table("Skins by each method", titles, cells, note)] if cells else []
+    for case, law in ((line["case"], line) for line in lines if line["method"] == m.FENICSX_NEO_HOOKEAN):
+        pd = next(line for line in lines if (line["case"], line["method"]) == (case, m.PD))
+        to = law["to"].get(m.PD)
+        if to is not None:
+            stresses = (to["stress"], pd["to"][m.FENICSX_NEO_HOOKEAN]["stress"])
+            each = [stress[layer]["mean"] for layer in LAYERS for stress in stresses]
+            inside, jaw = to["inside"], to["mandible"]
+            cells.append((case, inside["mean"], inside["max"], jaw["mm"], jaw["degrees"], *each))
+    note = "Von Mises stress of the tets, mean by volume, without the membrane. The mandible is free."
+    return Table("Inside: the neo-Hookean law and PD", titles, cells, note)

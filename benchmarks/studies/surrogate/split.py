@@ -17,14 +17,13 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
+from ....lhm.expressions import parse_weights
 from ....reference import Face, Parameters, Scene
 from ....reference.face.settle import SettledFace, settle
-from ....surrogate import Surrogate
 from ....surrogate import methods as m
+from ...contest import Case, run_contest
 from ...harness.first_screen import find_lost_effects
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..agreement.solved import SolvedCase
-from ..cases import parse_expression
 from ..measures import distances, limit_of_two, solve_to_end
 from ..person import OfPerson, check_known
 
@@ -69,7 +68,7 @@ class Split(OfPerson):
     """The error of the shipped network on a person it has not seen, part by part; expressions by effects."""
 
     name = "split"
-    version = 3
+    version = 4
     heading = "Where does the network's error come from?"
     question = (
         "Which part of the surrogate's error to a refined hyperelastic reference comes from the network, the training "
@@ -120,26 +119,29 @@ class Split(OfPerson):
         """Compare the skins of one frame by every method, or by quadratic tets on two levels."""
         if task.method.endswith(FINE):
             return self._measure_refined(task.case, task.method.removesuffix(FINE))
-        solved = _solve(self, task.case, task.method, self.level)
-        pd, skins = solved.answer(m.PD), solved.skins
-        for label in (m.PD, m.FENICSX, m.FENICSX_NEO_HOOKEAN):
-            if not solved.answer(label).converged:
-                raise SoftdecaError(f"{label}: {solved.answer(label).solution.reason}")
-        trained = m.METHODS[m.PD_FIRST_ORDER].bind(solved.face).frame(solved.case.weights).astype(np.float64)
-        law = solved.answer(m.FENICSX_NEO_HOOKEAN).skin
+        lines = {line["method"]: line for line in self._run(task.case, task.method)}
         linear_coarse, quadratic_coarse = _solve_both(self, task.case, COARSE, task.method)
-        network, carried = skins[m.NETWORK], solved.shape + solved.face.carried
-        shares = {key: solved.compare(label, m.PD)[-1]["share"] for key, label in SHARE_KEYS.items()}
+        for line in lines.values():
+            if line["status"] != "done":
+                raise SoftdecaError(f"{line['method']}: {line['reason']}")
+        shares = {key: lines[label]["to"][m.PD]["share"] for key, label in SHARE_KEYS.items()}
         return {
-            "moved": float(distances(pd.skin, carried).mean()),
-            "network": _measure_mean(network, trained),
-            "tolerance": _measure_mean(trained, pd.skin),
-            "law": _measure_mean(pd.skin, law),
+            "moved": lines[m.CARRIED]["to"][m.PD]["everywhere"],
+            "network": lines[m.NETWORK]["to"][m.PD_AS_TRAINED]["everywhere"],
+            "tolerance": lines[m.PD_AS_TRAINED]["to"][m.PD]["everywhere"],
+            "law": lines[m.FENICSX_NEO_HOOKEAN]["to"][m.PD]["everywhere"],
             "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
-            "total": _measure_mean(network, law),
+            "total": lines[m.NETWORK]["to"][m.FENICSX_NEO_HOOKEAN]["everywhere"],
             **shares,
-            "fenicsx": float(np.abs(pd.solution.positions - solved.answer(m.FENICSX).solution.positions).max()),
+            "fenicsx": lines[m.FENICSX]["to"][m.PD]["farthest"],
         }
+
+    def _run(self, effect: str, text: str) -> Sequence[Mapping]:
+        """The contest's rows of a frame."""
+        face = self.person().face(EFFECTS[effect])
+        case = Case(text, effect, lambda: replace(face), parse_weights(text)[None])
+        truths = (m.PD, m.PD_AS_TRAINED, m.FENICSX_NEO_HOOKEAN)
+        return run_contest(case, (m.FENICSX, *SHARE_KEYS.values()), truths)
 
     def _measure_refined(self, effect: str, text: str) -> Values:
         """Measure the part of the mesh on two levels, and to the limit of quadratic tets by level."""
@@ -256,21 +258,15 @@ def _find_ratios(rows: Sequence[Row]) -> list[float]:
 
 
 @lru_cache(maxsize=4)
-def _solve(study: Split, effect: str, text: str, level: int) -> SolvedCase:
-    """Return an expression under an effect on the head of a level of the template."""
-    case = replace(parse_expression(text), parameters=lambda head: EFFECTS[effect])
-    return SolvedCase(study.person(level), case, Surrogate.load())
-
-
 def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
     """Skins [mm] of an expression by the law with linear and with quadratic tets, each on its own settled face."""
-    solved = _solve(study, effect, text, level)
-    linear = solved.answer(m.FENICSX_NEO_HOOKEAN)
-    assert linear.settled is not None
-    law, weights = linear.settled.law, solved.case.weights
-    quadratic = solved.face.settled_as(_settle_by_quadratic_tets(solved.face, linear.settled))
-    positions = _solve_fem(quadratic.scene(weights, law), linear.solution.positions, QUADRATIC)
-    return linear.skin, quadratic.skin_after(weights, positions, law)
+    face, weights = study.person(level).face(EFFECTS[effect]), parse_weights(text)
+    linear = m.METHODS[m.FENICSX_NEO_HOOKEAN].bind(face)
+    solved = linear.solve(weights)
+    law = linear.settled.law
+    quadratic = face.settled_as(_settle_by_quadratic_tets(face, linear.settled))
+    positions = _solve_fem(quadratic.scene(weights, law), solved.positions, QUADRATIC)
+    return solved.skin, quadratic.skin_after(weights, positions, law)
 
 
 def _settle_by_quadratic_tets(face: Face, linear: SettledFace) -> SettledFace:
