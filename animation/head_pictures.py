@@ -154,13 +154,6 @@ def draw_quality(head: LayeredHead) -> bytes:
     )
 
 
-def draw_depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
-    """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
-    top = float(np.nanquantile(errors, 0.99))
-    panels = [Panel(caption, skin_wrap, errors, top), Panel("from behind", skin_wrap, errors, top, view=BEHIND)]
-    return draw_strip(panels)
-
-
 def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
     """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
     met = np.where(measured.met, measured.depths, np.nan)

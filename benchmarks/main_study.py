@@ -58,7 +58,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         (agreement, ""),
         (Verification(), "two layers" if small else ""),
         (Hard(solvers=("projective",)), "flattened" if small else ""),
-        (Material(poisson=("0.45",)), ""),
+        (Material(poisson=(0.45,)), ""),
         (MeshError(identities=whose, level=level, refined=(), methods=(TETS, PRISMS)), MESH_CASE),
     ]
     if learned and not agreement.weights:

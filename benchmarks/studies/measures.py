@@ -12,6 +12,7 @@ import numpy as np
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import Scene, Solution, apply_law, prepare, solve, terms
+from ...reference.face.facial import PD_ENERGY, FaceLaw
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
 from ..harness.study import Column, Values
@@ -139,7 +140,7 @@ def _trace(solution: Solution, error: Sequence[float]) -> Trace:
 
 def largest_distance(a: Floats, b: Floats) -> float:
     """Give the largest distance [mm] of two arrays of points, both (n, 3)."""
-    return float(np.linalg.norm(a - b, axis=1).max())
+    return float(distances(a, b).max())
 
 
 class Stopwatch:
@@ -159,8 +160,6 @@ class Stopwatch:
 BUDGET = 30.0
 """Seconds after which a solve is repeated no more."""
 Result = TypeVar("Result")
-PD_ENERGY, NEO_HOOKEAN = "PD", "neo-Hookean"
-"""What studies call the energy of a scene as it is, and of one with that law."""
 TIMES = (
     Column("scene_s", "scene [s]", cost=True),
     Column("prepare_s", "prepare [s]", cost=True),
@@ -219,7 +218,7 @@ def fit_slope(sizes: Sequence[float], values: Sequence[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
-def load_kernels(law: str = PD_ENERGY, **how) -> None:
+def load_kernels(law: FaceLaw = PD_ENERGY, **how) -> None:
     """Solve a scene of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
     vertices = np.vstack([np.zeros(3), np.eye(3)])
     ids = np.arange(4)

@@ -22,7 +22,6 @@ from ....reference.materials import (
 )
 from ....reference.skfem.solids import ByInvariants, ByRotation, Law, Strain, Volume
 from ...harness.study import Column, Row, Study, Task, Values, at_most
-from ..person import check_known, parse_poisson
 
 LAWS: Mapping[str, Callable[[float, float], EnergyLaw | Corotated]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -59,15 +58,13 @@ class Material(Study):
         "pure shear one keeps its length. Energies are those of our scikit-fem solver, which has every law."
     )
 
-    poisson: tuple[str, ...] = option(("0.3", "0.4", "0.45", "0.49"), "repeat for several", name="--poisson")
-    modes: tuple[str, ...] = tuple(MODES)
+    poisson: tuple[float, ...] = option((0.3, 0.4, 0.45, 0.49), "repeat for several", name="--poisson", type=float)
 
     def tasks(self) -> Sequence[Task]:
-        """List each Poisson's ratio and mode by each law; InputError for a ratio or a mode that there is not."""
-        for text in self.poisson:
-            parse_poisson(text)
-        check_known("mode", self.modes, MODES)
-        return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in self.modes for law in LAWS]
+        """List each Poisson's ratio and mode by each law; SceneError for a ratio out of range."""
+        for ratio in self.poisson:
+            lame(1.0, ratio)
+        return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in MODES for law in LAWS]
 
     def measure(self, task: Task) -> Values:
         """Measure stresses of both at every stretch, and the largest differences by strain."""
@@ -76,7 +73,10 @@ class Material(Study):
         material = LAWS[task.method](1.0, float(ratio))
         law = ByRotation(material) if isinstance(material, Corotated) else ByInvariants(material)
         pd = Strain(np.array([2.0 * mu]), np.ones(1)), Volume(np.array([3.0 * lmbda]), np.ones(1))
-        ours, theirs = np.array(_list_stresses(pd, mode)), np.array(_list_stresses([law], mode))
+        ours, theirs = (
+            np.array([find_stress(energies, stretch, *MODES[mode]) for stretch in STRETCHES])
+            for energies in (pd, (law,))
+        )
         off = 100.0 * np.abs(ours - theirs) / np.abs(theirs)
         strain = np.abs(np.array(STRETCHES) - 1.0)
         worst = {name: float(off[strain <= most + 1e-9].max()) for name, most in BANDS.items()}
@@ -100,12 +100,8 @@ class Material(Study):
         return f"PD's energy stands nearest for: {'; '.join(parts)}."
 
 
-def _list_stresses(energies: Sequence[Law], mode: str) -> list[float]:
-    """The nominal stress [kPa] of each stretched axis at every stretch, where the free axes bear none."""
-    return [_find_stress(energies, stretch, *MODES[mode]) for stretch in STRETCHES]
-
-
-def _find_stress(energies: Sequence[Law], stretch: float, loaded: int, confined: int) -> float:
+def find_stress(energies: Sequence[Law], stretch: float, loaded: int, confined: int) -> float:
+    """Find the nominal stress [kPa] of each stretched axis, where the free axes bear none."""
     stretches = [stretch] * loaded + [1.0] * confined
 
     def measure(free: Floats) -> tuple[float, Floats]:
@@ -114,12 +110,12 @@ def _find_stress(energies: Sequence[Law], stretch: float, loaded: int, confined:
         density = sum(float(law.psi(F)[0]) for law in energies)
         return density, np.diagonal(sum(law.stress(F)[0] for law in energies))
 
-    def see_free(free: Floats) -> tuple[float, Floats]:
+    def measure_free(free: Floats) -> tuple[float, Floats]:
         density, stresses = measure(free)
         return density, stresses[len(stretches) :]
 
     # Nominal stress [kPa] that is left on free axes; Young's modulus is 1.
-    settled = minimize(see_free, np.ones(3 - len(stretches)), jac=True, method="BFGS", options={"gtol": 1e-7})
+    settled = minimize(measure_free, np.ones(3 - len(stretches)), jac=True, method="BFGS", options={"gtol": 1e-7})
     if not settled.success:
         raise SoftdecaError(f"stretch {stretch:g}: {settled.message}")
     return float(measure(settled.x)[1][0])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ....animation.head_pictures import draw_depth_comparison, draw_depth_error
+from ....animation.head_pictures import draw_depth_comparison
 from ....lhm import Surface, Template, fit_head, identities, load_template
 from ....lhm.base.errors import InputError
 from ....lhm.base.files.surface_file import MILLIMETRES
@@ -60,13 +60,10 @@ class Depth(Study):
     )
     version = 3
     note = (
-        "One head is no statistics: it shows what this regressor does here, not how large its errors are on others. "
-        "Depths are measured along the skin wrap's smoothed inward normals to the first bone. Left out, and grey in "
-        "pictures, are vertices whose ray meets no bone (eye sockets, the nose's tip, the mouth), or only bone far "
-        "behind the closest. Colours end at the 99 % quantile. Bias is predicted minus measured: below zero the "
-        "prediction is too shallow. The scalp is all above the face. Each vertex counts once; the wrap is densest at "
-        "lips and lids. A rival gives every vertex one depth: the mean of the published landmarks. The fitted skull "
-        "wrap is shallower than predicted where the template has no room for more, as in front of the mouth's lining."
+        "One head is no statistics. Depths are measured along the skin wrap's smoothed inward normals to the first "
+        "bone. Left out, and grey in pictures, are vertices whose ray meets no bone, or only bone far behind the "
+        "closest. Bias is predicted minus measured. The scalp is all above the face. The fitted skull wrap is "
+        "shallower than predicted where the template has no room for more, as in front of the mouth's lining."
     )
 
     skin: str = option(
@@ -106,7 +103,6 @@ class Depth(Study):
         return {
             "trained_on": regressor.label,
             "pairs": regressor.pairs,
-            "template": template.digest,
             "registered_off": off,
             **compare_depths(template, regressor, skin, self._read_skull()),
         }
@@ -122,15 +118,14 @@ class Depth(Study):
         return [at_most(what, max(shares), BETTER)] if shares else []
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell the face's figures, what the regressor has learned from, and how far off the skin's registration is."""
+        """Tell the face's figures, what the regressor has learned from, and how far off the registration is."""
         (values,) = (row.values for row in rows)
-        face = next(row for row in values["rows"] if row["region"] == "face")
+        face = next(line for line in values["rows"] if line["region"] == "face")
         registered = values["registered_off"]
         return (
             f"One head (n = 1): over its face the predicted depth is {face['mean']:.2f} mm from the measured one on "
-            f"average (95 %: {face['quantile_95']:.2f}), with a bias of {face['bias']:+.2f}; "
-            f"one published depth everywhere is {face['one_depth']:.2f} mm off. The fitted skull wrap is "
-            f"{face['wrap_mean']:.2f} mm from the skull (95 %: {face['wrap_95']:.2f}). Depths are trained on: "
+            f"average, with a bias of {face['bias']:+.2f}; one published depth everywhere is {face['one_depth']:.2f} "
+            f"mm off. The fitted skull wrap is {face['wrap_mean']:.2f} mm from the skull. Depths are trained on: "
             f"{values['trained_on']}, {values['pairs']} pairs. "
             + (f"The skin was registered, its face {registered:.2f} mm off on average. " if registered else "")
             + "Published, between corresponding vertices of the whole head: "
@@ -174,18 +169,11 @@ def compare_depths(template: Template, regressor: DepthRegressor, skin: Surface,
                     "wrap_95": float(np.quantile(off[inside], 0.95)),
                 }
             )
-    error = np.where(measured.met, np.abs(predicted - measured.depths), np.nan)
-    return {
-        "rows": lines,
-        "depths [mm]": draw_depth_comparison(wrap, predicted, measured),
-        "size of the difference [mm]": draw_depth_error(wrap, error, "predicted to measured depth"),
-    }
+    return {"rows": lines, "depths [mm]": draw_depth_comparison(wrap, predicted, measured)}
 
 
-def find_regions(template: Template) -> dict[str, Mask]:
-    """Find the face as the template has it, the scalp, which is all above it, and the face but for lips and lids."""
-    marks, named = template.marks, template.regions
-    eyes = marks.eyes.mean(axis=0)
-    scalp = template.skin_wrap.vertices[:, 1] > eyes[1] + 0.9 * (eyes[1] - marks.mouth[1])
-    bare = named["face"] & ~(named["lips"] | named["lids"])
-    return {"face": named["face"], "face without lips and lids": bare, "scalp": scalp}
+def find_regions(template: Template) -> Mapping[str, Mask]:
+    """Find the face as the template has it, and the scalp, which is all above it."""
+    eyes, mouth = template.marks.eyes.mean(axis=0), template.marks.mouth
+    scalp = template.skin_wrap.vertices[:, 1] > eyes[1] + 0.9 * (eyes[1] - mouth[1])
+    return {"face": template.regions["face"], "scalp": scalp}

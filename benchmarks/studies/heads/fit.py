@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -57,8 +57,11 @@ def draw_moving_head(head: LayeredHead) -> Values:
 
 
 WORST = 5
-SECONDS = ("fit_s", "fit_cpu_s", "check_s", "check_cpu_s")
 FITTED, DRAWN = "fit and check", "simulated and drawn"
+FIGURES = {item.name: Figure(item.name, None, **item.metadata) for item in fields(HeadReport)} | {
+    "fit_cpu_s": Figure("fit, processor", None, "s", None, None),
+    "check_cpu_s": Figure("check, processor", None, "s", None, None),
+}
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ class Heads(OfPerson):
     columns = (
         Column("error", "could not be fitted because"),
         Column("problems", "gates missed"),
-        Column("fit_s", "fit [s]", cost=True),
-        Column("check_s", "check [s]", cost=True),
+        Column("fit_cpu_s", "fit, processor [s]", cost=True),
+        Column("check_cpu_s", "check, processor [s]", cost=True),
     )
     note = (
         "Each head counts once, with its smallest, mean or largest value. `softdeca bench heads --seed N --count 1` "
@@ -108,33 +111,30 @@ class Heads(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that nearly every identity has a valid head."""
-        fits = _select_fits(rows)
-        failed = sum(bool(row.values["error"] or row.values["problems"]) for row in fits)
+        fits = [row.values for row in rows if row.method == FITTED]
+        failed = sum(bool(values["error"] or values["problems"]) for values in fits)
         what = f"heads of {len(fits)} that could not be fitted or miss a gate"
         return [at_most(what, failed, 1e-3 * len(fits))]
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how many there are, and how long a fit takes."""
-        fits = _select_fits(rows)
-        done = [row.values for row in fits if not row.values["error"]]
-        sentence = f"{len(done)} of {len(fits)} random identities have a layered head"
-        if done:
-            sentence += (
-                f"; a fit takes {np.median([values['fit_cpu_s'] for values in done]):.2f} s of a processor (median)"
-            )
-        return sentence + "."
+        fits = [row for row in rows if row.method == FITTED]
+        seconds = list(collect_values(fits, "fit_cpu_s").values())
+        took = f"; a fit takes {np.median(seconds):.2f} s of a processor (median)" if seconds else ""
+        return f"{len(seconds)} of {len(fits)} random identities have a layered head{took}."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate failures and their reasons, and distributions."""
-        fits = _select_fits(rows)
-        unfit = [(row.case, row.values["error"]) for row in fits if row.values["error"]]
-        unfit += [(row.case, "; ".join(row.values["problems"])) for row in fits if row.values["problems"]]
+        fits = [row for row in rows if row.method == FITTED]
+        reasons = [(row.case, row.values["error"] or "; ".join(row.values["problems"])) for row in fits]
+        unfit = [(case, reason) for case, reason in reasons if reason]
         head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
-        figures = [_describe_figure(figure, values) for figure, values in collect_figures(fits)]
+        known = {name: collect_values(fits, name) for name in FIGURES}
+        figures = [_describe_figure(FIGURES[name], values) for name, values in known.items() if values]
         return [
             *([Table("Failures", ["head", "reason"], unfit)] if unfit else []),
             *([Table("Distributions", head, figures)] if figures else []),
-        ]  # fmt: skip
+        ]
 
 
 @lru_cache(maxsize=1)
@@ -154,53 +154,29 @@ def try_fit(template: Template, skin: Surface) -> dict:
     """Fit a head to a skin: figures, missed gates and seconds; or why it has none, which is an outcome of the study."""
     watch = Stopwatch()
     try:
-        head: LayeredHead = fit_head(template, skin)
-        fit = watch.lap()
+        head = fit_head(template, skin)
+        fit = watch.lap()[1]
         report = check_head(head)
     except Exception as error:
         # Also a failure that is no FitError: the reason is told.
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
         return {"error": " ".join(reason.split()), "problems": [], "figures": None}
-    seconds = {name: round(span, 4) for name, span in zip(SECONDS, (*fit, *watch.lap()), strict=True)}
+    seconds = {"fit_cpu_s": fit, "check_cpu_s": watch.lap()[1]}
     return {"error": None, "problems": list(report.problems), "figures": asdict(report), **seconds}
 
 
-def _select_fits(rows: Sequence[Row]) -> list[Row]:
-    return [row for row in rows if row.method == FITTED]
+def collect_values(rows: Iterable[Row], name: str) -> dict[str, float]:
+    """Collect one of FIGURES, by seed, of all heads that have it."""
+    found = {row.case.split()[1]: {**row.values, **(row.values["figures"] or {})}.get(name) for row in rows}
+    return {seed: float(value) for seed, value in found.items() if value is not None}
 
 
-Occurrences = list[tuple[float, str]]
-
-
-def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
-    """Collect each figure with its gate, and seconds, with the values of all heads that have it, and whose."""
-    done = [row for row in rows if not row.values["error"]]
-    figures = []
-    for item in fields(HeadReport):
-        values = [(row.values["figures"].get(item.name), row.case.split()[1]) for row in done]
-        known: Occurrences = [(float(value), seed) for value, seed in values if value is not None]
-        if known:
-            figures.append((Figure(item.name, None, **item.metadata), known))
-    if done:
-        figures += [
-            (Figure(name, None, "s", None, None), [(row.values[name], row.case.split()[1]) for row in done])
-            for name in SECONDS
-        ]
-    return figures
-
-
-def _name_figure(figure: Figure) -> str:
-    named = {"fit_s": "fit", "fit_cpu_s": "fit, processor", "check_s": "check", "check_cpu_s": "check, processor"}
-    return named.get(figure.name) or figure.words
-
-
-def _describe_figure(figure: Figure, values: Occurrences) -> list:
+def _describe_figure(figure: Figure, values: Mapping[str, float]) -> list:
     """A row: the seeds are those nearest to the wrong side of the bound, else of the largest values."""
-    x = np.array([value for value, _ in values])
-    small_is_bad = figure.direction in ("at least", "above")
-    worst = sorted(values, key=lambda pair: pair[0] if small_is_bad else -pair[0])[:WORST]
-    missed = sum(Figure(figure.name, v, figure.unit, figure.direction, figure.bound).missed for v, _ in values)
+    x = np.array(list(values.values()))
+    worst = sorted(values, key=lambda seed: values[seed], reverse=figure.direction not in ("at least", "above"))
+    missed = sum(replace(figure, value=value).missed for value in values.values())
     unit = f" [{figure.unit}]" if figure.unit else ""
     spread = (x.min(), np.quantile(x, 0.05), np.median(x), x.mean(), np.quantile(x, 0.95), x.max())
     gate = [figure.limit, missed] if figure.limit else [None, None]
-    return [_name_figure(figure) + unit, *gate, *map(float, spread), ", ".join(seed for _, seed in worst)]
+    return [figure.words + unit, *gate, *map(float, spread), ", ".join(worst[:WORST])]
