@@ -70,7 +70,7 @@ def test_fitting_again_gives_the_same_head(space, template):
 def test_people_alike_have_answers_alike():
     """A head is made of choices; a hundredth of a deviation of the code may not turn them round."""
     space = identities.Anny()
-    template = load_template(space, level=1)
+    template = load_template(space)
     rng = np.random.default_rng(2)
     code = space.sample(rng)[0]
     near = code + 0.01 * rng.normal(size=code.size)
