@@ -43,8 +43,8 @@ SMALL = Widths(
     response_tables=4, effect_tables=3, response=16, effect=16, position=8, latent=24, expression=64, hidden=16
 )
 CONFIG = GradientTraining(
-    network=SMALL, steps=400, batch=8, frames=2, weight_decay=0.3,
-    validate_every=100,
+    network=SMALL, steps=200, batch=8, frames=2, weight_decay=0.3,
+    validate_every=50,
 )  # fmt: skip
 QUICK = {"network": SMALL, "steps": 90, "batch": 8, "frames": 2, "learning_rate": 2e-3, "validate_every": 30}
 """In place of the paper's protocol."""
