@@ -132,7 +132,8 @@ def test_a_block_runs_alone_on_the_coarsest_head(block, folder, monkeypatch):
         (folder / "linear.py").write_text(block)
         bar = problems.make("bar")
         answers = {"own": problems.answer("bar", "neo-Hookean")}
-        lines = contest.run_outside(str(folder / "linear.py"), bar.arrays(), answers, {}, 1.0)
+        file, arrays, warm = str(folder / "linear.py"), bar.arrays(), bar.warm.arrays()
+        lines = contest.run_outside(file, arrays, warm, answers, {}, 1.0)
         assert contest.summarise(lines)["max_mm"] <= 1.5
         return
     names: dict = {}

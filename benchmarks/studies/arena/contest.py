@@ -24,6 +24,8 @@ from ....reference.added import NotModelledError
 from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_PLAIN, SKFEM
 from ..measures import find_arrival
 from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
+from .solvers.__main__ import ANSWER as ANSWER_ARRAY
+from .solvers.__main__ import WARM
 from .solvers.protocol import ArenaProblem, Clock
 
 ACCURACIES = tuple(float(f"1e-{power}") for power in range(7))
@@ -47,10 +49,14 @@ OWN: Mapping[str, tuple[str, dict[str, str]]] = {
     PD_ARAP: (RIGID, {"method": "lbfgs"}),
 }
 """Our solvers: law, and the options of `prepare`."""
-SET_UP_LIMIT = 240
-"""[s] of processor time that imports, set-up and compilation may take together, beside twice the budget."""
+SET_UP_LIMIT = 240.0
+"""[s] of processor time that imports, the uncounted run and set-up may take together."""
 GRACE = 6.0
-"""[s] of processor time that a solve which cannot look at the clock may take beside twice its budget."""
+"""[s] of processor time of compilation, and of a solve that cannot look at the clock, beside twice its budget."""
+WALL = 8.0
+"""By how much more wall time than processor time a run may take."""
+WARM_ITERATIONS = 5
+"""Of our solvers' uncounted run."""
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "IGL", "VECLIB_MAXIMUM")
 
 
@@ -78,18 +84,24 @@ def environments() -> Path:
 
 
 def run_outside(
-    solver: str, arrays: ArenaProblem, answers: Mapping[str, Floats], settings: Mapping[str, Any], budget: float
+    solver: str,
+    arrays: ArenaProblem,
+    warm: ArenaProblem,
+    answers: Mapping[str, Floats],
+    settings: Mapping[str, Any],
+    budget: float,
 ) -> Lines:
     """Run a solver's file (a name in `solvers`, or a path) in a process of its own, on one thread.
 
-    answers: "own", and "neo" where it is compared, [mm], (n, 3); budget: processor time [s] of the solve. The process
-    is ended where it takes twice that beside its set-up's limit.
+    It runs `warm` first, which is not counted. answers: "own", and "neo" where it is compared, [mm], (n, 3); budget:
+    processor time [s] of the solve. The process is ended where its solve takes twice that and GRACE, or what comes
+    before SET_UP_LIMIT.
     """
-    limit = int(2 * budget + SET_UP_LIMIT)
     with tempfile.TemporaryDirectory() as folder:
         problem, order, out = (Path(folder) / name for name in ("problem.npz", "order.json", "out.jsonl"))
-        np.savez(problem, **asdict(arrays), **{f"answer_{name}": answer for name, answer in answers.items()})
-        order.write_text(json.dumps({"settings": settings, "budget_s": budget, "limit_s": limit}))
+        np.savez(problem, **asdict(arrays), **{f"{ANSWER_ARRAY}{name}": answer for name, answer in answers.items()})
+        np.savez(problem.with_name(WARM), **asdict(warm))
+        order.write_text(json.dumps({"settings": settings, "budget_s": budget}))
         path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
         pinned = {f"{name}_NUM_THREADS": "1" for name in THREADS}
         command = [find_python(solver), "-m", "solvers", solver, str(problem), str(order), str(out)]
@@ -97,7 +109,7 @@ def run_outside(
             process = subprocess.Popen(
                 command, cwd=folder, env={**os.environ, **pinned, "PYTHONPATH": path}, stdout=words, stderr=words
             )
-            ended = _wait(process, out, budget, 8 * limit)
+            ended = _wait(process, out, budget)
             words.seek(0)
             last = (words.read().strip().splitlines() or [""])[-1]
         lines = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
@@ -106,19 +118,24 @@ def run_outside(
     return Lines(lines, ended)
 
 
-def _wait(process: subprocess.Popen, out: Path, budget: float, limit: float) -> str:
-    """Wait for the end of a run; kill it where its solve has long spent its budget; the reason, or ""."""
-    begin, solving, spent = time.monotonic(), 0.0, 0.0
-    while process.poll() is None:
-        time.sleep(0.2)
-        used = _processor_time(process.pid)
-        if not solving and out.exists() and '"set-up"' in out.read_text():
-            solving = used
-        spent = used - solving if solving else 0.0
-        if spent > 2 * budget + GRACE or time.monotonic() - begin > limit:
-            process.kill()
-            process.wait()
-            return f"no end in {spent:.0f} s" if solving else f"no end of its set-up in {used:.0f} s"
+def _wait(process: subprocess.Popen, out: Path, budget: float) -> str:
+    """Wait for the end of a run; kill it where it has long spent its time; the reason, or ""."""
+    last, most = time.monotonic() + WALL * (SET_UP_LIMIT + 2 * budget + GRACE), SET_UP_LIMIT
+    stage, before = "warm-up", 0.0
+    try:
+        while process.poll() is None:
+            time.sleep(0.2)
+            used = _processor_time(process.pid)
+            ended = out.read_text() if out.exists() else ""
+            if stage == "warm-up" and '"warm-up"' in ended:
+                stage = "set-up"
+            if stage == "set-up" and '"set-up"' in ended:
+                stage, before, most = "solve", used, 2 * budget + GRACE
+            if used - before > most or time.monotonic() > last:
+                return f"no end of its {stage} in {used - before:.0f} s"
+    finally:
+        process.kill()
+        process.wait()
     return ""
 
 
@@ -131,20 +148,23 @@ def _processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compile_own(scene: Scene, **how: Any) -> float:
-    """Prepare one of our solvers and iterate once: processor time [s] of it with what a process compiles once."""
-    begin = time.process_time()
-    prepare(scene, **how).solve(max_iterations=1)
-    return time.process_time() - begin
-
-
 def run_own(
-    scene: Scene, skin: Ints, answers: Mapping[str, Floats], budget: float, *, start: Floats | None = None, **how: Any
+    scene: Scene,
+    warm: Scene,
+    skin: Ints,
+    answers: Mapping[str, Floats],
+    budget: float,
+    *,
+    start: Floats | None = None,
+    **how: Any,
 ) -> Lines:
     """Run a solver of `softdeca.reference.prepare` by its options `how`, in this process; see `run_outside`.
 
     Errors are of the vertices `skin`; start: positions [mm], (n, 3), by default rest.
     """
+    begin = time.process_time()
+    prepare(warm, **how).solve(max_iterations=WARM_ITERATIONS)
+    before = {"phase": "warm-up", "cpu_s": time.process_time() - begin}
     out = io.StringIO()
     clock = Clock(scene.vertices if start is None else start, skin, answers, budget, out)
     prepared = prepare(scene, **how)
@@ -155,9 +175,14 @@ def run_own(
 
     solution = prepared.solve(start=start, tolerance=1e-10, on_iteration=see)
     clock.see(solution.positions, solution.iterations)
-    lines = [json.loads(line) for line in out.getvalue().splitlines()]
+    lines = [before, *map(json.loads, out.getvalue().splitlines())]
     ended = "" if solution.converged else solution.reason.name.lower()
     return Lines([*lines, {"linear_iterations": solution.detail.get("linear_iterations")}], ended)
+
+
+def describe_settings(settings: Mapping[str, Any]) -> str:
+    """Write a solver's options as a row has them."""
+    return ", ".join(f"{name}={value}" for name, value in settings.items()) or "none"
 
 
 def find_budget(tets: int) -> float:
@@ -178,10 +203,13 @@ def check(lines: Lines, title: str, pins: Sequence[str]) -> None:
 
 def summarise(lines: Lines) -> dict[str, Any]:
     """Give a row's values: phases, time and work to accuracies, the error at the end and the curve."""
-    phases = {line["phase"]: line["cpu_s"] for line in lines.lines if "phase" in line}
+    # Imports are the warm-up's.
+    phases = {line["phase"]: line["cpu_s"] for line in reversed(lines.lines) if "phase" in line}
     trace = [line for line in lines.lines if "own" in line]
     values: dict[str, Any] = {
+        "clock_s": lines.find("clock_s"),
         "imports_s": phases.get("imports", 0.0),
+        "warm_up_s": phases.get("warm-up"),
         "compile_s": phases.get("compilation", 0.0),
         "set_up_s": phases.get("set-up", 0.0),
         "peak_mb": lines.find("peak_mb"),

@@ -1,22 +1,32 @@
-"""Run one solver's file on one problem: python -m solvers FILE PROBLEM.npz SETTINGS.json OUT.jsonl."""
+"""Run one solver's file on one problem: python -m solvers FILE PROBLEM.npz SETTINGS.json OUT.jsonl.
+
+The solver first runs WARM.npz beside the problem, which is not counted. Whoever starts this process ends it: a limit on
+its processor time (RLIMIT_CPU) would let `time.process_time` advance by ticks of some milliseconds.
+"""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import io
 import json
 import resource
 import sys
+import time
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
+from typing import Any, TextIO
 
 import numpy as np
 
-from .protocol import ArenaProblem, Clock, RefusalError, SpentError
+from .protocol import WARM_BUDGET, ArenaProblem, Clock, RefusalError, SpentError
 
 ANSWER = "answer_"
 """How arrays of a problem's file begin that are answers."""
+WARM = "warm.npz"
+"""File beside a problem's, of the small one that a solver runs first."""
 
 
 def load(file: str) -> ModuleType:
@@ -42,14 +52,25 @@ def read_versions(packages: tuple[str, ...]) -> dict[str, str | None]:
     return versions
 
 
+def warm_up(solver: ModuleType, problem: ArenaProblem, settings: Any, out: TextIO) -> None:
+    """Run a solver on a small problem; a line of `out` says what it took, with imports."""
+    inside = io.StringIO()
+    clock = Clock(problem.start, problem.skin, {}, WARM_BUDGET, inside)
+    begin = time.process_time()
+    with suppress(Exception):  # the counted run says what is wrong
+        solver.run(problem, settings, clock)
+    imports = [line for line in map(json.loads, inside.getvalue().splitlines()) if line.get("phase") == "imports"]
+    lines = [*imports[:1], {"phase": "warm-up", "cpu_s": time.process_time() - begin}]
+    out.writelines(json.dumps(line) + "\n" for line in lines)
+    out.flush()
+
+
 def main(file: str, problem_path: str, settings_path: str, out_path: str) -> None:
     """Run it; lines of JSON in the file at `out_path` say how it went, also where it fails."""
     solver, problem = load(file), ArenaProblem.read(Path(problem_path))
     with np.load(problem_path) as arrays:
         answers = {name.removeprefix(ANSWER): arrays[name] for name in arrays if name.startswith(ANSWER)}
     order = json.loads(Path(settings_path).read_text())
-    limit = int(order["limit_s"])
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
     with open(out_path, "w") as out:
         versions = read_versions(solver.PACKAGES)
         out.write(json.dumps({"versions": versions}) + "\n")
@@ -59,6 +80,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
             return
         try:
             problem.check_taken(getattr(solver, "TAKES", ()))
+            warm_up(solver, ArenaProblem.read(Path(problem_path).with_name(WARM)), order["settings"], out)
             clock = Clock(problem.start, problem.skin, answers, order["budget_s"], out)
             solver.run(problem, order["settings"], clock)
         except RefusalError as refusal:

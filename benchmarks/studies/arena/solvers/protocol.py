@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+WARM_BUDGET = 0.5
+"""[s] of the uncounted run before."""
 STILL, WAIT, LOOKS = 1e-6, 1.25, 8
 """A run ends where nothing has moved by more than that [mm] while its time grew by that factor, in so many looks."""
 
@@ -109,13 +111,15 @@ class Clock:
     """Processor time [s] of a run by phase, and the errors of what it shows.
 
     Phases end by `end`: "imports", "set-up", "compilation". What comes after is the solve, whose errors are written a
-    line each, as they come: a run that is killed leaves what it had. Measuring and writing do not count.
+    line each, as they come: a run that is killed leaves what it had. Measuring and writing do not count. The first line
+    is the step by which the system's clock advances: where a process' time is limited, this is some milliseconds.
     """
 
     def __init__(
         self, start: Floats, skin: NDArray[np.int64], answers: Mapping[str, Floats], budget: float, out: TextIO
     ):
         self._skin, self._answers, self._budget, self._out = skin, answers, budget, out
+        self._write({"clock_s": _measure_step()})
         self._begin, self._paused = time.process_time(), 0.0
         self._wall = time.perf_counter()
         self._mark, self._marked_at, self._looks = start, 0.2, 0
@@ -156,6 +160,14 @@ class Clock:
     def _write(self, line: Mapping[str, Any]) -> None:
         self._out.write(json.dumps(line) + "\n")
         self._out.flush()
+
+
+def _measure_step() -> float:
+    """Measure the step [s] by which processor time advances."""
+    begin = time.process_time()
+    while (now := time.process_time()) == begin:
+        pass
+    return now - begin
 
 
 class SolverFile(Protocol):
