@@ -189,8 +189,7 @@ def time_solve(
 
 
 def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
-    """Repeat `work` so often, after one call that is not counted; less often where that takes over BUDGET."""
-    work()
+    """Repeat `work` so often, at least once; less often where that takes over BUDGET."""
     results: list[Result] = []
     begin = time.perf_counter()
     while not results or (len(results) < repeats and time.perf_counter() - begin < BUDGET):

@@ -12,9 +12,10 @@ import numpy as np
 from ...lhm.base.option import option
 from ...reference import Reason, problems
 from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
-from .arena.contest import check, run_outside, summarise
+from .arena.entrants import list_entrants
 from .arena.laws import NEO_HOOKEAN
 from .arena.problems import Problem, face
+from .arena.runs import run
 from .arena.solvers import felupe_newton
 from .measures import TIGHT, largest_distance, solve_to_end
 from .motions import MOTIONS, run_motion
@@ -100,10 +101,8 @@ def compare_felupe(problem: Problem) -> problems.Outcome:
     """
     scene = problem.scene(NEO_HOOKEAN)
     truth = solve_to_end(scene, "FEniCSx", solver="fenicsx", tolerance=TIGHT)
-    linear = felupe_newton.SETTINGS["direct (default)"]
-    lines = run_outside("felupe_newton", problem.arrays(), {"own": truth.positions}, linear, BUDGET)
-    check(lines, felupe_newton.TITLE, felupe_newton.PACKAGES)
-    found = summarise(lines)
+    entrant = next(each for each in list_entrants() if each.solver == felupe_newton.TITLE)
+    found = run(entrant, problem, NEO_HOOKEAN, {"own": truth.positions}, BUDGET, scene.vertices)
     moved = largest_distance(truth.positions, scene.vertices)
     error = (np.inf if found["max_mm"] is None else found["max_mm"]) / moved
     return problems.Outcome(

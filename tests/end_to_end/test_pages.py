@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.benchmarks.studies.arena import contest, problems
+from softdeca.benchmarks.studies.arena import problems
+from softdeca.benchmarks.studies.arena.entrants import list_entrants
+from softdeca.benchmarks.studies.arena.runs import run
 from softdeca.cli.app import app
 from softdeca.lhm import expressions, load_template
 from softdeca.reference import Solution
@@ -131,10 +133,9 @@ def test_a_block_runs_alone_on_the_coarsest_head(block, folder, monkeypatch):
     if "TITLE =" in block:  # a solver for the arena
         (folder / "linear.py").write_text(block)
         bar = problems.make("bar")
-        answers = {"own": problems.answer("bar", "neo-Hookean")}
-        file, arrays, warm = str(folder / "linear.py"), bar.arrays(), bar.warm.arrays()
-        lines = contest.run_outside(file, arrays, warm, answers, {}, 1.0)
-        assert contest.summarise(lines)["max_mm"] <= 1.5
+        answers, file = {"own": problems.answer("bar", "neo-Hookean")}, str(folder / "linear.py")
+        (entrant,) = (each for each in list_entrants((file,)) if each.file == file)
+        assert run(entrant, bar, entrant.law, answers, 1.0, bar.vertices)["max_mm"] <= 1.5
         return
     names: dict = {}
     exec(block.replace("load_template()", "load_template(level=1)"), names)

@@ -6,9 +6,10 @@ import pytest
 from softdeca.benchmarks.harness import Row, run
 from softdeca.benchmarks.harness.first_screen import PRISMS, tell_distance
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
-from softdeca.benchmarks.studies.arena.contest import run_outside, summarise
+from softdeca.benchmarks.studies.arena.entrants import list_entrants
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
+from softdeca.benchmarks.studies.arena.runs import run as run_solver
 from softdeca.benchmarks.studies.heads.fit import Heads, collect_values
 from softdeca.benchmarks.studies.measures import (
     largest_distance,
@@ -121,7 +122,8 @@ def test_libigl_and_we_minimise_the_same_energy(sphere_head, targets):
     scene = problem.scene(RIGID)
     assert [type(term) for term in scene.terms] == [terms.Strain, terms.Fixed]
     truth = prepare(scene).solve(tolerance=1e-10).positions
-    found = summarise(run_outside("libigl_arap", problem.arrays(), problem.warm.arrays(), {"own": truth}, {}, 2.0))
+    (entrant,) = (each for each in list_entrants() if each.file == "libigl_arap")
+    found = run_solver(entrant, problem, RIGID, {"own": truth}, 2.0, scene.vertices)
     moved = largest_distance(truth, scene.vertices)
     assert moved > 1.0 and found["max_mm"] < 2e-3 * moved and found["max_mm"] < 0.01 * found["first_mm"]
 

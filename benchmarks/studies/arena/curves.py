@@ -10,7 +10,7 @@ import numpy as np
 
 from ....animation.plots import subplots
 from ....surrogate.methods import get_method
-from .contest import REST
+from .runs import REST
 
 FLOOR, TOP = 1e-9, 100.0
 """[mm] below and above which nothing is drawn."""
@@ -24,7 +24,6 @@ COLOURS = {
     "MuJoCo flex": "#0b5d1e",
     "Newton VBD": "#ff7f0e",
     "libigl ARAP": "#2ca02c",
-    "PD on ARAP": "#c5b0d5",
 }
 """By what METHODS has not; others are black."""
 

@@ -7,8 +7,8 @@ import sys
 import venv
 from collections.abc import Sequence
 
-from .contest import environments
-from .study import load_file
+from .entrants import load_file
+from .runs import environments
 
 SHARED = ("jax_fem_newton",)
 """Solvers that need what the system brings FEniCSx with, petsc4py and basix, but their own versions of the rest."""

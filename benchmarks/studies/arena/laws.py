@@ -53,12 +53,13 @@ NEO_HOOKEAN, PROJECTIVE, ST_VENANT, RIGID = (
     "St. Venant-Kirchhoff",
     "as rigid as possible",
 )
+ISOCHORIC, PLAIN_STABLE = "isochoric neo-Hookean", "stable neo-Hookean without logarithm"
 LAWS: Mapping[str, Solid] = {
     NEO_HOOKEAN: _hyperelastic(materials.NeoHookean),
     ST_VENANT: _hyperelastic(materials.StVenantKirchhoff),
-    "isochoric neo-Hookean": _hyperelastic(_isochoric),
+    ISOCHORIC: _hyperelastic(_isochoric),
     "stable neo-Hookean": _hyperelastic(materials.StableNeoHookean),
-    "stable neo-Hookean without logarithm": _hyperelastic(PlainStable),
+    PLAIN_STABLE: _hyperelastic(PlainStable),
     PROJECTIVE: _projective,
     RIGID: _rigid,
 }

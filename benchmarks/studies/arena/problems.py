@@ -254,7 +254,7 @@ def _cases() -> tuple[Case, ...]:
         Case("bar", bar, start_at_answer=True, quadratic=True),
         Case("cube twisted, nu 0.45", lambda: cube(0.45), quadratic=True),
         more("beam turned twice", lambda: beam(2)),
-        more(f"head under 2 g, {small}", lambda: head("gravity", 1), start_at_answer=True, quadratic=True),
+        Case(f"head under 2 g, {small}", lambda: head("gravity", 1), start_at_answer=True, quadratic=True),
         Case(f"head's jaw opened, {small}", lambda: head("jaw", 1), quadratic=True),
         more("cube twisted, nu 0.3", lambda: cube(0.3), quadratic=True),
         more("cube twisted, nu 0.4999", lambda: cube(0.4999), quadratic=True),
@@ -265,8 +265,8 @@ def _cases() -> tuple[Case, ...]:
         more("cube twisted, nu 0.4", lambda: cube(0.4), quadratic=True),
         more("cube twisted, nu 0.49", lambda: cube(0.49), quadratic=True),
         more("cube twisted, half 10 times as stiff", lambda: cube(0.45, 10.0), quadratic=True),
-        more(f"face posed without its membrane, {small}", lambda: face(1, membrane=False)),
-        more(f"face posed by Eq. 15, {small}", lambda: face(1)),
+        Case(f"face posed without its membrane, {small}", lambda: face(1, membrane=False)),
+        Case(f"face posed by Eq. 15, {small}", lambda: face(1)),
     )
 
 

@@ -1,74 +1,103 @@
-"""Error against time and iterations: every solver on the face's energy and on ARAP's, and rigs of that face."""
+"""The arena's list of one face: every solver on its energy and on ARAP's, over time and iterations, and its rigs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from ....animation.plots import to_svg
 from ....lhm import expressions
-from ....lhm.base.errors import InputError, SoftdecaError
-from ....lhm.base.mesh import Floats
+from ....lhm.base.errors import SoftdecaError
+from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import NotModelledError, added_laws, added_solvers
 from ....surrogate import methods as m
+from ....surrogate.ruler import DEFAULT
+from ... import contest
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..measures import ACCURACY, TIGHT, Stopwatch, distances, largest_distance, repeat_work
-from ..person import OfPerson
-from .contest import (
-    ACCURACIES,
-    HUNDREDTH,
-    OWN,
-    OWN_SETTING,
-    REST,
-    TENTH,
-    Lines,
-    check,
-    find_budget,
-    run_outside,
-    run_own,
-    summarise_repeats,
-)
+from ..measures import ACCURACY, TIGHT, largest_distance
+from ..person import OfPerson, Person
 from .curves import Panel, plot_curves
-from .laws import RIGID
-from .problems import Problem, pull_handles
+from .entrants import Entrant, list_entrants
+from .laws import PROJECTIVE, RIGID
+from .problems import LINEAR, Problem, pull_handles
+from .runs import ACCURACIES, HUNDREDTH, REST, TENTH, find_budget, run
 from .solvers import libigl_arap
+from .solvers.protocol import ArenaProblem
 from .summaries import find_best, find_time, tabulate_times, tabulate_work
 
 FACE, ARAP = "the face's energy (Eq. 15)", "ARAP's energy, same tets"
-BY_ENERGY: Mapping[str, Sequence[str]] = {
-    FACE: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, m.FENICSX_P2, m.SKFEM),
-    ARAP: (m.PD, m.PD_PLAIN, m.PD_ANDERSON, m.FENICSX, libigl_arap.TITLE),
-}
-SLOW = (m.FENICSX_P2, m.SKFEM)
-"""Left out unless they are asked for: a minute a solve."""
-OTHER = "cheekPuff*0.3"
-"""The expression of the uncounted run."""
+LAW_OF = {FACE: PROJECTIVE, ARAP: RIGID}
+"""The laws of the arena by which solvers enter."""
 ENDLESS = (m.PD_PLAIN, libigl_arap.TITLE)
 """These end by the arena's budget: local and global steps need thousands for the last digits."""
 RIVALS = ((FACE, m.PD_PLAIN), (FACE, m.FENICSX), (ARAP, m.FENICSX), (ARAP, libigl_arap.TITLE))
 """Whom L-BFGS is to be ahead of, on which energy."""
+OTHER = "cheekPuff*0.3"
+"""The expression of the uncounted run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """An expression of a head by an energy: its scene, its answer [mm], and the problem of handles that ARAP's is.
-
-    warm: another, small scene of the same terms, for the uncounted run before a solve.
-    """
+    """An expression of somebody's head by an energy, as solvers are given it; `small`: the same head, coarser."""
 
     text: str
     energy: str
-    scene: Scene
-    answer: Floats
-    handles: Problem | None
-    warm: Scene
+    person: Person
+    small: Person | None
+
+    @cached_property
+    def handles(self) -> Problem | None:
+        """The problem of handles that ARAP's energy has."""
+        return pull_handles(self.person.head, self.person.shape(self.text)) if self.energy == ARAP else None
+
+    @cached_property
+    def own_scene(self) -> Scene:
+        """Its scene."""
+        if self.handles is not None:
+            return self.handles.scene(RIGID)
+        scene = facial_scene(self.person.head, Parameters(), self.person.shape(self.text), cells="tets")
+        law = next(
+            (added.of_moduli for name, added in added_laws().items() if name_law_energy(name) == self.energy), None
+        )
+        return scene if law is None else apply_law(scene, law)
+
+    @cached_property
+    def answer(self) -> Floats:
+        """The end of a tight run [mm]; SoftdecaError where it does not converge."""
+        solver = "projective" if self.energy in LAW_OF else "fenicsx"
+        solution = prepare(self.own_scene, solver=solver).solve(tolerance=TIGHT)
+        if not solution.converged:
+            raise SoftdecaError(f"the tight run: {solution.reason}")
+        return solution.positions
+
+    @property
+    def skin(self) -> Ints:
+        """All vertices: errors of each count."""
+        return np.arange(len(self.own_scene.vertices))
+
+    @property
+    def warm(self) -> Posed | Problem:
+        """A coarser head's other expression, or the problem's own where there are handles."""
+        if self.handles is not None:
+            return self.handles.warm
+        assert self.small is not None
+        return Posed(OTHER, self.energy, self.small, None)
+
+    def scene(self, law: str) -> Scene:
+        """Give its scene, whatever the name of its energy."""
+        return self.own_scene
+
+    def arrays(self, start: Floats | None = None) -> ArenaProblem:
+        """Give the problem of handles as arrays; NotModelledError for the face's own energy."""
+        if self.handles is None:
+            raise NotModelledError("a face's own energy has terms that arrays do not say")
+        return self.handles.arrays(start)
 
 
 @dataclass(frozen=True)
@@ -81,6 +110,9 @@ class WorkPrecision(OfPerson):
     needs = ("people", "heads", "network")
     cheap = "mouthPucker, the face's energy (Eq. 15), network"
     columns = (
+        Column("settings", "settings"),
+        Column("budget_s", "budget [s]"),
+        Column("warm_up_s", "uncounted run before [s]", cost=True),
         Column("set_up_s", "prepare or bind [s]", cost=True),
         Column("solve_s", "solve or frame [s]", cost=True),
         Column("to_tenth_s", "to 0.1 mm [s]", cost=True),
@@ -93,17 +125,16 @@ class WorkPrecision(OfPerson):
         Column("apart_mm", "its answer to PD's from rest, max [mm]"),
     )
     note = (
-        "Processor time of one thread, of the run in the middle of at least five after one that is not counted, each "
-        "after one of a smaller scene; slow solves have fewer, within half a minute. The error is the largest distance "
-        "of a vertex to a tight run. FEniCSx' linear tets share PD's tight run, which starts at their answer where "
-        "they found another minimum. Quadratic tets have their own, and a law from a file has FEniCSx'. One iteration "
-        "of PD is one solve with its factor; one of Newton is a linear system. Rigs are judged on the skin, under "
-        "default parameters, where bones "
-        "carry nothing. A bind is given the head. libigl fits its rotations in float32, hence its own floor. Its "
-        "handles are what the facial scene holds and every 16th vertex of the skin wrap. It and plain PD end after "
-        "the arena's budget."
+        "Processor time of one thread, of the run in the middle of five; slow solves have fewer, within half a minute. "
+        "Each has run a coarser head's other expression before, which is not counted. The error is the largest "
+        "distance of a vertex to a tight run. FEniCSx' linear tets share PD's tight run, which starts at their answer "
+        "where they found another minimum. Quadratic tets have their own, and a law from a file has FEniCSx'. One "
+        "iteration of PD is one solve with its factor; one of Newton is a linear system. Rigs are rows of the contest, "
+        "judged on the skin, under default parameters, where bones carry nothing. A bind is given the head. libigl "
+        "fits its rotations in float32, hence its own floor. Its handles are what the facial scene holds and every "
+        "16th vertex of the skin wrap. It and plain PD end after the arena's budget."
     )
-    version = 2
+    version = 3
     timed = True
 
     expressions: tuple[str, ...] = option(
@@ -115,73 +146,57 @@ class WorkPrecision(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """List each expression and energy by each method; InputError for one that cannot be read."""
         self.check(self.expressions)
-        laws: dict[str, Sequence[str]] = {name_law_energy(law): (m.FENICSX, m.SKFEM) for law in added_laws()}
         return [
             Task(name_case(text, energy), label)
             for text in self.expressions
-            for energy, solvers in {**BY_ENERGY, **laws}.items()
-            for label in (*solvers, *added_solvers(), *(m.READY if energy == FACE else ()))
-            if self.slow or label not in SLOW
+            for energy in _list_energies()
+            for label in (*self._list_entrants(energy), *(m.READY if energy == FACE else ()))
         ]
 
     def measure(self, task: Task) -> Values:
         """Measure the curve of a solver, or the one point of a rig."""
-        energies = (FACE, ARAP, *map(name_law_energy, added_laws()))
-        cases = {name_case(text, energy): (text, energy) for text, energy in product(self.expressions, energies)}
-        posed = _pose(self, *cases[task.case])
-        about = {"solver": task.method, "setting": OWN_SETTING, "start": REST, "law": posed.energy}
-        return about | (self._bind(posed, task.method) if task.method in m.READY else self._solve(posed, task.method))
+        cases = {
+            name_case(text, energy): (text, energy) for text, energy in product(self.expressions, _list_energies())
+        }
+        text, energy = cases[task.case]
+        if task.method in m.READY:
+            return self._bind(text, task.method)
+        posed, entrant = _pose(self, text, energy), self._list_entrants(energy)[task.method]
+        answer, apart = _find_answer(posed, entrant)
+        budget = find_budget(len(posed.own_scene.tets)) if entrant.solver in ENDLESS else np.inf
+        values = run(entrant, posed, energy, {"own": answer}, budget, posed.own_scene.vertices, self.repeats)
+        return {**values, **apart, "start": REST}
 
-    def _solve(self, posed: Posed, label: str) -> dict[str, Any]:
-        budget = find_budget(len(posed.scene.tets)) if label in ENDLESS else np.inf
-        if label == libigl_arap.TITLE:
-            assert posed.handles is not None
-            arrays, warm = posed.handles.arrays(), posed.handles.warm.arrays()
-            (settings,) = libigl_arap.SETTINGS.values()
+    def _list_entrants(self, energy: str) -> Mapping[str, Entrant]:
+        """List the solvers of an energy, by their labels."""
+        law, every, added = LAW_OF.get(energy, PROJECTIVE), list_entrants(), added_solvers()
+        chosen = [each for each in every if each.law == law and each.solver not in added]
+        if energy not in LAW_OF:
+            chosen = [each for each in chosen if each.solver in (m.FENICSX, m.SKFEM)]
+        quick = [each for each in chosen if self.slow or (each.element == LINEAR and each.solver != m.SKFEM)]
+        return {each.solver: each for each in (*quick, *(each for each in every if each.solver in added))}
 
-            def run() -> Lines:
-                lines = run_outside("libigl_arap", arrays, warm, {"own": posed.answer}, settings, budget)
-                check(lines, label, libigl_arap.PACKAGES)
-                return lines
-
-            return summarise_repeats(repeat_work(run, self.repeats))
-        how: Mapping[str, Any] = OWN[label][1] if label in OWN else {"solver": label}
-        answer, apart = _find_answer(posed, label, how)
-        every = np.arange(len(posed.scene.vertices))
-
-        def run_ours() -> Lines:
-            return run_own(posed.scene, posed.warm, every, {"own": answer}, budget, **how)
-
-        runs = repeat_work(run_ours, self.repeats)
-        return summarise_repeats(runs) | apart
-
-    def _bind(self, posed: Posed, label: str) -> dict[str, Any]:
-        """Bind a rig and move it; NotModelledError for a face that it refuses, as a network those of strangers."""
-        person = self.person()
-        weights = expressions.parse_weights(posed.text)
-        answer = person.head.skin_after(person.shape(posed.text), posed.answer[: len(person.head.bone)])
-        method = m.METHODS[label]
-        try:
-            method.bind(person.face(Parameters()))  # not counted, like the first solve
-        except InputError as refusal:
-            raise NotModelledError(f"{label}: {refusal}") from None
-        face, watch = person.face(Parameters()), Stopwatch()
-        step = method.bind(face).frame
-        bind = watch.lap()[1]
-        skin, times = step(weights).astype(np.float64), []
-        for _ in range(10 * self.repeats):
-            watch.lap()
-            step(weights)
-            times.append(watch.lap()[1])
-        error = largest_distance(skin, answer)
+    def _bind(self, text: str, label: str) -> Values:
+        """Bind a rig and move it, beside PD; NotModelledError for a face that it refuses, as a network strangers'."""
+        person, weights = self.person(), np.array([expressions.parse_weights(text)])
+        face = contest.Case(text, DEFAULT, lambda: person.face(Parameters()), weights)
+        rows = contest.run_contest(face, [label], [m.PD_TETS], warm=_find_other(self))
+        (row,) = (row for row in rows if row["method"] == label)
+        if row["status"] != "done":
+            raise NotModelledError(f"{label}: {row['reason']}")
+        to = row["to"][m.PD_TETS]
         return {
-            "set_up_s": [0.0 if label == m.BLENDSHAPES else bind],
-            "solve_s": times,
-            "repeats": len(times),
-            "seconds": [float(np.median(times))],
-            "error_mm": [error],
-            "max_mm": error,
-            "mean_mm": float(distances(skin, answer).mean()),
+            "solver": label,
+            "setting": "default",
+            "start": REST,
+            "law": FACE,
+            "warm_up_s": row["compile_s"],
+            "set_up_s": [0.0 if label == m.BLENDSHAPES else row["bind_s"]],
+            "solve_s": [row["frame_s"]],
+            "seconds": [row["frame_s"]],
+            "error_mm": [to["farthest"]],
+            "max_mm": to["farthest"],
+            "mean_mm": to["everywhere"],
         }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
@@ -193,9 +208,9 @@ class WorkPrecision(OfPerson):
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
                 name = f"time of {m.PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
-                gates.append(at_most(name, measure_lead(runs, rival, prepared=prepared), 1.0, answer=False))
+                gates.append(at_most(name, measure_lead(rows, rival, energy, prepared=prepared), 1.0, answer=False))
         newton = [
-            row.values["max_mm"] for row in rows if row.values["solver"] == m.FENICSX and row.values["law"] in BY_ENERGY
+            row.values["max_mm"] for row in rows if row.values["solver"] == m.FENICSX and row.values["law"] in LAW_OF
         ]
         if newton:
             gates.append(at_most(f"{m.PD} to {m.FENICSX}, both tight [mm]", max(newton), ACCURACY))
@@ -245,21 +260,18 @@ class WorkPrecision(OfPerson):
         return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
 
-def measure_lead(rows: Sequence[Row], rival: str, *, prepared: bool) -> float | None:
+def measure_lead(rows: Sequence[Row], rival: str, energy: str, *, prepared: bool) -> float | None:
     """Measure PD's time over a rival's, worst over the problems and the accuracies at and below 0.1 mm.
 
     An accuracy that the rival never reaches is won if we reach it. None if we alone miss one, and without rows.
     """
     ratios = []
     for index in range(TENTH, len(ACCURACIES)):
-        ours, theirs = (find_best(rows, solver, index, prepared=prepared) for solver in (m.PD, rival))
-        for case in ours.keys() & theirs.keys():
-            seconds, its = ours[case], theirs[case]
-            if seconds is not None:
-                ratios.append(0.0 if its is None else seconds / its)
-            elif its is not None:
-                return None
-    return max(ratios, default=None)
+        ours, theirs = (find_best(rows, solver, energy, index, prepared=prepared) for solver in (m.PD, rival))
+        pairs = [(ours[case], theirs[case]) for case in ours.keys() & theirs.keys()]
+        ratios += [mine / its for mine, its in pairs if min(mine, its) < np.inf]
+    worst = max(ratios, default=np.inf)
+    return None if worst == np.inf else worst
 
 
 def name_case(text: str, energy: str) -> str:
@@ -276,36 +288,33 @@ def _select(rows: Sequence[Row], energy: str) -> list[Row]:
     return [row for row in rows if row.values["law"] == energy]
 
 
+def _list_energies() -> list[str]:
+    return [FACE, ARAP, *map(name_law_energy, added_laws())]
+
+
 @lru_cache(maxsize=2)
 def _pose(study: WorkPrecision, text: str, energy: str) -> Posed:
-    person, small = study.person(), study.person(level=1)
-    shape = person.shape(text)
-    handles = pull_handles(person.head, shape) if energy == ARAP else None
-    law = next((added.of_moduli for name, added in added_laws().items() if name_law_energy(name) == energy), None)
-    if handles is None:
-        warm = facial_scene(small.head, Parameters(), small.shape(OTHER), cells="tets")
-        scene = facial_scene(person.head, Parameters(), shape, cells="tets")
-    else:
-        scene, warm = handles.scene(RIGID), handles.warm.scene(RIGID)
-    if law is not None:
-        scene, warm = apply_law(scene, law), apply_law(warm, law)
-    solution = prepare(scene, solver="projective" if law is None else "fenicsx").solve(tolerance=TIGHT)
-    if not solution.converged:
-        raise SoftdecaError(f"the tight run: {solution.reason}")
-    return Posed(text, energy, scene, solution.positions, handles, warm)
+    return Posed(text, energy, study.person(), study.person(level=1))
 
 
-def _find_answer(posed: Posed, label: str, how: Mapping[str, Any]) -> tuple[Floats, dict[str, float]]:
+@lru_cache(maxsize=1)
+def _find_other(study: WorkPrecision) -> contest.Case:
+    """Make the contest's uncounted case: another expression of a coarser head."""
+    small, weights = study.person(level=1), np.array([expressions.parse_weights(OTHER)])
+    return contest.Case(OTHER, DEFAULT, lambda: small.face(Parameters()), weights)
+
+
+def _find_answer(posed: Posed, entrant: Entrant) -> tuple[Floats, dict[str, float]]:
     """The answer [mm] that a solver is to find, and how far it is from the problem's, by the column's key.
 
     A face that folds has several minima: projective dynamics answers for the one that linear finite elements found.
     """
     answer = posed.answer
-    if label not in (m.FENICSX, m.FENICSX_P2, m.SKFEM) or posed.energy not in BY_ENERGY:
+    if entrant.solver in (m.PD, m.PD_PLAIN, m.PD_ANDERSON) or entrant.file or posed.energy not in LAW_OF:
         return answer, {}
-    own = prepare(posed.scene, **how).solve(tolerance=TIGHT).positions
-    if label == m.FENICSX_P2:
+    own = prepare(posed.own_scene, **entrant.options).solve(tolerance=TIGHT).positions
+    if entrant.element != LINEAR:
         return own, {"element_mm": largest_distance(own, answer)}
     if largest_distance(own, answer) > ACCURACY:
-        answer = prepare(posed.scene, solver="projective").solve(tolerance=TIGHT, start=own).positions
+        answer = prepare(posed.own_scene, solver="projective").solve(tolerance=TIGHT, start=own).positions
     return answer, {"apart_mm": largest_distance(answer, posed.answer)}

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import platformdirs
@@ -21,34 +21,20 @@ from ....lhm.base.errors import MissingDependencyError, SoftdecaError
 from ....lhm.base.mesh import Floats, Ints
 from ....reference import Scene, prepare
 from ....reference.added import NotModelledError
-from ....surrogate.methods import FENICSX, FENICSX_P2, FENICSX_P2P1, PD, PD_ANDERSON, PD_PLAIN, SKFEM
-from ..measures import find_arrival
-from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
+from ..measures import find_arrival, repeat_work
+from .entrants import Entrant
 from .solvers.__main__ import ANSWER as ANSWER_ARRAY
 from .solvers.__main__ import WARM
 from .solvers.protocol import ArenaProblem, Clock
 
 ACCURACIES = tuple(float(f"1e-{power}") for power in range(7))
 """[mm] of the largest error."""
-ONE, TENTH, HUNDREDTH, THOUSANDTH = range(4)
+ONE, TENTH, HUNDREDTH = range(3)
 POINTS = 60
 """Of a curve that are kept at most, evenly in the logarithm of their number."""
 BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
 """[s] of processor time of a solve, up to so many tets."""
-PD_ARAP = "PD on ARAP"
 REST, ANSWER = "from rest", "from the answer"
-OWN_SETTING = "default"
-OWN: Mapping[str, tuple[str, dict[str, str]]] = {
-    FENICSX: (NEO_HOOKEAN, {"solver": "fenicsx"}),
-    FENICSX_P2: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2"}),
-    FENICSX_P2P1: (NEO_HOOKEAN, {"solver": "fenicsx", "element": "P2P1"}),
-    SKFEM: (NEO_HOOKEAN, {"solver": "skfem"}),
-    PD: (PROJECTIVE, {"method": "lbfgs"}),
-    PD_ANDERSON: (PROJECTIVE, {"method": "anderson"}),
-    PD_PLAIN: (PROJECTIVE, {"method": "plain"}),
-    PD_ARAP: (RIGID, {"method": "lbfgs"}),
-}
-"""Our solvers: law, and the options of `prepare`."""
 SET_UP_LIMIT = 240.0
 """[s] of processor time that imports, the uncounted run and set-up may take together."""
 GRACE = 6.0
@@ -81,6 +67,60 @@ def find_python(solver: str) -> str:
 def environments() -> Path:
     """Give the folder of environments by solver: SOFTDECA_ARENA, or one in the user's cache."""
     return Path(os.environ.get("SOFTDECA_ARENA") or platformdirs.user_cache_path("softdeca") / "arena")
+
+
+class Solvable(Protocol):
+    """What solvers are given: a problem of `problems`, or an expression of a face."""
+
+    skin: Ints
+    """Vertices (s,) whose errors count."""
+
+    @property
+    def warm(self) -> Solvable:
+        """A small one of the same kinds of terms, for the uncounted run before a solve."""
+        ...
+
+    def scene(self, law: str) -> Scene:
+        """Give the scene of a law."""
+        ...
+
+    def arrays(self, start: Floats | None = None) -> ArenaProblem:
+        """Give the problem as arrays, with a start [mm], (n, 3)."""
+        ...
+
+
+def run(
+    entrant: Entrant,
+    problem: Solvable,
+    law: str,
+    answers: Mapping[str, Floats],
+    budget: float,
+    start: Floats,
+    repeats: int = 1,
+) -> dict[str, Any]:
+    """Give the values of a row: a solver, with its setting, on a problem of a law, from a start [mm], (n, 3).
+
+    Several runs give those of the one that solves in the median time, and lists of all times of set-up and solve.
+    Raises MissingDependencyError for absent packages, NotModelledError for a problem that is refused.
+    """
+
+    def run_once() -> Lines:
+        if not entrant.file:
+            scene, warm = problem.scene(law), problem.warm.scene(law)
+            return run_own(scene, warm, problem.skin, answers, budget, start=start, **entrant.options)
+        arrays, warm = problem.arrays(start), problem.warm.arrays()
+        lines = run_outside(entrant.file, arrays, warm, answers, entrant.options, budget)
+        _check(lines, entrant)
+        return lines
+
+    each = [summarise(lines) for lines in repeat_work(run_once, repeats)]
+    values = sorted(each, key=lambda values: values.get("solve_s", np.inf))[len(each) // 2]
+    if repeats > 1:
+        times = {key: [values[key] for values in each] for key in ("set_up_s", "solve_s")}
+        values = {**values, **times, "repeats": len(each)}
+    about = {"solver": entrant.solver, "setting": entrant.setting, "law": law, "dtype": entrant.dtype}
+    told = ", ".join(f"{name}={value}" for name, value in entrant.options.items())
+    return {**about, "settings": told, "budget_s": budget if np.isfinite(budget) else None, **values}
 
 
 def run_outside(
@@ -180,25 +220,20 @@ def run_own(
     return Lines([*lines, {"linear_iterations": solution.detail.get("linear_iterations")}], ended)
 
 
-def describe_settings(settings: Mapping[str, Any]) -> str:
-    """Write a solver's options as a row has them."""
-    return ", ".join(f"{name}={value}" for name, value in settings.items()) or "none"
+def _check(lines: Lines, entrant: Entrant) -> None:
+    """Raise MissingDependencyError for absent packages, NotModelledError for a problem that was refused."""
+    if missing := lines.find("missing"):
+        names = " ".join(pin for pin in entrant.packages if pin.partition("==")[0] in missing)
+        raise MissingDependencyError(f"{entrant.solver}: not installed; pip install {names}, or see docs/arena.md")
+    if refused := lines.find("refused"):
+        raise NotModelledError(f"{entrant.solver}: {refused}")
+    if not lines.lines:
+        raise SoftdecaError(f"{entrant.solver}: {lines.ended or 'it wrote nothing'}")
 
 
 def find_budget(tets: int) -> float:
     """Find the budget [s] of a solve of so many linear tets."""
     return next(seconds for most, seconds in BUDGETS if tets <= most)
-
-
-def check(lines: Lines, title: str, pins: Sequence[str]) -> None:
-    """Raise MissingDependencyError for absent packages, NotModelledError for a problem that was refused."""
-    if missing := lines.find("missing"):
-        names = " ".join(pin for pin in pins if pin.partition("==")[0] in missing)
-        raise MissingDependencyError(f"{title}: not installed; pip install {names}, or see docs/arena.md")
-    if refused := lines.find("refused"):
-        raise NotModelledError(f"{title}: {refused}")
-    if not lines.lines:
-        raise SoftdecaError(f"{title}: {lines.ended or 'it wrote nothing'}")
 
 
 def summarise(lines: Lines) -> dict[str, Any]:
@@ -242,14 +277,6 @@ def summarise(lines: Lines) -> dict[str, Any]:
         "work": [work[k] for k in kept],
         "error_mm": [largest[k] for k in kept],
     }
-
-
-def summarise_repeats(runs: Sequence[Lines]) -> dict[str, Any]:
-    """Give the values of the run that solves in the median time, with all times of set-up and solve [s]."""
-    each = [summarise(run) for run in runs]
-    middle = sorted(each, key=lambda values: values["solve_s"])[len(each) // 2]
-    times = {key: [values[key] for values in each] for key in ("set_up_s", "solve_s")}
-    return {**middle, **times, "repeats": len(each)}
 
 
 def _thin(count: int) -> Sequence[int]:
