@@ -88,7 +88,7 @@ CORPORA: Mapping[str, KeptCorpus] = {
 }
 KEPT: Mapping[str, Kept] = {
     "agreement": Kept("agreement"),
-    "arena": Kept("arena", {"whole": True}),
+    "arena": Kept("arena"),
     "contact": Kept("contact"),
     "dial": Kept("dial", {"faces": 4, "external": f"ict:{ICT}"}, files=(ICT,)),
     "face-benchmark": Kept("face-benchmark"),

@@ -23,10 +23,8 @@ from .summaries import CASES_OF, judge_claims, tabulate_best, tabulate_times
 
 CLOCK = 1e-4
 """[s] of a step of the clock at most: set-ups take some milliseconds."""
-QUICK_BUDGET = 2.0
-"""[s] of a solve where not all is asked."""
 QUICK_SETTINGS = 2
-"""Settings of another package's solver, likewise."""
+"""Settings of another package's solver where not all is asked."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class Arena(Study):
     )
     timed = True
 
-    whole: bool = option(False, "all problems, all settings and longer budgets: an hour")
+    whole: bool = option(False, "all problems and all settings: an hour and a half")
     budget: float = 0.0
     files: tuple[str, ...] = option(
         (), "a solver's file of your own (docs/arena.md); repeat for several", name="--solver"
@@ -104,7 +102,7 @@ class Arena(Study):
             raise NotModelledError(f"no answer to compare with: {without}") from None
         begin = own if start == ANSWER else problem.vertices if problem.begin is None else problem.begin
         size = len(problem.tets) * (1 if entrant.element == LINEAR else 8)  # so many linear tets have its nodes
-        budget = self.budget or (find_budget(size) if self.whole else QUICK_BUDGET)
+        budget = self.budget or find_budget(size)
         values = run(entrant, problem, law, {"own": own, "neo": neo}, budget, begin)
         values |= {"start": start, "law": entrant.law or "its own, not given to FEniCSx"}
         skin = problem.skin
