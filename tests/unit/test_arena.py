@@ -121,7 +121,7 @@ def test_our_solvers_meet_fenicsx_and_the_study_writes_its_page(small, tmp_path,
         0.01 < each < 0.5 for each in away.values()
     )
     json.dumps([row.values for row in rows], allow_nan=False)
-    assert "small block" in study.words(rows) and study.gates(rows) == []
+    assert "small block" in study.words(rows) and [gate["passed"] for gate in study.gates(rows)] == [True]
     tables = study.tables(rows)
     assert len(tables[0].rows) == len(rows)
     assert all("<svg" in picture for picture in study.pictures(rows).values())

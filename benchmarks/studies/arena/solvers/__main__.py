@@ -62,7 +62,6 @@ def warm_up(solver: ModuleType, problem: ArenaProblem, settings: Any, out: TextI
     imports = [line for line in map(json.loads, inside.getvalue().splitlines()) if line.get("phase") == "imports"]
     lines = [*imports[:1], {"phase": "warm-up", "cpu_s": time.process_time() - begin}]
     out.writelines(json.dumps(line) + "\n" for line in lines)
-    out.flush()
 
 
 def main(file: str, problem_path: str, settings_path: str, out_path: str) -> None:
@@ -71,7 +70,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
     with np.load(problem_path) as arrays:
         answers = {name.removeprefix(ANSWER): arrays[name] for name in arrays if name.startswith(ANSWER)}
     order = json.loads(Path(settings_path).read_text())
-    with open(out_path, "w") as out:
+    with open(out_path, "w", buffering=1) as out:  # a run that is killed leaves its lines
         versions = read_versions(solver.PACKAGES)
         out.write(json.dumps({"versions": versions}) + "\n")
         missing = [name for name, version in versions.items() if version is None]

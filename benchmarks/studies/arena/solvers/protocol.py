@@ -159,7 +159,6 @@ class Clock:
 
     def _write(self, line: Mapping[str, Any]) -> None:
         self._out.write(json.dumps(line) + "\n")
-        self._out.flush()
 
 
 def _measure_step() -> float:
