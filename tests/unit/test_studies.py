@@ -70,7 +70,9 @@ def test_felupe_finds_what_fenicsx_finds(sphere_head):
     pytest.importorskip("felupe", reason="FElupe is not installed")
     pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
     skin = sphere_head.skin.vertices
-    scene = facial_scene(sphere_head, Parameters(), skin * [1.02, 1.0, 1.0], bones="prescribed", without=("skin",))
+    scene = facial_scene(
+        sphere_head, Parameters(), skin * [1.02, 1.0, 1.0], bones="prescribed", without=("skin",), cells="tets"
+    )
     (bones,), full, everywhere = scene.of(terms.Fixed), np.ones(len(scene.tets)), np.arange(len(scene.vertices))
     springs = scene.of(terms.Target)
     outcome = compare_felupe(

@@ -69,6 +69,7 @@ class Problem:
         scene, start = self.scene(NEO_HOOKEAN), self.begin if start is None else start
         springs, drawn_to = np.zeros(len(self.vertices)), np.array(self.vertices)
         for target in scene.of(terms.Target):
+            assert not target.is_spread(1)  # arrays have springs at vertices alone
             springs[target.vertices], drawn_to[target.vertices] = target.stiffness, target.positions
         surfaces = scene.of(terms.SurfaceStrain)
         triangles = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(surface.triangles for surface in surfaces)])
