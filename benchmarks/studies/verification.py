@@ -168,22 +168,11 @@ class Hard(Study):
         return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Count right, refused and wrong runs by solver and element; and of each case, seeds and laws together."""
+        """Count right, refused and wrong runs by solver and element."""
         ways = list(dict.fromkeys(row.method for row in rows))
         outcomes = Counter((row.method, _judge(row)) for row in rows)
         counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]
-        by_kind: dict[str, dict[str, list[Row]]] = {}
-        for row in rows:
-            kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
-            by_kind.setdefault(kind, {}).setdefault(row.method, []).append(row)
-        lines = [
-            [kind, *(_describe_runs(by_method.get(way, [])) for way in ways)] for kind, by_method in by_kind.items()
-        ]
-        note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
-        return [
-            Table("By solver and element", ["solver and element", *KINDS], counts),
-            Table("Right, refused, wrong", ["case", *ways], lines, note),
-        ]
+        return [Table("By solver and element", ["solver and element", *KINDS], counts)]
 
 
 KINDS = ("right", "refused", "WRONG")
@@ -191,14 +180,3 @@ KINDS = ("right", "refused", "WRONG")
 
 def _judge(row: Row) -> str:
     return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
-
-
-def _describe_runs(rows: Sequence[Row]) -> str | None:
-    """As "20 right, 8 to 31 iterations"."""
-    if not rows:
-        return None
-    kinds = Counter(map(_judge, rows))
-    counts = sorted(int(row.values["iterations"]) for row in rows)
-    span = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
-    outcome = ", ".join(kind if len(rows) == 1 else f"{count} {kind}" for kind, count in kinds.items())
-    return f"{outcome}; {span}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from ....lhm.template.depths.pairs import (
 )
 from ....lhm.template.depths.prior import default_regressor
 from ....lhm.template.wraps.depth import LANDMARKS
-from ....lhm.template.wraps.landmarks import Mask
 from ...harness.study import Column, Row, Study, Task, Values, at_most
 
 LEAST_MEASURED = 0.1
@@ -46,12 +45,9 @@ class Depth(Study):
     needs = ("people", "heads")
     columns = (
         Column("region", "region"),
-        Column("vertices", "vertices compared"),
         Column("measured_share", "of the region"),
         Column("measured_mean", "measured depth, mean [mm]"),
-        Column("predicted_mean", "predicted, mean [mm]"),
         Column("mean", "error, mean [mm]"),
-        Column("median", "median [mm]"),
         Column("quantile_95", "95 % [mm]"),
         Column("bias", "bias [mm]"),
         Column("one_depth", f"one depth of {PUBLISHED:.1f} mm everywhere, mean [mm]"),
@@ -100,12 +96,8 @@ class Depth(Study):
         else:
             regressor = default_regressor(template, space)
         skin, off = read_skin(Path(self.skin), space, unit=self.unit)
-        return {
-            "trained_on": regressor.label,
-            "pairs": regressor.pairs,
-            "registered_off": off,
-            **compare_depths(template, regressor, skin, self._read_skull()),
-        }
+        about = {"trained_on": regressor.label, "pairs": regressor.pairs, "registered_off": off}
+        return about | compare_depths(template, regressor, skin, self._read_skull())
 
     def _read_skull(self) -> Surface:
         return read_skull([Path(path) for path in self.skulls], unit=self.unit)
@@ -152,28 +144,21 @@ def compare_depths(template: Template, regressor: DepthRegressor, skin: Surface,
     predicted = regressor.predict(wrap.vertices)
     fitted = fit_head(template, skin, regressor=regressor).skull_wrap
     off = TriangleTree(skull.vertices, skull.triangles).closest(fitted.vertices)[2]
+    eyes, mouth = template.marks.eyes.mean(axis=0), template.marks.mouth
+    scalp = template.skin_wrap.vertices[:, 1] > eyes[1] + 0.9 * (eyes[1] - mouth[1])
     lines = []
-    for name, region in find_regions(template).items():
+    for name, region in (("face", template.regions["face"]), ("scalp", scalp)):
         inside = region & measured.met
         if inside.any():
             depths = measured.depths[inside]
-            lines.append(
-                {
-                    "region": name,
-                    "measured_share": float(inside.sum() / region.sum()),
-                    "measured_mean": float(depths.mean()),
-                    "predicted_mean": float(predicted[inside].mean()),
-                    **asdict(DepthErrors.between(predicted[inside], depths)),
-                    "one_depth": float(np.abs(PUBLISHED - depths).mean()),
-                    "wrap_mean": float(off[inside].mean()),
-                    "wrap_95": float(np.quantile(off[inside], 0.95)),
-                }
-            )
+            line = {
+                "region": name,
+                "measured_share": float(inside.sum() / region.sum()),
+                "measured_mean": float(depths.mean()),
+                **asdict(DepthErrors.between(predicted[inside], depths)),
+                "one_depth": float(np.abs(PUBLISHED - depths).mean()),
+                "wrap_mean": float(off[inside].mean()),
+                "wrap_95": float(np.quantile(off[inside], 0.95)),
+            }
+            lines.append(line)
     return {"rows": lines, "depths [mm]": draw_depth_comparison(wrap, predicted, measured)}
-
-
-def find_regions(template: Template) -> Mapping[str, Mask]:
-    """Find the face as the template has it, and the scalp, which is all above it."""
-    eyes, mouth = template.marks.eyes.mean(axis=0), template.marks.mouth
-    scalp = template.skin_wrap.vertices[:, 1] > eyes[1] + 0.9 * (eyes[1] - mouth[1])
-    return {"face": template.regions["face"], "scalp": scalp}
