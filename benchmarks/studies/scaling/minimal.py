@@ -134,7 +134,8 @@ class Minimal(Contest, OfPerson):
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
         """Give a line for each piece."""
-        return [{**row, "piece": row["method"], **row["told"], **row["to"].get(WHOLE, {})} for row in values["rows"]]
+        rows = values.get("rows", ())  # results of earlier versions have none
+        return [{**row, "piece": row["method"], **row["told"], **row["to"].get(WHOLE, {})} for row in rows]
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all can be compared, and that a face under more gravity needs it."""
