@@ -40,13 +40,10 @@ from ..surrogate.corpus.mixture import STATIC, draw
 from ..surrogate.corpus.people import People, people_from_text
 from ..surrogate.methods import Method, SolvedRig, get_cells, on_cells
 from ..surrogate.ruler import DEFAULT, kind_of, measure
-from .harness.study import Row, Study, Task, Values
+from .harness.study import Column, Row, Study, Task, Values
 
 EVERY = "every method"
 """The method of a task in which all methods of a case run."""
-REPEATED = 0.02
-"""[s] A frame that takes less is repeated for so long, at most MOST times; its time is the median."""
-MOST = 15
 COARSE = 1
 """Level of the head of the uncounted case."""
 
@@ -144,8 +141,6 @@ def _run(case: Case, method: Method) -> tuple[list[Made | None], list[dict[str, 
         except Exception as error:
             row["status"], row["reason"] = _describe(error)
             continue
-        if row["frame_s"] < REPEATED:
-            row["frame_s"] = _repeat(lambda rig=rig, weights=weights: rig.frame(weights))
         last = rig.last if isinstance(rig, SolvedRig) else None
         if last is not None:
             row["told"] = dict(last.told)
@@ -158,16 +153,6 @@ def _describe(error: Exception) -> tuple[str, str]:
     skipped = isinstance(error, MissingDependencyError | NotModelledError)
     reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
     return "skipped" if skipped else "failed", " ".join(reason.split())
-
-
-def _repeat(work: Callable[[], Any]) -> float:
-    """Median processor time [s] of some calls."""
-    times: list[float] = []
-    while len(times) < MOST and sum(times) < REPEATED:
-        begin = time.process_time()
-        work()
-        times.append(time.process_time() - begin)
-    return float(np.median(times))
 
 
 _warmed: dict[tuple[str, str], float] = {}
@@ -203,11 +188,10 @@ def compare_skins(
 
 @dataclass(frozen=True)
 class Summary:
-    """Rows of one group that have seconds and, with a truth, distances to it; `frames` are (case, frame) of them all.
+    """Rows of one group that are done and, with a truth, have distances to it; `frames` are (case, frame) of them all.
 
     share: all errors over all motion. mean, largest [mm]: over vertices that move. everywhere, farthest [mm]: over
-    all. Times [s] are medians: head, bind and frame; `first` is what the first frame of a new face takes. NaN where
-    nothing was measured.
+    all. Times [s] are medians over the same frames, NaN where one of these has none: head, bind and frame.
     """
 
     frames: frozenset[tuple[str, int]]
@@ -227,10 +211,10 @@ class Summary:
 
 
 def summarise(rows: Iterable[Mapping], by: str, truth: str = "") -> dict[Any, Summary]:
-    """Group rows by a key. Rows without seconds, or without distances to the `truth` if there is one, do not count."""
+    """Group the rows by a key that are done and, with a `truth`, have distances to it."""
     groups: dict[Any, list[Mapping]] = {}
     for row in rows:
-        if row["frame_s"] is not None and (not truth or truth in row["to"]):
+        if row["status"] == "done" and (not truth or truth in row["to"]):
             groups.setdefault(row[by], []).append(row)
     return {key: _summarise(group, truth) for key, group in groups.items()}
 
@@ -254,9 +238,9 @@ def _summarise(rows: Sequence[Mapping], truth: str) -> Summary:
 
 
 def _middle(rows: Sequence[Mapping], key: str) -> float:
-    """The median of what rows measured."""
-    values = [row[key] for row in rows if row[key] is not None]
-    return float(np.median(values)) if values else np.nan
+    """The median of what rows measured; NaN where one did not."""
+    values = [row[key] for row in rows]
+    return np.nan if None in values else float(np.median(values))
 
 
 def keep_shared(rows: Sequence[Mapping], methods: Iterable[str], truth: str) -> list[Mapping]:
@@ -280,14 +264,33 @@ def list_failures(rows: Iterable[Mapping]) -> list[str]:
     return [f"{r['case']}, frame {r['frame']}, {r['method']}: {r['reason']}" for r in rows if r["status"] == "failed"]
 
 
+def list_columns(truths: Iterable[str], distances: Iterable[str] = ("share", "mean")) -> tuple[Column, ...]:
+    """List the columns of a contest's report: some distances to each truth, and costs."""
+    return (
+        *(Column(key, key) for key in ("kind", "method", "cells", "frame", "status")),
+        *(Column(f"{truth}: {key}", f"to {truth}: {key}") for truth in truths for key in distances),
+        *(Column(f"{key}_s", f"{key} [s]", cost=True) for key in ("head", "bind", "frame", "compile")),
+        Column("iterations", "iterations", cost=True),
+    )
+
+
 class Contest(Study):
     """A study that is a list of cases with methods and truths; a subclass is a frozen dataclass of its options."""
 
-    timed = True
     note = (
         "Every method moves a fresh face, and pays for all that it asks: head, bind, frame. It has run another case in "
-        "the same process before, which is not counted. Seconds are processor time."
+        "the same process before, which is not counted. Seconds are processor time; cases may run side by side."
     )
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """Give a line for each row, with its distances by truth and what was told beside it."""
+        return [
+            row
+            | row["told"]
+            | {f"{truth}: {key}": value for truth, to in row["to"].items() for key, value in to.items()}
+            for row in values["rows"]
+        ]
 
     @abstractmethod
     def list_cases(self) -> Sequence[str]:

@@ -248,18 +248,24 @@ def use_dial(accuracy: float = ACCURACY) -> Binder:
     return bind
 
 
-def start_at_first_order(face: AnyFace) -> SolvedRig:
-    """Bind PD whose frames begin at the first order and go on by the PD matrix."""
-    live = get_live(face)
-    prepared = live.derivatives.prepared
+def start_at_first_order(accuracy: float = FRAME_ACCURACY) -> Binder:
+    """Return what binds PD whose frames begin at the first order and go on by the PD matrix.
 
-    def solve(weights: Floats) -> Solved:
-        scene = live.scene(weights)
-        stop = FRAME_ACCURACY * spring_norm(scene)
-        start = predict(live, weights)
-        return tell_solution(live, weights, prepared.solve(scene, start=start, absolute=stop, untangle=False))
+    accuracy: gradient norm, relative to that of the targets' springs each 1 mm long.
+    """
 
-    return SolvedRig(live.skin, solve)
+    def bind(face: AnyFace) -> SolvedRig:
+        live = get_live(face)
+        prepared = live.derivatives.prepared
+
+        def solve(weights: Floats) -> Solved:
+            scene, start = live.scene(weights), predict(live, weights)
+            stop = accuracy * spring_norm(scene)
+            return tell_solution(live, weights, prepared.solve(scene, start=start, absolute=stop, untangle=False))
+
+        return SolvedRig(live.skin, solve)
+
+    return bind
 
 
 def solve_as_corpora(face: AnyFace) -> SolvedRig:
@@ -302,7 +308,7 @@ METHODS: Mapping[str, Method] = {
         solve_by(PD_TETS, "projective", "#7fb2d9", tolerance=1e-8, cells="tets"),
         solve_by(PD_PLAIN, "projective", "#aec7e8", tolerance=1e-6, method="plain"),
         solve_by(PD_ANDERSON, "projective", "#6b8fd6", tolerance=1e-8, method="anderson"),
-        simulate(PD_FIRST_ORDER, start_at_first_order, "#4c3f91"),
+        simulate(PD_FIRST_ORDER, start_at_first_order(), "#4c3f91"),
         simulate(PD_AS_TRAINED, solve_as_corpora, "#9a8fd1"),
         solve_by(FENICSX, "fenicsx", "#d62728"),
         solve_by(FENICSX_TETS, "fenicsx", "#f0908f", cells="tets"),
@@ -370,7 +376,8 @@ def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> 
     for name, exact in networks.items():
         assert surrogate is not None
         bind, cells = use_network(surrogate, exact=exact, beyond=beyond), surrogate.weights.note.cells
-        ready[name] = replace(METHODS[name], bind=bind, cells=cells)
+        needs = METHODS[name].needs if exact else surrogate.needs
+        ready[name] = replace(METHODS[name], bind=bind, cells=cells, needs=needs)
     if surrogate is None:
         del ready[NETWORK]
     if surrogate is None or not surrogate.has_derivatives:

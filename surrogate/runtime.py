@@ -33,7 +33,7 @@ from .networks.weights import FORMS, MODAL, Weights, has_tables
 from .rigs.baked import compress
 from .rigs.bound import BoundSurrogate
 from .rigs.inertia import Swings
-from .rigs.rig import check_code, check_skin
+from .rigs.rig import Needs, check_code, check_skin
 
 Beyond = Literal["refuse", "clamp"]
 SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))
@@ -185,6 +185,11 @@ class Surrogate:
     def has_derivatives(self) -> bool:
         """Whether the network has an offset and responses, which the simulator's can replace."""
         return has_tables(self.weights.kind)
+
+    @property
+    def needs(self) -> Needs:
+        """What a bind needs: a head, by which scaled bones carry the skin, where the weights have not learned that."""
+        return "nothing" if self.has_derivatives and self._tables.carry is not None else "head"
 
     def check_exact(self) -> None:
         """Raise InputError for a network that has no offset and responses which the simulator could replace."""

@@ -309,7 +309,7 @@ def dial(scan: Path) -> bytes:
     from softdeca.benchmarks.studies.surrogate.dial import plot_dial
 
     results = json.loads((ROOT / DIAL[0]).read_text())
-    return to_png(plot_dial([row["values"] for row in results["rows"]]))
+    return to_png(plot_dial([line for row in results["rows"] for line in row["values"]["rows"]]))
 
 
 def arena(scan: Path) -> bytes:

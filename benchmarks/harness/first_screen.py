@@ -1,267 +1,230 @@
-"""The first screen of the report: the question, error against time of every method, and six sentences.
+"""The first screen of the report, by rows of the contest `faces`: what is compared, errors, costs, and where they end.
 
-Each number is that of a row. A sentence or a method whose rows are missing is left out.
+Each pair of an error and a time is one `Summary`, and so of the same frames. A sentence or a method whose rows are
+missing is left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from ...animation.plots import subplots, to_svg, widen_axis
 from ...surrogate import methods as m
-from .study import Row
+from ..contest import Summary, summarise
+from .study import Table
 
 ASKED = (
-    "SoftDECA simulates a face once, and a network then predicts the simulated face in every frame. This report asks "
-    "three questions. Is the fast simulator right? How far is the network from it? What does each method cost?"
+    "S is a face by blendshapes; T is the face that a simulation of its tissue makes of S under parameters p. PD is "
+    "the fast simulator, FEniCSx solves the same energy by finite elements, and its quadratic tets (P2) are the "
+    "converged answer. The network predicts T after training, derivatives are PD to first order, network + "
+    "derivatives adds to these what the network knows beyond, and PD from first order goes on to PD's answer. Rivals: "
+    "the neutral face settled once with blendshapes, and blendshapes that scaled bones carry."
 )
-SOLVERS = (m.PD, m.FENICSX, m.FENICSX_NEO_HOOKEAN)
-SHOWN = (*SOLVERS, m.NETWORK, m.NETWORK_AND_DERIVATIVES, m.DERIVATIVES, m.SETTLED, m.CARRIED, m.BLENDSHAPES)
-ACCURACY = 0.01
-"""[mm] to which solvers are timed."""
-FACE_ENERGY = "Eq. 15"
-"""In the name of the energy whose faces every method makes."""
-OVERALL = "all"
-ALL_VERTICES, SKIN = "all vertices", "skin"
-"""What a comparison of `agreement` is over."""
+TRUTHS = (m.PD, m.PD_TETS, m.FENICSX_P2)
+SOLVERS = (m.PD, m.PD_TETS, m.FENICSX, m.FENICSX_NEO_HOOKEAN, m.FENICSX_P2)
+REAL_TIME = 1.0 / 60.0
+"""[s] that a frame may take where many are made."""
+Lines = Sequence[Mapping[str, Any]]
+"""Rows of `contest`, in long form."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """A method: seconds to the first frame of a new face and of each frame after it, and its mean error [mm]."""
-
-    first: float
-    each: float
-    error: float
+def find_simulator(line: Mapping[str, Any]) -> str:
+    """Name the simulator on whose cells a method's face is: the one that a network has learned."""
+    return m.PD_TETS if line["cells"] == "tets" else m.PD
 
 
-Rows = Mapping[str, Sequence[Row]]
-"""The rows that have values, by study."""
+def summarise_own(lines: Lines) -> dict[str, Summary]:
+    """Summarise each method beside its own simulator."""
+    found: dict[str, Summary] = {}
+    for truth in (m.PD, m.PD_TETS):
+        own = [line for line in lines if find_simulator(line) == truth and line["method"] not in TRUTHS]
+        found |= summarise(own, "method", truth)
+    return found
 
 
-def collect_points(rows: Rows) -> dict[str, Point]:
-    """Every method that rows know: solvers, then the others, the most exact first.
-
-    Seconds are those of one head (`work-precision`) where it has the method, else of `surrogate`. Errors to the
-    simulator's answer are those on unseen people (`surrogate`) where it has the method. A solver stands at 0.01 mm.
-    """
-    points: dict[str, Point] = {}
-    grouped: dict[str, list[Mapping]] = {}
-    for row in rows.get("work-precision", ()):
-        if FACE_ENERGY in row.values["law"]:
-            grouped.setdefault(row.values["solver"], []).append(row.values)
-    for name, records in grouped.items():
-        if (point := _time_method(records)) is not None:
-            points[name] = point
-    for method, score in _collect_scores(rows).get(OVERALL, {}).items():
-        if method in points:
-            points[method] = Point(points[method].first, points[method].each, score["mean"])
-        elif score.get("bind_ms") is not None and score.get("frame_ms") is not None:
-            bind, frame = 1e-3 * score["bind_ms"], 1e-3 * score["frame_ms"]
-            points[method] = Point(bind + frame, frame, score["mean"])
-    shown = {name: points[name] for name in points if name in SHOWN}
-    return dict(sorted(shown.items(), key=lambda item: (item[0] not in SOLVERS, item[1].error)))
-
-
-def _time_method(records: Sequence[Mapping]) -> Point | None:
-    """Medians over expressions; None for a solver that one of them does not bring to 0.01 mm."""
-    ready = float(np.median([np.median(values["set_up_s"]) for values in records]))
-    if "to_hundredth_s" not in records[0]:
-        each = float(np.median([np.median(values["solve_s"]) for values in records]))
-        return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in records])))
-    reached = [values["to_hundredth_s"] for values in records]
-    if None in reached:
-        return None
-    each = float(np.median(reached))
-    return Point(ready + each, each, ACCURACY)
-
-
-def _collect_scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
-    """The lines of the study `surrogate`, by kind of frames and method."""
-    scores: dict[str, dict[str, Mapping]] = {}
-    for row in rows.get("surrogate", ()):
-        for line in row.values["rows"]:
-            scores.setdefault(line["kind"], {})[line["method"]] = line
-    return scores
-
-
-def write_sentences(rows: Rows) -> list[str]:
-    """Write at most six; the first says how far the simulator is from converged finite elements."""
-    sentences = (
-        tell_distance(rows.get("mesh", ())),
-        _tell_losses(rows),
-        _tell_overall(rows),
-        _tell_agreement(rows),
-        _tell_law(rows),
-        _tell_costs(collect_points(rows)),
-    )
+def write_sentences(lines: Lines) -> list[str]:
+    """Write, in order, how far the simulator, then each method is off, what each costs, and where the network loses."""
+    sentences = (_tell_truth(lines), _tell_errors(lines), _tell_costs(lines), _tell_losses(lines))
     return [text for text in sentences if text]
 
 
-def tell_distance(rows: Sequence[Row]) -> str:
-    """Tell how far the simulator is from converged finite elements, by rows of `mesh`; nothing without them."""
-    told = []
-    for kind in ("effects", "expressions"):
-        prisms, tets = (mean_share(rows, name, kind) for name in (m.PD, m.PD_TETS))
-        if prisms is not None and tets is not None:
-            told.append(f"{100 * prisms:.0f} % of the motion over {kind} (by tets {100 * tets:.0f} %)")
-    return f"The simulator misses converged finite elements by {' and '.join(told)}." if told else ""
-
-
-def mean_share(rows: Sequence[Row], method: str, kind: str) -> float | None:
-    """Average the share of the motion that a method misses to quadratic tets, over rows of a kind or effect."""
-    lines = (line for row in rows for line in row.values["rows"] if kind in (line["kind"], line["what"]))
-    shares = [line["to"][m.FENICSX_P2]["share"] for line in lines if line["method"] == method and line["to"]]
-    return float(np.mean(shares)) if shares else None
-
-
-def _tell_losses(rows: Rows) -> str:
-    lost, compared = [], 0
-    for kind, scores in _collect_scores(rows).items():
-        rivals = {name: scores[name]["mean"] for name in (m.SETTLED, m.CARRIED) if name in scores}
-        if kind == OVERALL or m.NETWORK not in scores or not rivals:
-            continue
-        compared += 1
-        rival = min(rivals, key=lambda name: rivals[name])
-        if rivals[rival] <= (mine := scores[m.NETWORK]["mean"]):
-            lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
-    for effect, (rival, share, own) in find_lost_effects(rows.get("split", ())).items():
-        lost.append(f"{effect} ({rival} leaves {100 * share:.0f} % of the motion, network {100 * own:.0f} %)")
-    if lost:
-        return f"The network loses to a simple rival on these kinds of frames: {', '.join(lost)}."
-    return f"The network beats the simple rivals on all {compared} kinds of frames." if compared else ""
-
-
-def find_lost_effects(rows: Sequence[Row]) -> dict[str, tuple[str, float, float]]:
-    """Find effects of the study `split` on which the nearer rival leaves less than the network: rival, both shares."""
-    lost = {}
-    frames = [row for row in rows if "share" in row.values]
-    for effect in dict.fromkeys(row.case for row in frames):
-        records = [row.values for row in frames if row.case == effect]
-        own, settled, carried = (
-            float(np.mean([values[key] for values in records])) for key in ("share", "share_settled", "share_carried")
+def _tell_truth(lines: Lines) -> str:
+    far, sentences = summarise(lines, "method", m.FENICSX_P2), []
+    if m.PD in far:
+        tets = f" (by tets {_percent(far[m.PD_TETS].share)})" if m.PD_TETS in far else ""
+        sentences.append(
+            f"The simulator misses converged finite elements by {_percent(far[m.PD].share)} of the motion beyond "
+            f"scaled bones{tets}, on {_count(far[m.PD])}."
         )
-        rival, share = (m.SETTLED, settled) if settled <= carried else (m.CARRIED, carried)
-        if share <= own:
-            lost[effect] = rival, share, own
-    return lost
+    to_pd = summarise(lines, "method", m.PD)
+    if m.FENICSX in to_pd:
+        same = to_pd[m.FENICSX]
+        sentences.append(f"FEniCSx with the same energy is at most {same.farthest:.1e} mm from it on {_count(same)}.")
+    if m.FENICSX_NEO_HOOKEAN in to_pd:
+        law = to_pd[m.FENICSX_NEO_HOOKEAN]
+        sentences.append(f"A neo-Hookean law in place of that energy moves the skin by {_percent(law.share)}.")
+    return " ".join(sentences)
 
 
-def _tell_overall(rows: Rows) -> str:
-    scores = _collect_scores(rows).get(OVERALL, {})
-    if not {m.NETWORK, m.SETTLED} <= scores.keys():
+def _tell_errors(lines: Lines) -> str:
+    found = {name: each for name, each in summarise_own(lines).items() if name not in SOLVERS}
+    if not found:
         return ""
-    people = rows["surrogate"][0].values.get("people")
-    whom = f"{people} people" if people else "people"
-    errors = {name: score["mean"] for name, score in scores.items() if name in SHOWN}
-    best = min(errors, key=lambda name: errors[name])
-    return (
-        f"On {whom} it has not seen, the network errs by {errors[m.NETWORK]:.3f} mm on average and the simple rival "
-        f"{m.SETTLED} by {errors[m.SETTLED]:.3f} mm; {best} is best with {errors[best]:.3f} mm."
-    )
+    ordered = sorted(found, key=lambda name: found[name].share)
+    told = "; ".join(f"{name} {_percent(found[name].share)} ({found[name].mean:.3f} mm)" for name in ordered)
+    most = max(found.values(), key=lambda each: len(each.frames))
+    return f"Each method misses its simulator by, on {_count(most)}: {told}."
 
 
-def select_comparisons(rows: Iterable[Row], method: str, truth: str, over: str) -> list[Mapping]:
-    """Select a method's comparisons with a solver in rows of `agreement`, over ALL_VERTICES or the SKIN."""
-    lines = (line for row in rows if row.method == method for line in row.values.get("compared", ()))
-    return [line for line in lines if (line["to"], line["over"]) == (truth, over)]
+def find_front(found: Mapping[str, Summary], seconds: str) -> list[str]:
+    """List the methods than which no other is both faster and nearer, the fastest first; `seconds`: first or frame."""
+    ordered = sorted(found, key=lambda name: (getattr(found[name], seconds), found[name].share))
+    return [name for k, name in enumerate(ordered) if all(found[name].share < found[o].share for o in ordered[:k])]
 
 
-def _tell_agreement(rows: Rows) -> str:
-    apart = [line["max"] for line in select_comparisons(rows.get("agreement", ()), m.PD, m.FENICSX, ALL_VERTICES)]
-    if not apart:
+def _tell_costs(lines: Lines) -> str:
+    """Name the front of error and time, to converged finite elements where these are there, else to PD."""
+    truth = m.FENICSX_P2 if any(m.FENICSX_P2 in line["to"] for line in lines) else m.PD
+    found = summarise(lines, "method", truth)
+    if truth == m.PD:
+        found |= {name: each for name, each in summarise_own(lines).items() if name in found}
+    if len(found) < 2:
         return ""
-    return (
-        f"The fast simulator (PD) and FEniCSx minimise the same energy, and end at most {max(apart):.1e} mm apart "
-        f"in {len(apart)} {'case' if len(apart) == 1 else 'cases'}."
-    )
-
-
-def _tell_law(rows: Rows) -> str:
-    compared = rows.get("agreement", ())
-    skin, everything = (
-        select_comparisons(compared, m.FENICSX_NEO_HOOKEAN, m.PD, over) for over in (SKIN, ALL_VERTICES)
-    )
-    if not skin:
-        return ""
-    return (
-        "A neo-Hookean law instead of PD's energy moves the skin by at most "
-        f"{max(line['mean'] for line in skin):.3f} mm on average, "
-        f"and a vertex by at most {max(line['max'] for line in everything):.2f} mm."
-    )
-
-
-def _tell_costs(points: Mapping[str, Point]) -> str:
-    """Say which solver to pick for a frame, and which method for many frames of a face."""
-    solvers = sorted((name for name in (m.PD, m.FENICSX) if name in points), key=lambda name: points[name].each)
+    whom = "converged finite elements" if truth == m.FENICSX_P2 else "the simulator"
     sentences = []
-    if len(solvers) > 1:
-        best, other = ((name, _format_seconds(points[name].each)) for name in solvers)
-        sentences.append(
-            f"For a frame to {ACCURACY:g} mm pick {best[0]}, which takes {best[1]}; {other[0]} takes {other[1]}."
+    for seconds, what in (("frame", "a frame of a face that is ready"), ("first", "the first frame of a new face")):
+        front = ", ".join(
+            f"{name} ({_format_seconds(getattr(found[name], seconds))}, {_percent(found[name].share)})"
+            for name in find_front(found, seconds)
         )
-    if solvers and m.NETWORK in points:
-        first, each, error = points[m.NETWORK].first, points[m.NETWORK].each, points[m.NETWORK].error
+        sentences.append(f"No method is both faster and nearer to {whom} than these, for {what}: {front}.")
+    ready = {name: each for name, each in found.items() if each.frame <= REAL_TIME}
+    if ready:
+        best = min(ready, key=lambda name: ready[name].share)
         sentences.append(
-            f"For many frames of a face pick the network: {_format_seconds(each)} each after "
-            f"{_format_seconds(first)}, at {error:.3f} mm."
+            f"For many frames of a face pick {best}: {_format_seconds(ready[best].frame)} each after "
+            f"{_format_seconds(ready[best].first)}."
         )
     return " ".join(sentences)
 
 
-def _format_seconds(value: float) -> str:
-    return f"{value:.2g} s" if value >= 0.01 else f"{1e3 * value:.2g} ms"
+def find_losses(lines: Lines, by: str) -> list[tuple[str, str, float, float]]:
+    """Find groups in which the network is no nearer than a simple rival to the simulator that it learned.
 
-
-def draw_figure(rows: Rows) -> str:
-    """Error against seconds, to the first frame of a new face (filled) and of each frame after it (hollow): SVG.
-
-    An empty text where fewer than two methods are there.
+    Each is the group, the rival, its share and the network's. Rivals are on faces of the network's cells.
     """
-    points = collect_points(rows)
-    if len(points) < 2:
+    truths = {find_simulator(line) for line in lines if line["method"] == m.NETWORK}
+    lost = []
+    for truth, group in product(truths, dict.fromkeys(line[by] for line in lines)):
+        own = [line for line in lines if line[by] == group and (m.PD in line["to"] or m.PD_TETS in line["to"])]
+        there = {(line["method"], line["cells"]) for line in own}
+        cells = "tets" if truth == m.PD_TETS else "prisms"
+        settled = [name for name in (m.SETTLED, m.SETTLED_TETS) if (name, cells) in there]
+        # A study whose faces are of tets has them for the simulator, too.
+        known = truth if any(truth in line["to"] for line in own) else m.PD
+        found = summarise(own, "method", known)
+        rivals = [name for name in (*settled, m.CARRIED) if name in found]
+        if m.NETWORK in found and rivals:
+            rival = min(rivals, key=lambda name: found[name].share)
+            if found[rival].share <= found[m.NETWORK].share:
+                lost.append((group, rival, found[rival].share, found[m.NETWORK].share))
+    return lost
+
+
+def _tell_losses(lines: Lines) -> str:
+    kinds = {line["kind"] for line in lines if line["method"] == m.NETWORK}
+    lost = [
+        f"{kind} ({rival} misses {_percent(share)}, network {_percent(own)})"
+        for kind, rival, share, own in find_losses(lines, "kind")
+    ]
+    if lost:
+        return f"The network loses to a simple rival on these kinds of p: {', '.join(lost)}."
+    return f"The network beats the simple rivals on each of {len(kinds)} kinds of p." if kinds else ""
+
+
+def tabulate(lines: Lines) -> list[Table]:
+    """Tabulate errors to each method's simulator, and to quadratic tets, with seconds of the same frames."""
+    cells = {line["method"]: line["cells"] for line in lines}
+    head = ["method", "cells", "misses of the motion", "mean [mm]", "first frame of a new face [s]",
+            "each frame after it [s]", "frames"]  # fmt: skip
+    note = (
+        "Its simulator is PD on the same cells: prisms, or the tets that the network has learned. Shares are of the "
+        "motion that scaled bones do not explain. Seconds are processor time of the same frames as the errors, a "
+        "median; the first frame has head and bind."
+    )
+    tables = []
+    for caption, found in (
+        ("Error to each method's simulator, and cost", summarise_own(lines)),
+        ("Error to converged finite elements, and cost", summarise(lines, "method", m.FENICSX_P2)),
+    ):
+        body = [
+            (name, cells[name], each.share, each.mean, _known(each.first), each.frame, len(each.frames))
+            for name, each in sorted(found.items(), key=lambda item: item[1].share)
+        ]
+        tables += [Table(caption, head, body, note)] if body else []
+    return tables
+
+
+def tabulate_kinds(lines: Lines) -> Table:
+    """Tabulate shares by kind of p, each method beside its simulator."""
+    kinds = list(dict.fromkeys(line["kind"] for line in lines))
+    found = {kind: summarise_own([line for line in lines if line["kind"] == kind]) for kind in kinds}
+    names = dict.fromkeys(name for each in found.values() for name in each)
+    body = [(name, *(found[kind][name].share if name in found[kind] else None for kind in kinds)) for name in names]
+    return Table("Share of the motion that each method misses, by kind of p", ["method", *kinds], body)
+
+
+CAPTION = (
+    "Share of the motion that a method misses, against processor time. Hollow marks: a frame of a face that is ready. "
+    "Filled marks: the first frame of a new face, with head and bind. Squares solve, circles use the network or "
+    "derivatives, triangles are simple rivals."
+)
+
+
+def draw_figure(lines: Lines) -> str:
+    """Draw error against seconds, to each method's simulator and to converged elements: SVG; empty without methods."""
+    panels = {
+        "to its simulator": summarise_own(lines),
+        "to converged elements": summarise(lines, "method", m.FENICSX_P2),
+    }
+    panels = {title: found for title, found in panels.items() if len(found) > 1}
+    if not panels:
         return ""
-    drawn, axis = subplots(figsize=(12, 4.4))
-    for name, point in points.items():
-        colour, mark = m.METHODS[name].colour, m.METHODS[name].mark
-        axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
-        axis.plot(point.each, point.error, mark, mec=colour, mfc="white", ms=8)
-        axis.plot(point.first, point.error, mark, color=colour, ms=8, label=name)
-    for row in rows.get("work-precision", ()):
-        name = row.values["solver"]
-        if name in points and name in SOLVERS and FACE_ENERGY in row.values["law"]:
-            seconds = np.median(row.values["set_up_s"]) + np.array(row.values["seconds"])
-            axis.plot(seconds, row.values["error_mm"], color=m.METHODS[name].colour, lw=0.8, ls=":")
-    errors = [point.error for point in points.values()]
-    if dial := _collect_dial(rows):
-        axis.plot(
-            *zip(*dial, strict=True), f"{m.METHODS[m.DIAL].mark}-", color=m.METHODS[m.DIAL].colour, ms=5, label=m.DIAL
-        )
-        errors += [error for _, error in dial]
-    axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="mean error [mm]")
-    widen_axis(axis, errors)
+    drawn, axes = subplots(1, len(panels), figsize=(12, 4.4))
+    labelled: set[str] = set()
+    for axis, (title, found) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+        for name, each in found.items():
+            colour, mark, share = m.get_method(name).colour, m.get_method(name).mark, max(100 * each.share, 1e-4)
+            label = None if name in labelled else name
+            labelled.add(name)
+            axis.plot(each.frame, share, mark, mec=colour, mfc="white", ms=8)
+            if np.isfinite(each.first):
+                axis.plot([each.frame, each.first], [share] * 2, color=colour, lw=1.2, alpha=0.5)
+            axis.plot(each.first, share, mark, color=colour, ms=8, label=label)
+        axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="missed of the motion [%]", title=title)
+        widen_axis(axis, [max(100 * each.share, 1e-4) for each in found.values()])
     drawn.legend(loc="outside right upper", fontsize=10)
     return to_svg(drawn)
 
 
-def _collect_dial(rows: Rows) -> list[tuple[float, float]]:
-    """Medians of seconds and true error [mm] of a frame, by the accuracy that is asked for."""
-    by_accuracy: dict[float, list[Mapping]] = {}
-    for row in rows.get("dial", ()):
-        for frame in row.values["told"]:
-            by_accuracy.setdefault(frame["accuracy"], []).append(frame)
-    return [
-        (1e-3 * float(np.median([each["ms"] for each in frames])), float(np.median([each["true"] for each in frames])))
-        for frames in by_accuracy.values()
-    ]
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share < 0.1 else f"{100 * share:.0f} %"
 
 
-CAPTION = (
-    "Mean distance of the skin to the simulator's answer, against time. Hollow marks: a frame of a face that is ready. "
-    "Filled marks: the first frame of a new face, with all that it needs. Squares are solvers at 0.01 mm; dotted lines "
-    "show their largest error. Diamonds are frames that tell their error, asked for from 0.1 to 0.001 mm. Circles use "
-    "the network or derivatives of the simulator. Triangles are simple rivals."
-)
+def _count(summary: Summary) -> str:
+    faces = len({case for case, _ in summary.frames})
+    return f"{len(summary.frames)} frames of {faces} {'face' if faces == 1 else 'faces'}"
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _format_seconds(value: float) -> str:
+    if not np.isfinite(value):
+        return "a head's and a bind's time that was not measured"
+    return f"{value:.2g} s" if value >= 0.01 else f"{1e3 * value:.2g} ms"

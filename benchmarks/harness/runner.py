@@ -7,7 +7,8 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -27,6 +28,8 @@ from .page import render_study
 from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
 
+EVERY = 20.0
+"""[s] between two looks at results while tasks run."""
 FIRST_BYTES = {".png": b"\x89PNG", ".npy": b"\x93NUMPY"}
 """By which a file's kind is known; what has none of them is a page."""
 
@@ -65,10 +68,12 @@ def run_together(
     *,
     workers: int | None = None,
     progress: OnProgress = silent,
+    on_results: Callable[[Sequence[Results]], None] | None = None,
 ) -> list[Results | SoftdecaError]:
     """Run several studies, as `run`; they share their processes, so that none waits for the end of one before the next.
 
     In place of results, why a study could not be run. Where seconds of one are compared, all run one after another.
+    on_results: sees what is there after the first task, and then at most every EVERY seconds.
     """
     ends: list[Results | SoftdecaError | None] = [None] * len(requests)
     runs: dict[int, _Run] = {}
@@ -84,11 +89,15 @@ def run_together(
         if runs:
             names = ", ".join(run.study.name for run in runs.values())
             progress(f"{names}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
+        seen = -math.inf
         for done, outcome in enumerate(measure_jobs(list(jobs), lanes), 1):
             run = runs[jobs[outcome.job]]
             run.add(outcome)
             ended = "" if outcome.status == "done" else f", {outcome.status}"
             progress(f"{run.study.name}: {outcome.job.task}{ended}", 1.0 - (len(jobs) - done) / count)
+            if on_results is not None and time.monotonic() - seen >= EVERY:
+                on_results([each.write() for each in runs.values() if each.has_rows])
+                seen = time.monotonic()
         for number, run in runs.items():
             ends[number] = run.write()
     return [each for each in ends if each is not None]
@@ -117,6 +126,11 @@ class _Run:
         }
         self.left = [task for task in self.tasks if task not in self._rows or not self._rows[task].done]
 
+    @property
+    def has_rows(self) -> bool:
+        """Whether a task of it is done."""
+        return bool(self._rows)
+
     def add(self, outcome: Outcome) -> None:
         """Keep what a task gave; pictures, pages and arrays become files, whose names stand in the row."""
         task, values = outcome.job.task, dict(outcome.values)
@@ -140,8 +154,8 @@ class _Run:
         add_row(self._out / "rows.jsonl", asdict(row))
 
     def write(self) -> Results:
-        """Write the results of all rows, and their page."""
-        study, rows = self.study, [self._rows[task] for task in self.tasks]
+        """Write the results of the rows that are there, and their page."""
+        study, rows = self.study, [self._rows[task] for task in self.tasks if task in self._rows]
         done = [row for row in rows if row.done]
         missing = sum(row.status == "failed" for row in rows) if done else len(rows)
         failed = at_most("cases that could not be measured", missing, 0)
@@ -150,6 +164,8 @@ class _Run:
         gates = (failed, *(study.gates(done) if done else ()))
         options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # a dataclass
         words = study.words(done) if done else "Nothing could be measured."
+        if len(rows) < len(self.tasks) + len(concluded):
+            words = f"{len(self.tasks) + len(concluded) - len(rows)} tasks are not done yet. {words}"
         results = Results(study.name, study.question, options, self._machine, tuple(rows), gates, words, self._inputs)
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
         write_whole(self._out / "index.html", render_study(study, results, self._out).encode())

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from ..harness.study import Study
 
 QUESTIONS: Mapping[str, Mapping[str, str]] = {
+    "How far is each method, and what does it cost?": {
+        "faces": "faces:Faces",
+    },
     "Is the fast simulator right?": {
         "agreement": "agreement.study:Agreement",
         "verification": "verification:Verification",
@@ -27,7 +30,6 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "surrogate": "surrogate.study:SurrogateOnCorpus",
         "split": "surrogate.split:Split",
         "dial": "surrogate.dial:Dial",
-        "table-1": "surrogate.table_1:Table1",
     },
     "What does each method cost?": {
         "work-precision": "arena.work_precision:WorkPrecision",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -44,6 +45,8 @@ class Person:
     space: LinearSpace
     code: Floats | None
     head: LayeredHead
+    fit_s: float | None = None
+    """Processor time [s] that the head took to fit, where it was measured."""
 
     def face(self, parameters: Parameters, contact: Sequence[str] = ()) -> Face:
         """Give the face under p, local values one per triangle of the wraps, by CELLS; regions in contact by name."""
@@ -101,4 +104,6 @@ def person(whose: str = "anny", seed: int | None = 0, level: int = DEFAULT_LEVEL
     skin = space.skin(code)
     if seed is not None:
         code, skin = space.sample(np.random.default_rng(seed))
-    return Person(space, code, fit_head(load_template(space, level=level), skin))
+    template, begin = load_template(space, level=level), time.process_time()
+    head = fit_head(template, skin)
+    return Person(space, code, head, time.process_time() - begin)

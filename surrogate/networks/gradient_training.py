@@ -13,6 +13,7 @@ Options stop a training earlier; nothing else does.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -33,7 +34,7 @@ from .frames import FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
 from .modal_faces import LessonFaces
 from .softsmpl import LARGE, SMALL
-from .table_training import TableTraining, after_tables, draw_mixers, learn_tables
+from .table_training import TableTraining, draw_mixers, learn_tables
 from .tables import table_shapes
 from .trainer import (
     Lesson,
@@ -122,7 +123,7 @@ def train_gradients(
     two people, or ten where tables are learned, another device than the CPU, a loss that is not finite, a `start`
     without tables of these sizes, and for a state of another training.
     """
-    config = GradientTraining() if config is None else config
+    config, begun = GradientTraining() if config is None else config, time.process_time()
     form, data = FORMS[config.form], None
     first: dict[str, np.ndarray] = {}
     curve: list[dict[str, float]] = []
@@ -141,7 +142,8 @@ def train_gradients(
         whole, curve = learn_tables(data, start, shapes, begin, config.tables, config, state, on_progress)
         first = {name: whole[name] for name in shapes}
     lesson = GradientLesson(faces, config, data)
-    trainer = Trainer(lesson, after_tables(config) if curve else config)
+    lesson.begun = begun
+    trainer = Trainer(lesson, config)
     trainer.train(state, on_progress)
     note = TrainingNote(
         people=len(lesson.source.people),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
@@ -29,7 +30,7 @@ from .modal import (
     remainder_layers,
 )
 from .modal_faces import LessonFaces
-from .table_training import TableTraining, after_tables, draw_mixers, learn_tables
+from .table_training import TableTraining, draw_mixers, learn_tables
 from .tables import expand, find_first_order
 from .trainer import (
     Lesson,
@@ -94,7 +95,7 @@ def train_modal(
     InputError for fewer than ten people, a corpus without frames and without `start`, a device that is not there, a
     `start` of another mesh or of other sizes than the config's, and a state of another training.
     """
-    config = ModalTraining() if config is None else config
+    config, begun = ModalTraining() if config is None else config, time.process_time()
     if start is None and not faces.has_frames:
         raise InputError(f"training: {faces.folder} has no frames; give weights to begin with, whose remainder stays")
     device, rng = open_device(config.device), np.random.default_rng([config.seed, 0])
@@ -107,7 +108,8 @@ def train_modal(
     if faces.has_frames:
         at_remainder = RemainderLesson(data, network, config, device)
         rest = config if start is None else replace(config, learning_rate=BEGUN_RATE * config.learning_rate)
-        trainer = Trainer(at_remainder, after_tables(rest))
+        at_remainder.begun = begun
+        trainer = Trainer(at_remainder, rest)
         trainer.train(state, on_progress)
         network |= trainer.arrays()
         curve = join_curves(curve, trainer.curve)

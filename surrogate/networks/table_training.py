@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -90,11 +90,6 @@ class TableTraining:
             hours=None if rest.hours is None else FOR_TABLES * rest.hours,
             device=rest.device,
         )
-
-
-def after_tables(rest: Options) -> Options:
-    """Return the options of steps that follow on those at the tables, which had half of the hours."""
-    return rest if rest.hours is None else replace(rest, hours=(1.0 - FOR_TABLES) * rest.hours)
 
 
 OF_TABLES = 4

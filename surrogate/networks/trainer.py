@@ -57,7 +57,7 @@ class TrainerConfig:
     clip: float | None = None  # norm of the gradient beyond which it is shortened
     validate_every: int = 400  # steps between two points of the curve
     best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
-    hours: float | None = None  # of a processor that the steps take, in place of `steps`: a few tell how long one takes
+    hours: float | None = None  # of a processor for all of a lesson, in place of `steps`: solves and validation count
     device: str = "cpu"
 
 
@@ -69,6 +69,14 @@ class Lesson(ABC):
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
     about: Sequence[str] = ()
     """Description that a kept state has to match."""
+    begun: float
+    """Processor time [s] when it began to be made: what it solves before its first step counts, too."""
+
+    def __new__(cls, *given: Any, **named: Any) -> Lesson:
+        """Begin to count its time."""
+        lesson = super().__new__(cls)
+        lesson.begun = time.process_time()
+        return lesson
 
     @abstractmethod
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
@@ -99,7 +107,7 @@ class Trainer:
             )
         else:
             self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, self._share_of_rate)
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self._first = 0, 0.0, time.process_time()
         self.curve: list[dict[str, float]] = []
         self.best: Tensors = self._copy() if config.best_by else {}
         self.least = float("inf")
@@ -110,7 +118,10 @@ class Trainer:
         if state is not None and Path(state).is_file():
             self.restore(state)
         while self.step < self.steps:
-            self.run(min(config.validate_every - self.step % config.validate_every, self.steps - self.step))
+            steps = min(config.validate_every - self.step % config.validate_every, self.steps - self.step)
+            self.run(steps if config.hours is None else min(steps, max(1, self.steps // CHECKS)))
+            if config.hours is not None:
+                self._fit_into(config.hours)
             if state is not None:
                 self.keep(state)
             errors = {name: value for name, value in self.curve[-1].items() if name not in ("step", "seconds", "loss")}
@@ -118,6 +129,13 @@ class Trainer:
                 "training: held-out people, mm: " + ", ".join(f"{name} {value:.4f}" for name, value in errors.items()),
                 self.step / self.steps,
             )
+
+    def _fit_into(self, hours: float) -> None:
+        """Change the number of steps so that all of the lesson takes these processor hours, by what it took so far."""
+        now = time.process_time()
+        left, each = 3600.0 * hours - (now - self.lesson.begun), (now - self._first) / self.step
+        most = self.steps if self.config.one_cycle else np.inf  # whose rates are fixed for so many
+        self.steps = int(min(self.step + max(left / each, 0.0), most))
 
     def run(self, steps: int) -> None:
         """Make some steps, then add a point to the curve; InputError for a loss that is not finite."""
@@ -198,9 +216,14 @@ TRIED = range(5)
 """Steps by which it is found how long one takes."""
 
 
+CHECKS = 10
+"""So often, at least, a training looks at the hours that are left."""
+
+
 def count_steps(lesson: Lesson, hours: float) -> int:
-    """Count the steps that fit into processor hours, validation aside, by how long some take."""
-    return max(1, int(3600.0 * hours / float(np.median([_time_step(lesson) for _ in TRIED]))))
+    """Count the steps that fit into what is left of a lesson's processor hours, by how long some take."""
+    each = float(np.median([_time_step(lesson) for _ in TRIED]))
+    return max(1, int((3600.0 * hours - (time.process_time() - lesson.begun)) / each))
 
 
 def _time_step(lesson: Lesson) -> float:

@@ -4,7 +4,7 @@ import json
 
 from softdeca.benchmarks import main_study
 from softdeca.benchmarks.harness import RunRequest
-from softdeca.benchmarks.studies.agreement.material import Material
+from softdeca.benchmarks.studies.faces import Faces
 from softdeca.benchmarks.studies.verification import Verification
 
 
@@ -13,15 +13,15 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
     monkeypatch.setattr(
         main_study,
         "choose_studies",
-        lambda *given, **options: [RunRequest(Material(modes=("torsion",)), tmp_path / "material"), good],
+        lambda *given, **options: [RunRequest(Faces(people=0), tmp_path / "faces"), good],
     )
     ended = command("study", "--out", tmp_path)
     assert ended.status == 1 and any(
-        "FAILED material: unknown mode 'torsion'" in line for line in ended.out.splitlines()
+        "FAILED faces: people, frames, expressions: expected 1" in line for line in ended.out.splitlines()
     )
     for name in ("index.html", "report.md"):
         text = (tmp_path / name).read_text()
-        assert "study material could not be run" in text and "4 of 4 values by skfem" in text
+        assert "study faces could not be run" in text and "4 of 4 values by skfem" in text
     rows = (tmp_path / "verification" / "rows.jsonl").read_text()
     monkeypatch.setattr(main_study, "choose_studies", lambda *given, **options: [good])
     again = command("study", "--out", tmp_path, "--json")

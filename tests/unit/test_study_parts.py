@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.harness.first_screen import tell_distance
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
 from softdeca.benchmarks.studies.arena.entrants import list_entrants
 from softdeca.benchmarks.studies.arena.laws import RIGID
@@ -19,7 +18,7 @@ from softdeca.benchmarks.studies.measures import (
     trace_to_itself,
 )
 from softdeca.benchmarks.studies.mesh.refine import refine_scene
-from softdeca.benchmarks.studies.mesh.study import EFFECTS, MeshError
+from softdeca.benchmarks.studies.mesh.study import EFFECTS, MeshError, tell_distance
 from softdeca.benchmarks.studies.scaling.unknowns import count_nodes
 from softdeca.lhm import check_head, fit_head, identities, load_template
 from softdeca.reference import Parameters, Scene, facial_scene, prepare, terms

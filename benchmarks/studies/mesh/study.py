@@ -26,7 +26,6 @@ from ....surrogate.corpus.mixture import draw
 from ....surrogate.methods import METHODS, Method, Solved, SolvedRig, use_solver
 from ....surrogate.ruler import measure
 from ...contest import Case, Contest, Made, compare_skins, run_contest
-from ...harness.first_screen import mean_share, tell_distance
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..measures import distances
 from ..person import OfPerson, Person, check_known
@@ -370,3 +369,20 @@ def draw_errors(head: LayeredHead, skins: Mapping[str, Floats], truth: Floats, m
     surface = head.skin.with_vertices(truth)
     panels.append(Panel(f"{TRUTH}: its motion", surface, motion, float(np.percentile(motion[face], 99))))
     return draw_strip(panels, framed=head.skin.vertices[face])
+
+
+def tell_distance(rows: Sequence[Row]) -> str:
+    """Tell how far the simulator is from converged finite elements, by rows of `mesh`; nothing without them."""
+    told = []
+    for kind in ("effects", "expressions"):
+        prisms, tets = (mean_share(rows, name, kind) for name in (m.PD, m.PD_TETS))
+        if prisms is not None and tets is not None:
+            told.append(f"{100 * prisms:.0f} % of the motion over {kind} (by tets {100 * tets:.0f} %)")
+    return f"The simulator misses converged finite elements by {' and '.join(told)}." if told else ""
+
+
+def mean_share(rows: Sequence[Row], method: str, kind: str) -> float | None:
+    """Average the share of the motion that a method misses to quadratic tets, over rows of a kind or effect."""
+    lines = (line for row in rows for line in row.values["rows"] if kind in (line["kind"], line["what"]))
+    shares = [line["to"][m.FENICSX_P2]["share"] for line in lines if line["method"] == method and line["to"]]
+    return float(np.mean(shares)) if shares else None

@@ -1,20 +1,17 @@
-"""The paper's Table 1 on a corpus of one's own: SoftDECA's network, its rivals, and what needs no training."""
+"""The paper's Table 1 on a corpus: SoftDECA's network, its rivals and ablations, each trained for the same time."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ....lhm.base.errors import InputError
-from ....lhm.base.option import option
 from ....surrogate import Surrogate
-from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.corpus.reading import Faces
 from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
 from ....surrogate.methods import (
@@ -22,7 +19,6 @@ from ....surrogate.methods import (
     CARRIED,
     DERIVATIVES,
     FACE_WISE,
-    NETWORK,
     NETWORK_ALIKE,
     SETTLED,
     SNP,
@@ -42,9 +38,9 @@ from ....surrogate.methods import (
 from ....surrogate.motion import evaluate_motion, evaluate_played
 from ....surrogate.rigs.bound import BoundSurrogate
 from ....surrogate.ruler import KINDS
-from ....surrogate.trials import AGAINST, DYNAMIC, SIMULATED, SIMULATOR, CorpusTrials
-from ...harness.study import Column, Row, Study, Table, Task, Values
-from .methods import Contest, list_learners, open_contest, parse_people
+from ....surrogate.trials import AGAINST, DYNAMIC, CorpusTrials
+from ...harness.study import Row, Table, Values
+from .methods import Contest, list_learners
 
 GRADIENTS = {
     SOFTDECA: "paper",
@@ -57,7 +53,14 @@ GRADIENTS = {
 """Names of `softdeca train --network` by label."""
 TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
 LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_BEGUN)
-"""Networks that learn Eq. 21 where the corpus has sequences, in a tenth of the time."""
+"""Networks that learn Eq. 21 where the corpus has sequences, in FOR_MOTION of the time."""
+FOR_MOTION = 0.1
+NOTE = (
+    "Static frames of Table 1 are under uniform p, as the paper has them; a network that has one value of p for the "
+    "whole face is not scored where p varies. Each method is trained for the same processor time, all that its "
+    "training does counted, and once for a quarter of it. SNP and the GRU begin with a sequence's two true skins, "
+    "others at their own answer. The floor is what would be left of the responses if L were perfect."
+)
 SEPARATE = (SOFTDECA, VERTICES_ONLY)
 """Networks of the form z(w) L(p, h, π(i)) alone, whose z has a floor."""
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
@@ -76,133 +79,74 @@ FALLING = 0.05
 """Share of its error that a method loses by four times the time, and is then said to be still learning."""
 
 
-@dataclass(frozen=True)
-class Table1(Study):
-    """Each method trained for the same processor time, and a quarter of it; a task is a method."""
+def list_trained(tested: CorpusTrials) -> list[str]:
+    """List the methods that a corpus' training people can teach, and the table beside them."""
+    moving = [SOFTSMPL_GRU, SNP] if tested.corpus.plan.sequences else []
+    return [TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
 
-    name = "table-1"
-    heading = "The paper's Table 1 on this corpus"
-    question = "How do SoftDECA's network, its rivals and its ablations compare on one corpus, in the same time?"
-    needs = ("people", "heads", "network", "generator")
-    columns = (
-        Column("kind", "frames of"),
-        Column("faces", "faces"),
-        Column("frames", "frames"),
-        Column("everywhere", "all vertices, mean [mm]"),
-        Column("share", "share of |T - carried(S)|"),
-        Column("mean", "moving vertices, mean [mm]"),
-        Column("fit_seconds", "fit, processor [s]", cost=True),
-        Column("bind_ms", "bind [ms]", cost=True),
-        Column("frame_ms", "frame [ms]", cost=True),
-    )
-    note = (
-        "Static frames are under uniform p, as the paper has them; a network that has one value of p for the whole "
-        "face is not scored where p varies. The paper's error is the mean over all vertices. What is trained by steps "
-        "makes as many as fit into the hours, what comes by closed form takes what it takes; the network is the "
-        "shipped one, of more faces, and once more trained alike. Our form of SoftDECA has tables as the network has, "
-        "learned from this corpus or the network's own, and without its gradients would be these alone. Frames that "
-        "FEniCSx solved, too, have its answer as their truth, by projective dynamics' energy and by its own law. The "
-        "floor is what would be left of the responses if L were perfect: z has fewer numbers than there are weights."
-    )
-    timed = True
 
-    corpus: str = option("", "folder of `softdeca corpus generate`")
-    external: str = option("", "another corpus to score, such as external:ict:FILE")
-    hours: float = option(1.0, "of a processor that each method trains for, and a quarter of them once more")
-    weights: str = option("", "weights of the modal network; default: the shipped", name="--surrogate")
-    partial: bool = False
+def train_and_score(contest: Contest, name: str, hours: float, others: CorpusTrials | None = None) -> Values:
+    """Train a method of `list_trained` for some processor hours, and for a quarter of them, and score it.
 
-    def tasks(self) -> Sequence[Task]:
-        """Every method; InputError for no corpus, no time and a split without frames."""
-        if not self.corpus:
-            raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        if not 0.0 < self.hours <= 1000.0:
-            raise InputError(f"hours: expected more than 0, at most 1000, got {self.hours}")
-        tested = self._open(self.corpus, "test").tested
-        if not len(tested.faces):
-            raise InputError(f"corpus {self.corpus}: no test people")
-        plan = tested.corpus.plan
-        moving = [SOFTSMPL_GRU, SNP] if plan.sequences else []
-        names = [*TRIVIAL, NETWORK, TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
-        names += [SIMULATOR] if plan.references else []
-        return [Task(Path(self.corpus).name, name) for name in names]
-
-    def _open(self, corpus: str, people: str) -> Contest:
-        weights = Path(self.weights) if self.weights else None
-        return open_contest(Path(corpus), parse_people(people), weights, self.partial)
-
-    def measure(self, task: Task) -> Values:
-        """Train or load a method, then score it on all kinds of frames that it can answer."""
-        contest, name = self._open(self.corpus, "test"), task.method
-        tested, corpus = contest.tested, contest.tested.corpus
-        about: dict[str, Any] = {
-            "corpus": {name: corpus.said[name] for name in OWNER} | {"seed": corpus.plan.seed},
-            "people": {
-                "train": len(np.unique(tested.training.groups[:, 0])),
-                "test": len(np.unique(tested.faces.groups[:, 0])),
-            },
-        }
-        if name in SEPARATE:
-            about["floor"] = measure_floor(tested.training, tested.faces, count_latent(name))
-        if name == SIMULATOR:
-            table = measure_frames([SIMULATED], tested.by_fenicsx())
-            return about | {"rows": [asdict(score) for score in table.scores(table.parts())]}
-        if name in (SOFTSMPL_GRU, SNP):
-            early, _ = play(name, tested, 0.25 * self.hours)
-            score, steps = play(name, tested, self.hours)
-            return about | {"steps": steps, "rows": [asdict(score), asdict(replace(early, kind=EARLY))]}
-        ready = contest.methods | {TABLES: Method(TABLES, use_tables(contest.network))}
-        if name in ready:
-            return about | {"rows": [asdict(score) for score in self._scores(ready[name], contest)]}
-        learner = LEARNERS.get(name, train_rival)
-        method, _ = learner(name, contest, 0.25 * self.hours)
-        quarter = [replace(score, kind=EARLY) for score in score_static(method, tested)[:1]]
+    Methods that are ready are scored. Hours count all that a training does: solving for tables, steps, validation.
+    others: those of another corpus, on whom it is scored, too.
+    """
+    tested = contest.tested
+    about: dict[str, Any] = {"taught": len(np.unique(tested.training.groups[:, 0]))}
+    if name in SEPARATE:
+        about["floor"] = measure_floor(tested.training, tested.faces, count_latent(name))
+    ready = contest.methods | {TABLES: Method(TABLES, use_tables(contest.network))}
+    if name in ready:
+        return {**about, "rows": [asdict(score) for score in _score(ready[name], contest, others)]}
+    if name in (SOFTSMPL_GRU, SNP):
+        early, _ = play(name, tested, 0.25 * hours)
+        score, steps = play(name, tested, hours)
+        return {**about, "steps": steps, "rows": [asdict(score), asdict(replace(early, kind=EARLY))]}
+    learner = LEARNERS.get(name, train_rival)
+    rows: list[dict[str, Any]] = []
+    for share in (1.0, 0.25):
         begin = time.process_time()
-        method, said = learner(name, contest, self.hours)
+        method, told = learner(name, contest, share * hours)
         seconds = time.process_time() - begin
-        rows = [*self._scores(method, contest), *quarter]
-        return about | said | {"rows": [asdict(replace(score, fit_seconds=seconds)) for score in rows]}
+        scores = _score(method, contest, others) if share == 1.0 else score_uniform(method, tested)[:1]
+        kinds = {} if share == 1.0 else {"kind": EARLY}
+        rows += [asdict(replace(score, fit_seconds=seconds, **kinds)) for score in scores]
+        about = {**told, **about}
+    return {**about, "rows": rows}
 
-    def _scores(self, method: Method, contest: Contest) -> Iterator[Score]:
-        tested = contest.tested
-        yield from score_static(method, tested)
-        if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
-            yield from score_static(method, tested, varying=True)
-        if contest.has_motion:
-            assert contest.looseness is not None
-            moving = evaluate_motion([method], tested, contest.looseness)
-            yield from (score for score in moving if score.kind == DYNAMIC)
-        if tested.corpus.plan.references:
-            table = measure_frames([by_frame(method)], tested.by_fenicsx())
-            yield from table.scores(table.parts())
-        if self.external:
-            outside = evaluate([method], self._open(self.external, "all").tested.static())
-            yield from (replace(score, kind=EXTERNAL) for score in outside if score.kind == ALL)
 
-    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The paper's numbers beside ours, method by method; shares against FEniCSx, and by kind of p."""
-        done = [row for row in rows if row.done]
-        return [tabulate(done), tabulate_shares(done)]
+def _score(method: Method, contest: Contest, others: CorpusTrials | None) -> Iterator[Score]:
+    """Score a method on all kinds of frames that it can answer."""
+    tested = contest.tested
+    yield from score_uniform(method, tested)
+    if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
+        yield from score_uniform(method, tested, varying=True)
+    if contest.has_motion:
+        assert contest.looseness is not None
+        moving = evaluate_motion([method], tested, contest.looseness)
+        yield from (score for score in moving if score.kind == DYNAMIC)
+    if tested.corpus.plan.references:
+        table = measure_frames([by_frame(method)], tested.by_fenicsx())
+        yield from table.scores(table.parts())
+    if others is not None:
+        outside = evaluate([method], others.static())
+        yield from (replace(score, kind=EXTERNAL) for score in outside if score.kind == ALL)
 
-    def words(self, rows: Sequence[Row]) -> str:
-        """Say who loses to a rival that learns nothing, who is nearest, and who is still learning."""
-        done = [row for row in rows if row.done]
-        shares = {row.method: share for row in done for share in _shares(row, STATIC)}
-        if SETTLED not in shares:
-            return ""
-        learned = {name: share for name, share in shares.items() if name not in TRIVIAL}
-        late = {row.method: share for row in done for share in [*_shares(row, DYNAMIC), *_shares(row, STATIC)]}
-        lost = [name for name, share in learned.items() if share >= shares[SETTLED]]
-        nothing = [name for name, share in learned.items() if share >= shares.get(BLENDSHAPES, np.inf)]
-        best = sorted(learned, key=lambda name: learned[name])
-        early = {row.method: share for row in done for share in _shares(row, EARLY)}
-        falling = [name for name, share in early.items() if late[name] < (1.0 - FALLING) * share]
-        said = f"Static frames under uniform p. {_names(nothing)} lose to {BLENDSHAPES}. " if nothing else ""
-        said += f"To {SETTLED} ({100 * shares[SETTLED]:.0f} %) lose {_names(lost)}. "
-        order = "; ".join(f"{name} {100 * learned[name]:.1f} %" for name in best)
-        linear = f" The derivatives leave {100 * shares[DERIVATIVES]:.1f} %." if DERIVATIVES in shares else ""
-        said += f"Shares left: {order}.{linear}"
-        return said + (f" With four times the time still fell {_names(falling)}." if early else "")
+
+def describe_table(rows: Sequence[Row]) -> str:
+    """Say who loses to a rival that learns nothing, who is nearest, and who is still learning."""
+    shares = {row.method: share for row in rows for share in _shares(row, STATIC)}
+    if SETTLED not in shares:
+        return ""
+    learned = {name: share for name, share in shares.items() if name not in TRIVIAL}
+    late = {row.method: share for row in rows for share in [*_shares(row, DYNAMIC), *_shares(row, STATIC)]}
+    lost = [name for name, share in learned.items() if share >= shares[SETTLED]]
+    best = sorted(learned, key=lambda name: learned[name])
+    early = {row.method: share for row in rows for share in _shares(row, EARLY)}
+    falling = [name for name, share in early.items() if late[name] < (1.0 - FALLING) * share]
+    order = "; ".join(f"{name} {100 * learned[name]:.1f} %" for name in best)
+    told = f"Worse than {SETTLED} ({100 * shares[SETTLED]:.0f} %): {_names(lost)}. Shares left: {order}."
+    return told + (f" Still improving after 4 times the time: {_names(falling)}." if early else "")
 
 
 def use_tables(network: Surrogate) -> Binder:
@@ -235,13 +179,16 @@ def train_form(name: str, contest: Contest, hours: float) -> Trained:
     from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
     tested, start = contest.tested, contest.network.weights if name == SOFTDECA_BEGUN else None
-    weights = train_gradients(tested.training, replace(NETWORKS[GRADIENTS[name]], hours=hours), start=start)
-    if name in LEARNED_MOTION and tested.corpus.plan.sequences:
+    swings = name in LEARNED_MOTION and bool(tested.corpus.plan.sequences)
+    still = (1.0 - FOR_MOTION) * hours if swings else hours
+    weights = train_gradients(tested.training, replace(NETWORKS[GRADIENTS[name]], hours=still), start=start)
+    if swings:
         table, pivot = tested.table("sequences", "train"), find_mean_pivot(tested.faces.heads)
-        config = RecurrenceTraining(hours=0.1 * hours)
+        config = RecurrenceTraining(hours=FOR_MOTION * hours)
         weights = train_recurrence(weights, Surrogate(weights).bind_face, table, pivot, config)
     numbers = sum(int(np.prod(array.shape)) for array in weights.network.values())
-    return Method(name, use_network(Surrogate(weights))), {"steps": weights.note.steps, "numbers": numbers}
+    trained = Surrogate(weights)
+    return Method(name, use_network(trained), trained.needs), {"steps": weights.note.steps, "numbers": numbers}
 
 
 def train_rival(name: str, contest: Contest, hours: float) -> Trained:
@@ -274,7 +221,7 @@ def play(name: str, tested: CorpusTrials, hours: float) -> tuple[Score, int]:
     return score, method.steps
 
 
-def score_static(method: Method, tested: CorpusTrials, *, varying: bool = False) -> list[Score]:
+def score_uniform(method: Method, tested: CorpusTrials, *, varying: bool = False) -> list[Score]:
     """Score a method on static frames under uniform p, all of them first and then by kind of p, or on the others."""
     faces = tested.faces
     varies = np.array([bool(faces.coefficients(k)[:, 1:].any()) for k in range(len(faces))])

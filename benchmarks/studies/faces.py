@@ -1,0 +1,137 @@
+"""The main study's contest: unseen faces under random p, and the mean face under default p, by every method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...lhm import identities
+from ...lhm.base.errors import InputError
+from ...lhm.base.limits import LEVEL, SEED, STUDIED_PEOPLE
+from ...lhm.base.mesh import Floats
+from ...lhm.base.option import option
+from ...lhm.expressions import parse_weights
+from ...lhm.template.template import DEFAULT_LEVEL
+from ...reference import Face, Parameters
+from ...surrogate import Surrogate
+from ...surrogate import methods as m
+from ...surrogate.methods import Method
+from ..contest import KINDS, Case, Contest, Made, collect_rows, compare_skins, draw_case, list_columns, list_failures
+from ..harness import first_screen
+from ..harness.study import Row, Table, at_most
+from .measures import largest_distance
+from .person import WHOSE, person
+
+MEAN, QUADRATIC = "the mean face", ", beside quadratic tets"
+CONVERGED = "person 2" + QUADRATIC
+"""A person whose first frame quadratic tets solve, too: some minutes, and 5 GB."""
+SAME = 1e-3
+"""[mm] by which two solvers of one energy may differ, both to a small gradient."""
+
+
+@dataclass(frozen=True)
+class Faces(Contest):
+    """People whom nobody trained on, each under a p of another kind, and the mean face under default p."""
+
+    name = "faces"
+    heading = "How far is each method from the simulator, and it from converged finite elements?"
+    question = "How far from the simulator, and from converged finite elements, is each method, and what does it cost?"
+    needs = ("people", "heads", "network")
+    columns = list_columns(first_screen.TRUTHS)
+
+    identities: str = option("anny", WHOSE)
+    level: int = option(DEFAULT_LEVEL, "level of the template", bound=LEVEL)
+    people: int = option(6, "how many people", bound=STUDIED_PEOPLE)
+    frames: int = option(3, "frames of each person", bound=STUDIED_PEOPLE)
+    seed: int = option(5301, "seed of the people", bound=SEED)
+    expressions: tuple[str, ...] = option(
+        ("jawOpen*0.6", "mouthSmileLeft*0.7+mouthSmileRight*0.7", "mouthPucker*0.7"),
+        "of the mean face, as jawOpen*0.5+cheekPuff; repeat for several",
+    )
+    weights: str = option("", "weights of `softdeca train`  [those that are shipped]")
+
+    def list_cases(self) -> Sequence[str]:
+        """Name the mean face, and people; InputError for a space or an expression that cannot be read."""
+        identities.from_text(self.identities)
+        for text in self.expressions:
+            parse_weights(text)
+        if not self.expressions or self.people < 1 or self.frames < 1:
+            raise InputError("people, frames, expressions: expected 1 or more")
+        others = [f"person {k + 1}" for k in range(self.people) if k != 1]
+        # Quadratic tets come first and last: two at once would need twice the memory.
+        return [
+            MEAN + QUADRATIC,
+            *([MEAN] if self.expressions[1:] else []),
+            *others,
+            *([CONVERGED] if self.people > 1 else []),
+        ]
+
+    def make_case(self, name: str) -> Case:
+        """Make the mean face with the expressions, or draw a person."""
+        if name.startswith(MEAN):
+            someone = person(self.identities, None, self.level)
+            chosen = self.expressions[:1] if name.endswith(QUADRATIC) else self.expressions[1:]
+            weights = np.stack([parse_weights(text) for text in chosen])
+            return Case(
+                name,
+                "default",
+                lambda: Face(someone.head, someone.shapes, Parameters(), per="wraps", code=someone.code),
+                weights,
+                someone.fit_s,
+            )
+        number = int(name.removesuffix(QUADRATIC).split()[1])
+        kind, frames = KINDS[(number - 1) % len(KINDS)], 1 if name == CONVERGED else self.frames
+        return draw_case(name, self.identities, (self.seed, number), kind, frames, level=self.level)
+
+    def find_network(self) -> Surrogate | None:
+        """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
+        if self.weights:
+            return Surrogate.load(Path(self.weights))
+        shipped = Surrogate.load()
+        return shipped if shipped.space == identities.from_text(self.identities).name else None
+
+    def list_methods(self, name: str) -> Sequence[str | Method]:
+        """List every method; FEniCSx on the mean face and the first person, by the law on the mean face."""
+        ready = m.ready_methods(self.find_network(), beyond="clamp")
+        methods: list[str | Method] = [m.PD_FIRST_ORDER, *ready.values(), m.SETTLED_TETS]
+        if name.startswith(MEAN) or name == "person 1":
+            methods.append(m.FENICSX)
+        return [*methods, m.FENICSX_NEO_HOOKEAN] if name.startswith(MEAN) else methods
+
+    def list_truths(self, name: str) -> Sequence[str]:
+        """List the simulator, the one that the network learned, and on two cases quadratic elements."""
+        return (m.PD, m.PD_TETS, m.FENICSX_P2) if name.endswith(QUADRATIC) else (m.PD, m.PD_TETS)
+
+    def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, object]:
+        """Measure skins, and the largest distance of all vertices where both have the same."""
+        measured = compare_skins(face, weights, own, true)
+        if own.positions is None or true.positions is None or own.positions.shape != true.positions.shape:
+            return measured
+        return {**measured, "apart": largest_distance(own.positions, true.positions)}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Check that every frame was made, and that two solvers of one energy agree."""
+        lines = collect_rows(rows)
+        gates = [at_most("frames that a method could not make", len(list_failures(lines)), 0)]
+        apart = [line["to"][m.PD]["apart"] for line in lines if line["method"] == m.FENICSX and m.PD in line["to"]]
+        if apart:
+            gates.append(at_most("FEniCSx to PD, same energy, largest distance of a vertex [mm]", max(apart), SAME))
+        return gates
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Tell what the first screen tells, and what failed."""
+        lines = collect_rows(rows)
+        return " ".join([*first_screen.write_sentences(lines), *list_failures(lines)])
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Tabulate errors and costs by method, and errors by kind of p."""
+        lines = collect_rows(rows)
+        return [*first_screen.tabulate(lines), first_screen.tabulate_kinds(lines)]
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Draw error against seconds."""
+        figure = first_screen.draw_figure(collect_rows(rows))
+        return {first_screen.CAPTION: figure} if figure else {}
