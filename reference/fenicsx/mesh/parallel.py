@@ -8,6 +8,8 @@ cells have added to it. Alone a rank owns everything, and both give back what th
 
 from __future__ import annotations
 
+import atexit
+import sys
 from typing import Any
 from zlib import crc32
 
@@ -17,6 +19,13 @@ from ....lhm.base.errors import SceneError
 from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ..dolfinx_version import MPI, PETSc
+
+
+@atexit.register
+def _end_others() -> None:
+    """End all ranks where an error ends this one: PETSc's own end waits for those that wait for it."""
+    if hasattr(sys, "last_value") and PETSc.COMM_WORLD.size > 1:
+        MPI.COMM_WORLD.Abort(1)
 
 
 class IndexMap:
