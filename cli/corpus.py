@@ -57,8 +57,8 @@ class Generate:
     PLAN.toml has `preset` and any field of the plan, such as identities = 640, groups = 4, frames = 9, sequences = 1,
     responses = 1.0, references = 5, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
 
-    A corpus of another plan in OUT is refused, and what differs is named. Exit status 1 if more than 5 % is rejected,
-    or a person is not there at the end.
+    A corpus of another plan in OUT is refused, and what differs is named; so are files of another corpus. Exit status 1
+    if more than 5 % is rejected, or a person is not there at the end.
     """
 
     # None leaves a choice to the folder's own corpus or the plan.
@@ -130,6 +130,11 @@ class Generate:
             plan = read_plan(self.plan_file)
         elif self.preset is None and there is not None:
             plan = there.find_plan()
+        elif self.preset is None and any(self.out.glob("person-*.h5")):
+            raise InputError(
+                f"{self.out}: shards of a corpus without its {MANIFEST}; give the PLAN.toml and the --identities that "
+                "made them, or use another folder"
+            )
         else:
             plan = CorpusPlan.of({"preset": "tiny" if self.preset is None else self.preset})
         plan = plan if self.takes is None else replace(plan, takes=str(self.takes))

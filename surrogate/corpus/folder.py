@@ -25,6 +25,7 @@ from .face import Heads, People
 from .manifest import (
     MANIFEST,
     OWNER,
+    check_template,
     describe_corpus,
     read_manifest,
     read_template,
@@ -34,8 +35,17 @@ from .manifest import (
 from .people import people_from_text
 from .plan import CorpusPlan
 from .schedule import Schedule, run_items
-from .sequences import load_velocities
-from .shard import ACCEPTED, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
+from .sequences import check_velocities, load_velocities
+from .shard import (
+    ACCEPTED,
+    Shard,
+    UnreadableError,
+    read_arrays_of,
+    read_label,
+    read_seconds,
+    read_shard,
+    write_shard,
+)
 from .simulate import simulate_person
 
 SERIAL = Schedule()
@@ -112,12 +122,36 @@ class Corpus:
         """Begin a corpus of a plan in a folder, or go on with the one that lies there.
 
         made_with: what a command needs to make the people again. Raises InputError if the folder holds a corpus of
-        another plan, people, template, generator or format.
+        another plan, people, template, generator or format, or files of one, and UnreadableError as `shard`.
         """
         corpus = cls(Path(folder), plan, describe_corpus(plan, people, made_with), people)
-        if (corpus.folder / MANIFEST).exists():
+        described = (corpus.folder / MANIFEST).exists()
+        if described:
             corpus._check_same(cls.open(folder))
+        corpus._check_files(described)
         return corpus
+
+    def _check_files(self, described: bool) -> None:
+        """Raise InputError for shards, template or velocities of another corpus, which would be made anew.
+
+        Files that are damaged are of this one, as far as its corpus.json is there.
+        """
+        keep = "a corpus is resumed by its own plan and people; else use another folder"
+        for path in sorted(self.folder.glob("person-*.h5")):
+            try:
+                owner = read_label(path).owner
+            except UnreadableError:
+                raise
+            except InputError as error:
+                if described:
+                    continue
+                raise InputError(f"{error}, and there is no {MANIFEST}: whose it is, is not known; {keep}") from None
+            if owner != self.owner:
+                raise InputError(
+                    f"shard {path}: of another corpus ({quote(owner, 80)}, expected {quote(self.owner, 80)}); {keep}"
+                )
+        check_template(self.folder, self.said["template"], keep)
+        check_velocities(self.folder, self.plan, self.space, keep)
 
     @classmethod
     def open(cls, folder: str | PathLike[str]) -> Corpus:
@@ -202,8 +236,8 @@ class Corpus:
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
-        Raises InputError where another generation runs in the folder, it cannot be written, or files of it are removed
-        or changed meanwhile, and SoftdecaError if a worker dies again and again.
+        Raises InputError where another generation runs in the folder, it cannot be written, a shard cannot be read, or
+        files of it are removed or changed meanwhile, and SoftdecaError if a worker dies again and again.
         """
         with lock_folder(self.folder, "generation of a corpus"):
             for leftover in chain.from_iterable(self.folder.glob(f".{name}-*") for name in OWN):
@@ -272,15 +306,20 @@ class Corpus:
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def is_whole(self, identity: int) -> bool:
-        """Whether a person's shard is there, whole, and of this corpus."""
+        """Whether a person's shard is there, whole, and of this corpus; UnreadableError where nobody can know."""
         try:
             self.shard(identity)
+        except UnreadableError:
+            raise
         except InputError:
             return False
         return True
 
     def shard(self, identity: int) -> Shard:
-        """Read one person's shard; InputError, naming the file, if it is missing, damaged, or of another."""
+        """Read one person's shard; InputError, naming the file, if it is missing, damaged, or of another.
+
+        UnreadableError where it is locked, or the system does not let it be read.
+        """
         key = self._key(identity)
         shard = read_shard(self.shard_path(identity), self.owner, identity)
         if key is not None:
@@ -302,7 +341,10 @@ class Corpus:
         return str(path.resolve()), self.owner, identity, state.st_ino, state.st_size, state.st_mtime_ns
 
     def status(self, *, on_progress: OnProgress = silent) -> CorpusStatus:
-        """Count what is there, and list what was rejected or is damaged. Shards are read whole, once per process."""
+        """Count what is there, and list what was rejected or is damaged. Shards are read whole, once per process.
+
+        Raises InputError for a damaged template, and UnreadableError as `shard`.
+        """
         _ = self.mean  # a damaged template is no shard's damage
         tables = ("groups", "statics", "sequences", "references")
         asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
@@ -317,8 +359,10 @@ class Corpus:
             try:
                 self.check(identity)
                 arrays, label, spent = read_arrays_of(path, *names), read_label(path), read_seconds(path)
+            except UnreadableError:
+                raise
             except InputError as error:
-                damaged.append(str(error) if str(path.with_suffix("")) in str(error) else f"shard {path}: {error}")
+                damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
                 continue
             done, size = done + 1, size + path.stat().st_size
             versions[label.version] = versions.get(label.version, 0) + 1
@@ -348,14 +392,12 @@ class Corpus:
     def verify(self, *, on_progress: OnProgress = silent) -> int:
         """Read every shard whole, and return how many there are.
 
-        InputError names the first that is missing, damaged, of another corpus or person, or whose seconds are damaged,
-        or the template.
+        InputError names the first that is missing, damaged, or of another corpus or person, or the template.
         """
         _ = self.mean
         people = self.plan.identities
         for identity in range(people):
             self.shard(identity)
-            read_seconds(self.shard_path(identity))
             on_progress("verify", (identity + 1) / people)
         return people
 

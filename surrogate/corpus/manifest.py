@@ -57,7 +57,9 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], CorpusPlan]:
     """
     path = folder / MANIFEST
     if not path.exists():
-        raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
+        raise InputError(
+            f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one, of its own plan and people"
+        )
     said = read_json(path, "a corpus' description")
     version = said.get("format") if isinstance(said, dict) else None
     if version != FORMAT:
@@ -81,8 +83,23 @@ def write_template(folder: Path, mean: Surface) -> None:
 
 def read_template(folder: Path, named: str) -> Surface:
     """Read the mean neutral skin; InputError for a file that is missing, damaged, or not the one `named`."""
+    mean = _load_template(folder)
+    if not named.startswith(surface_hash(mean)):
+        raise InputError(f"{folder / TEMPLATE}: of another corpus")
+    return mean
+
+
+def check_template(folder: Path, named: str, else_do: str) -> None:
+    """Raise InputError for a whole template that is not the one `named`; a damaged one is made anew."""
+    try:
+        mean = _load_template(folder)
+    except InputError:
+        return
+    if not named.startswith(surface_hash(mean)):
+        raise InputError(f"{folder / TEMPLATE}: of another corpus; {else_do}")
+
+
+def _load_template(folder: Path) -> Surface:
     path, else_do = folder / TEMPLATE, "`softdeca corpus generate` makes it anew"
     mean: Surface = load_packed(path, OF_TEMPLATE, Surface, what="a corpus' template", else_do=else_do)
-    if not named.startswith(surface_hash(mean)):
-        raise InputError(f"{path}: not this corpus' template; {else_do}")
     return mean

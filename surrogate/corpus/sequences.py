@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.files.npz import read_arrays
 from ...lhm.base.files.pack import load_packed, save_packed
 from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
@@ -109,9 +110,9 @@ def _status(answers: list[Answer]) -> str:
 def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
     """Read, or run, `plan.run` frames of made-up conversation on the plan's first person, default p.
 
-    Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.
+    Kept in the corpus' folder; made anew where the file is missing or damaged.
     """
-    path, form = folder / RUN, f"softdeca velocities 1 of {plan.digest}-{people.name}"
+    path, form = folder / RUN, _form(plan, people.name)
     try:
         kept = load_packed(
             path, form, Velocities, what="the velocities of a corpus", else_do="they are made anew"
@@ -120,6 +121,20 @@ def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progre
         kept = _run(plan, people, on_progress).local.astype(np.float16)
         save_packed(path, form, Velocities(kept))
     return Velocities(kept.astype(np.float32))
+
+
+def check_velocities(folder: Path, plan: CorpusPlan, people: str, else_do: str) -> None:
+    """Raise InputError for velocities of another plan, or of other people."""
+    try:
+        form = str(read_arrays(folder / RUN, "format")["format"])
+    except InputError:
+        return
+    if form != _form(plan, people):
+        raise InputError(f"{folder / RUN}: of another corpus; {else_do}")
+
+
+def _form(plan: CorpusPlan, people: str) -> str:
+    return f"softdeca velocities 1 of {plan.digest}-{people}"
 
 
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from ...lhm.base.checks import number
 from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import UNSEALED, is_sealed, seal, write_whole
-from ...lhm.base.files.text import read_bytes, read_json
+from ...lhm.base.files.resumable import NO_LOCKS
+from ...lhm.base.files.text import read_json
 from ...lhm.base.limits import SHARD_BYTES
 from ...lhm.base.mesh import Floats
 from ...reference.face.facial import PD_ENERGY
@@ -227,6 +228,10 @@ def stack_rows(kind: type, rows: Sequence[Mapping[str, Any]], vertices: int) -> 
     return kind(**arrays)
 
 
+class UnreadableError(InputError):
+    """A shard is there, but the system does not let it be read: whether it is whole is not known."""
+
+
 @dataclass(frozen=True)
 class Label:
     """The attributes of a shard but its checksum: corpus, person, format, version of the software."""
@@ -255,7 +260,7 @@ def write_shard(path: Path, shard: Shard, owner: str, identity: int) -> None:
 
 
 def read_label(path: Path) -> Label:
-    """Read a shard's label alone; InputError for a file that is missing or no shard."""
+    """Read a shard's label alone; InputError for a file that is missing or no shard, UnreadableError as `_open`."""
     with _open(path) as file:
         return _read_label(path, file)
 
@@ -266,30 +271,26 @@ def seconds_path(path: Path) -> Path:
 
 
 def read_seconds(path: Path) -> dict[str, float]:
-    """Read the processor seconds by phase that a shard took; empty if the file beside it is missing.
+    """Read the processor seconds by phase that a shard took; empty if the file beside it is missing or damaged.
 
-    InputError for a file that cannot be read, or that holds anything but numbers from 0 to SPENT by name.
+    It holds numbers from 0 to SPENT by name.
     """
-    beside = seconds_path(path)
-    if not beside.exists():
-        return {}
     try:
-        seconds = {phase: number(phase, spent, least=0.0, most=SPENT) for phase, spent in read_json(beside).items()}
+        spent = read_json(seconds_path(path)).items()
+        return {phase: number(phase, each, least=0.0, most=SPENT) for phase, each in spent}
     except (InputError, AttributeError):
-        raise InputError(
-            f"seconds {beside}: expected JSON of seconds by phase; delete it, or make the shard anew"
-        ) from None
-    return seconds
+        return {}
 
 
 def read_shard(path: Path, owner: str, identity: int) -> Shard:
     """Read a person's shard; InputError for one that is missing, damaged, or of another version, corpus or person.
 
-    Its seconds are left to `read_seconds`.
+    UnreadableError for one that is locked, or that the system does not let be read. Its seconds are left to
+    `read_seconds`.
     """
     with _open(path) as file:
         label = _read_label(path, file)
-        if not is_sealed(read_bytes(path, SHARD_BYTES), str(file.attrs["checksum"])):
+        if not is_sealed(_read_whole(path), str(file.attrs["checksum"])):
             raise InputError(f"shard {path}: its content does not match its checksum; {_REMEDY}")
         if label.owner != owner:
             raise InputError(
@@ -346,17 +347,35 @@ def places_of(path: Path, *names: str) -> dict[str, Place]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file; errors of its library within become InputError."""
-    if not path.is_file():
-        raise InputError(f"shard {path}: missing; {_REMEDY}")
+    """Open an HDF5 file; errors of its library within become InputError, those of the system UnreadableError."""
     try:
-        with h5py.File(path, "r") as file:
+        if not path.is_file():
+            raise InputError(f"shard {path}: missing; {_REMEDY}")
+        with _open_locked(path) as file:
             yield file
     except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
+        if isinstance(error, OSError) and error.errno is not None:  # the library tells damage without a number
+            in_use = "; another program has it open" if isinstance(error, BlockingIOError) else ""
+            raise UnreadableError(f"shard {path}: cannot be read ({os.strerror(error.errno)}{in_use})") from None
         cause = str(error).splitlines()[0][:60] if str(error) else type(error).__name__
         raise InputError(f"shard {path}: truncated or damaged ({cause}); {_REMEDY}") from None
+
+
+def _open_locked(path: Path) -> h5py.File:
+    """Open a file with the library's lock, where its disk has locks."""
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+    return h5py.File(path, "r", locking=False)
+
+
+def _read_whole(path: Path) -> bytes:
+    SHARD_BYTES.check(str(path), path.stat().st_size)
+    return path.read_bytes()
 
 
 def _read_label(path: Path, file: h5py.File) -> Label:

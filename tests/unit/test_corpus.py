@@ -1,5 +1,6 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
+import fcntl
 import json
 from dataclasses import replace
 from functools import partial
@@ -28,7 +29,7 @@ from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.references import FEM_LAWS, references
 from softdeca.surrogate.corpus.schedule import Schedule
 from softdeca.surrogate.corpus.sequences import simulate_sequence
-from softdeca.surrogate.corpus.shard import read_seconds, seconds_path, write_shard
+from softdeca.surrogate.corpus.shard import UnreadableError, read_seconds, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulator import make_face, simulate_static, solve_frame
 from softdeca.surrogate.corpus.spheres import Spheres
 
@@ -334,6 +335,56 @@ def test_a_part_of_a_corpus_can_be_read(copied):
     assert set(Table(copied, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(copied, "statics", None, partial=True).rows[:, 0]) == {1, 2}
     assert set(Table(copied, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
+
+
+@pytest.fixture(scope="module")
+def stranger(tmp_path_factory):
+    """A corpus of another plan and of other people."""
+    other = Spheres(2)
+    plan = replace(PLAN, seed=1, identities=2, groups=1, frames=1, responses=0.0)
+    corpus = Corpus.from_plan(tmp_path_factory.mktemp("stranger"), plan, OfSpace(other, other.mean, other.fit))
+    corpus.generate()
+    return corpus
+
+
+OTHERS = ("person-00001.h5", "template.npz", "velocities.npz")
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_files_of_another_corpus_are_refused_and_stay(copied, stranger, name):
+    whole = (stranger.folder / name).read_bytes()
+    (copied / name).write_bytes(whole)
+    with pytest.raises(InputError, match=f"{name}: of another corpus"):
+        Corpus.from_plan(copied, PLAN, PEOPLE)
+    assert (copied / name).read_bytes() == whole
+
+
+def test_shards_without_their_description_wait_for_their_own_plan(copied, stranger, command):
+    (copied / "corpus.json").unlink()
+    before = {path: path.read_bytes() for path in copied.iterdir() if path.is_file()}
+    assert "give the PLAN.toml" in command("corpus", "generate", "--out", copied).refusal()
+    with pytest.raises(InputError, match="of another corpus"):
+        Corpus.from_plan(copied, stranger.plan, stranger.people)
+    assert {path: path.read_bytes() for path in copied.iterdir() if path.is_file()} == before
+    assert Corpus.from_plan(copied, PLAN, PEOPLE).generate().identities_done == 3
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_a_shard_that_is_locked_is_not_made_anew(copied, command):
+    path = copied / "person-00001.h5"
+    with path.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(UnreadableError, match="person-00001.h5: cannot be read .*another program has it open"):
+            Corpus.from_plan(copied, PLAN, PEOPLE).generate()
+        assert "person-00001.h5: cannot be read" in command("corpus", "status", copied).refusal()
+    assert Corpus.from_plan(copied, PLAN, PEOPLE).is_whole(1)
+
+
+@pytest.mark.parametrize("content", [b'{"fit": 1', b"", b'{"fit": -1}'])
+def test_damaged_seconds_are_not_known(copied, content):
+    (copied / "person-00001.json").write_bytes(content)
+    status = Corpus.from_plan(copied, PLAN, PEOPLE).generate()
+    assert status.identities_done == 3 and status.damaged == () and status.seconds == {}
 
 
 def test_swapped_shards_are_of_another_person(copied, command):

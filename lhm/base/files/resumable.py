@@ -6,6 +6,7 @@ and read without their folder, and a manifest that says what they are of.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 from collections.abc import Iterator, Mapping
@@ -16,6 +17,9 @@ from typing import Any
 from ..errors import InputError
 from .atomic import check_replaceable
 from .text import read_bytes
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Numbers of the system's errors where a disk has no locks."""
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -60,4 +64,8 @@ def lock_folder(folder: Path, what: str) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"{folder}: another {what} runs there; wait for it or give another --out") from None
+        except OSError as error:
+            raise InputError(
+                f"{folder}: cannot be locked ({error.strerror}), as on some network drives; use a local disk"
+            ) from None
         yield
