@@ -68,21 +68,33 @@ class WriteMesh:
     file: Path = argument("FILE", type=FILE)
     layers: str = option("1,1", "layers of soft tissue and of muscle")
     size: float | None = option(
-        None, "free tets of at most this size [mm] between the wraps, by gmsh, instead of layers", type=float
+        None,
+        "free tets of at most this size [mm] between the wraps, by gmsh, instead of layers; by the wraps they are as "
+        "large as their triangles",
+        type=float,
     )
-    out: Path = option("out/head.msh", "file of the mesh: .msh, .vtu, .xdmf or .mesh", type=ANY)
+    out: Path = option("out/head.msh", "file of the mesh: .msh, .vtu, .mesh, or .xdmf with an .h5 beside", type=ANY)
     json: bool = option(False, "print the report as JSON")
 
     def run(self) -> int:
         """Mesh, write and report."""
         from ..lhm.base.files import tet_file
         from ..lhm.base.geometry.tets import tet_quality
+        from ..lhm.base.geometry.topology import unique_edges
         from ..lhm.head.file import tets_from_head
         from ..lhm.head.remesh import remesh
 
         counts = parse_layers(self.layers)
         meshed = load_head(self.file)
         if self.size is not None:
+            given = meshed.skin_wrap
+            edge = float(np.linalg.norm(np.diff(given.vertices[unique_edges(given.triangles)], axis=1), axis=2).mean())
+            if self.size < edge:
+                click.echo(
+                    f"softdeca: --size {self.size:g}: the wraps' triangles have edges of {edge:.2g} mm; tets in layers "
+                    "that are as thin are no smaller, and `head fit --level` makes finer wraps",
+                    err=True,
+                )
             meshed = remesh(meshed, self.size)
         tagged = tets_from_head(meshed, counts)
         tet_file.write_tets(self.out, tagged)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import numpy as np
 
 from ..lhm.base.files.mesh_sequence import read_mesh_sequence
-from ..lhm.base.files.surface_file import MILLIMETRES
+from ..lhm.base.files.surface_file import MILLIMETRES, Scan
 from ..lhm.base.files.text import naming_file
 from ..lhm.base.mesh import Surface
 from ..lhm.expressions import TrackedFace, fit_take, write_take
+from ..lhm.expressions.readers import RATES
 from ..reference import Parameters
 from .options import FILE, argument, as_command, option
 from .take_options import HeadChoice
@@ -44,7 +46,7 @@ class Fit:
         None, "identity space of the head (anny or ict:FILE); with --head: of the expressions", type=str
     )
     unit: str = option("mm", "unit of the meshes", type=click.Choice(list(MILLIMETRES)))
-    fps: float = option(30.0, "frames per second of the meshes", type=float)
+    fps: float = option(30.0, "frames per second of the meshes", type=click.FloatRange(*RATES))
     out: Path = option("out/take.csv", "file of the take", type=CSV)
     json: bool = option(False, "print the result, every frame's residual with it, as JSON")
 
@@ -54,17 +56,20 @@ class Fit:
         with show_progress() as progress:
             face = HeadChoice(self.head, self.identities).face(Parameters(), progress)
             with naming_file(self.meshes):
-                first = sequence.read(0)
-                if sequence.triangles is None or len(first) == len(face.skin.vertices):
+                first, triangles = sequence.read(0), sequence.triangles
+                if triangles is None or np.array_equal(triangles, face.skin.triangles):
                     tracked = TrackedFace.from_skin(face.skin, face.shapes)
                 else:
-                    tracked = TrackedFace.from_mesh(face.skin, face.shapes, Surface(first, sequence.triangles))
+                    sound = Scan(first, triangles).sound
+                    tracked = TrackedFace.from_mesh(face.skin, face.shapes, Surface(first, triangles[sound]))
                 fitted = fit_take(
                     tracked,
                     sequence,
                     rate=self.fps,
                     on_frame=lambda number: progress("take", (number + 1) / len(sequence)),
                 )
+        for note in sequence.notes:
+            click.echo(f"softdeca: {self.meshes}: {note}", err=True)
         residuals = fitted.residuals
         write_take(self.out, fitted.take, {"residual mm": residuals})
         mean, worst = float(residuals.mean()), int(residuals.argmax())

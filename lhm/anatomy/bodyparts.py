@@ -18,7 +18,7 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
-from ..base.files.text import is_plain_file
+from ..base.files.text import list_files
 from ..base.geometry.topology import keep_triangles
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
@@ -188,7 +188,7 @@ def _list_names(text: str) -> list[tuple[str, str]]:
 
 def _files(folder: Path, concepts: set[str]) -> dict[str, list[Path]]:
     files: dict[str, list[Path]] = {}
-    for file in sorted(file for file in folder.rglob("*.obj") if is_plain_file(file)):
+    for file in list_files(folder, "**/*.obj"):
         concept = file.stem if file.stem.startswith("FMA") else _concept(file)
         if concept in concepts:
             files.setdefault(concept, []).append(file)

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
-from scipy.spatial.transform import Rotation
 
 from ..base.checks import finite
 from ..base.errors import InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.likeness import check_moved
+from ..base.geometry.settle import FACING, settle_on
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Surface
 from ..identities.arkit import ARKIT
@@ -36,11 +36,11 @@ class FittingPolicy:
     least_motion: float = 0.05  # [mm] of a shape's farthest vertex, below which its weight is not fitted
     settled: float = 1e-6  # change of a weight
     rounds: int = 30  # of pose and weights, at most
-    steps: int = 50  # of a registration, at most
-    still: float = 1e-4  # [mm]: a step by which it has ended
     reach: float = 10.0  # [mm] from the head's skin: vertices farther off, as of hair, are left out
     least_near: float = 0.3  # of the vertices, that are within reach
-    off: float = 3.0  # [mm] median distance of these at most
+    off: float = 1.0  # [mm] median distance of these at most: the same person's have 0.3
+    worst: float = 1.0  # [mm] residual in the mean, up to which any is taken
+    explained: float = 0.5  # of the motion: a larger residual that is more of it is no face of this head
     sizes: tuple[float, float] = (0.25, 4.0)  # a mesh's extent over the head's
 
 
@@ -73,52 +73,44 @@ class TrackedFace:
     def from_mesh(cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
         """Register a mesh of other triangles by its first frame [mm], which is neutral.
 
-        It may be moved, and turned a little. Raises InputError where it then does not lie on the skin.
+        It may be moved, and turned a little; vertices that no triangle has are left out. Raises InputError where it
+        then does not lie on the skin and face as it does.
         """
         shapes = cls.from_skin(neutral, shapes).shapes
-        extents = [float(np.ptp(each.vertices, axis=0).max()) for each in (first, neutral)]
+        is_used = np.zeros(len(first.vertices), bool)
+        is_used[first.triangles] = True
+        extents = [float(np.ptp(x, axis=0).max()) for x in (first.vertices[is_used], neutral.vertices)]
         if not policy.sizes[0] <= extents[0] / extents[1] <= policy.sizes[1]:
             raise InputError(
                 f"the first frame is {extents[0]:.3g} mm across, the head {extents[1]:.3g} mm; are its units off?"
             )
-        tree = TriangleTree(neutral.vertices, neutral.triangles)
-        middle = neutral.vertices.mean(axis=0) - first.vertices.mean(axis=0)
-        ends = [_settle_on(tree, neutral.face_normals, first.vertices + shift, policy) for shift in (0.0, middle)]
-        placed = min(ends, key=lambda points: float(np.median(tree.closest(points)[2])))
-        triangle, weights, distance = tree.closest(placed)
-        near = distance <= policy.reach
-        if near.mean() < policy.least_near or np.median(distance[near]) > policy.off:
+        tree, faces = TriangleTree(neutral.vertices, neutral.triangles), _unit(neutral.face_normals)
+        middle = neutral.vertices.mean(axis=0) - first.vertices[is_used].mean(axis=0)
+        ends = []
+        for shift in (0.0, middle):
+            moved, normals = first.vertices[is_used] + shift, _unit(first.vertex_normals)[is_used]
+            points, facing = settle_on(tree, faces, moved, normals)
+            found = tree.closest_facing(points, facing, faces, FACING)
+            within = found[2] <= policy.reach
+            off = float(np.median(found[2][within])) if within.mean() >= policy.least_near else np.inf
+            ends.append((off, points, *found))
+        off, points, triangle, weights, distance = min(ends, key=lambda end: end[0])
+        if off > policy.off:
             raise InputError(
-                f"the first frame lies {np.median(distance):.3g} mm from the head's skin (median); "
-                "expected a neutral face of this head, upright and facing as it does"
+                f"the first frame does not lie on the head's skin to {policy.off:g} mm (median); expected a neutral "
+                "face of this very head, upright, facing as it does, not mirrored: `head fit --skin` makes a head of it"
             )
-        corners = neutral.triangles[triangle[near]]
-        sampled = np.stack([np.einsum("nk,nkd->nd", weights[near], shape[corners]) for shape in shapes])
+        placed = first.vertices.copy()
+        placed[is_used] = points
+        within = distance <= policy.reach
+        near = np.zeros(len(placed), bool)
+        near[is_used] = within
+        triangle, weights = triangle[within], weights[within]
+        corners = neutral.triangles[triangle]
+        sampled = np.stack([np.einsum("nk,nkd->nd", weights, shape[corners]) for shape in shapes])
         number = np.cumsum(near) - 1
         triangles = number[first.triangles[near[first.triangles].all(axis=1)]]
         return cls(Surface(placed[near], triangles), sampled, np.flatnonzero(near), len(placed))
-
-
-def _settle_on(tree: TriangleTree, normals: Floats, points: Floats, policy: FittingPolicy) -> Floats:
-    """Move points (n, 3) [mm] rigidly onto a surface with face normals (m, 3), the farther half of them left out.
-
-    Distances are those to the planes of the closest triangles, along which points may slide (Chen and Medioni 1992).
-    """
-    placed = points
-    for _ in range(policy.steps):
-        triangle, weights, distance = tree.closest(placed)
-        near = distance <= max(float(np.median(distance)), 1e-9)
-        goal = np.einsum("nk,nkd->nd", weights[near], tree.corners[triangle[near]])
-        middle, normal = placed.mean(axis=0), normals[triangle[near]]
-        arms = placed[near] - middle
-        equations = np.column_stack([np.cross(arms, normal), normal])
-        gaps = np.einsum("nd,nd->n", goal - placed[near], normal)
-        turn, shift = np.linalg.lstsq(equations, gaps, rcond=None)[0].reshape(2, 3)
-        ahead = Rotation.from_rotvec(turn).apply(placed - middle) + middle + shift
-        moved, placed = float(np.abs(ahead - placed).max()), ahead
-        if moved <= policy.still:
-            break
-    return placed
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,22 +133,29 @@ def fit_take(
 
     A frame begins where the last one ended. Shapes that move no vertex have weight 0 and are `missing` in the take.
     `on_frame` hears of each. Raises InputError, naming the frame, for another count of vertices than the face's, values
-    that are not finite, and what no expression makes of the face; for a rate out of range, without frames, and where
-    no shape moves the face.
+    that are not finite, and what no expression makes of the face; for a rate out of range, without frames, where no
+    shape moves the face, and where the shapes leave most of the motion.
     """
     check_rate(rate)
     solver = _Solver.from_face(face, policy)
     weights = np.zeros(len(ARKIT))
-    fitted, residuals, turns = [], [], []
+    fitted, residuals, motions, turns = [], [], [], []
     for number, vertices in enumerate(frames):
         vertices = finite(f"frame {number}", vertices, (face.count, 3))
-        weights, rotation, residual = solver.fit(vertices[face.kept], weights, f"frame {number}")
+        weights, rotation, residual, motion = solver.fit(vertices[face.kept], weights, f"frame {number}")
         fitted.append(weights)
         residuals.append(residual)
+        motions.append(motion)
         turns.append(rotation)
         on_frame(number)
     if not fitted:
         raise InputError("no frames")
+    left, all_motion = float(np.mean(residuals)), float(np.mean(motions))
+    if left > max(policy.worst, policy.explained * all_motion):
+        raise InputError(
+            f"the head's shapes leave {left:.2g} mm of a motion of {all_motion:.2g} mm (RMS over the area): "
+            "another person, or another unit?"
+        )
     missing = tuple(name for k, name in enumerate(ARKIT) if k not in solver.used)
     times, head = np.arange(len(fitted)) / rate, angles_from_rotations(np.stack(turns))
     return FittedTake(Take(np.stack(fitted), rate, times, missing, head), np.array(residuals))
@@ -197,8 +196,8 @@ class _Solver:
         factor = np.linalg.cholesky(apart.T @ apart + np.diag(hold))
         return cls(face, used, root, rigid, apart, hold, factor, policy)
 
-    def fit(self, vertices: Floats, before: Floats, name: str) -> tuple[Floats, Floats, float]:
-        """Return a frame's weights (52,), its rotation (3, 3) and residual [mm], from the weights before."""
+    def fit(self, vertices: Floats, before: Floats, name: str) -> tuple[Floats, Floats, float, float]:
+        """Return a frame's weights (52,), rotation (3, 3), residual and motion [mm], from the weights before."""
         rest, weights = self.face.rest.vertices, before
         for turn in range(self.policy.rounds):
             posed = rest + np.tensordot(weights[self.used], self.face.shapes[self.used], axes=1)
@@ -215,4 +214,9 @@ class _Solver:
             change, weights = float(np.abs(found - weights).max()), found
             if change <= self.policy.settled:
                 break
-        return weights, rotation, float(np.linalg.norm(motion - self.apart @ weights[self.used]))
+        residual = float(np.linalg.norm(motion - self.apart @ weights[self.used]))
+        return weights, rotation, residual, float(np.linalg.norm(motion))
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

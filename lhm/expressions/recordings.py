@@ -107,7 +107,7 @@ def _real(folder: Path, rate: float) -> list[Recording]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     takes = []
-    files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    files = (path for path in folder.rglob("[!.]*") if path.suffix.lower() in SUFFIXES and path.is_file())
     paths = sorted(islice(files, RECORDED_FILES.most + 1))
     RECORDED_FILES.check(str(folder), len(paths))
     for path in paths:

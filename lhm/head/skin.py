@@ -17,6 +17,8 @@ from ..identities.arkit import ARKIT
 from ..identities.space import EXTENT
 
 LEAST_EXTENT, GREATEST_EXTENT = EXTENT
+FARTHEST_OFF = 10_000.0
+"""[mm] From the origin: beyond, single precision, which exported files and pages have, rounds by more than .001 mm."""
 # A thousandth or a tenth of them is a head in metres or centimetres.
 _UNITS = {"metres: use unit='m'": 1e-3, "centimetres: use unit='cm'": 0.1}
 LEAST_SHAPE = 1.0
@@ -94,8 +96,14 @@ def check_outward(skin: Surface) -> None:
 
 
 def _check_size(skin: Surface) -> None:
-    extent = float(np.ptp(skin.vertices[np.unique(skin.triangles)], axis=0).max())
+    used = skin.vertices[np.unique(skin.triangles)]
+    extent = float(np.ptp(used, axis=0).max())
     if LEAST_EXTENT <= extent <= GREATEST_EXTENT:
+        off = float(np.abs(used.mean(axis=0)).max())
+        if off > FARTHEST_OFF:
+            raise MeshError(
+                f"skin: it lies {off:.3g} mm from the origin, at most {FARTHEST_OFF:g}; move it there first"
+            )
         return
     for unit, factor in _UNITS.items():
         if LEAST_EXTENT * factor <= extent <= GREATEST_EXTENT * factor:

@@ -11,7 +11,7 @@ from ..base.checks import integers
 from ..base.errors import InputError
 from ..base.files.npz import read_npy
 from ..base.files.surface_file import SUFFIXES, read_surface
-from ..base.files.text import naming_file, read_json
+from ..base.files.text import list_files, naming_file, read_json
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Ints, Surface
 from .arkit import ARKIT
@@ -51,7 +51,7 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    return sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    return [file for file in list_files(folder) if file.suffix.lower() in SUFFIXES]
 
 
 def _alike(file: Path, first: Surface, first_file: Path, unit: str) -> Surface:

@@ -16,6 +16,7 @@ from ..base.checks import indices_below
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.files.surface_file import read_scan
+from ..base.files.text import list_files
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from .arkit import ARKIT, arkit_name
@@ -123,7 +124,7 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
             f"{folder / NEUTRAL}: not ICT-FaceKit's light model: expected {expected[0]} vertices and {expected[1]} "
             f"triangles, found {len(neutral)} and {len(triangles)}"
         )
-    shapes = {file.stem: name for file in sorted(folder.glob("*.obj")) if (name := arkit_name(file.stem)) is not None}
+    shapes = {file.stem: name for file in list_files(folder, "*.obj") if (name := arkit_name(file.stem)) is not None}
     identities = [f"identity{number:03d}" for number in range(CODE_SIZE)]
     if not shapes:
         raise InputError(f"{folder}: no expression in it, such as jawOpen.obj")

@@ -8,13 +8,21 @@ import pickle
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
+import scipy.sparse
 
 from ..base.errors import InputError, one_line
 from ..base.files.text import read_bytes
 
-ARRAYS = {"ndarray", "dtype", "_reconstruct", "scalar"}
-SPARSE = {"csc_matrix": csc_matrix, "csr_matrix": csr_matrix}
+
+def _frombuffer(content: Any, dtype: np.dtype, shape: tuple[int, ...], order: Any) -> np.ndarray:
+    """Make an array as numpy's own function of this name does, by which protocol 5 has arrays."""
+    return np.frombuffer(content, dtype).reshape(shape, order=order)
+
+
+ARRAYS = {"ndarray": np.ndarray, "dtype": np.dtype, "_frombuffer": _frombuffer}
+ARRAYS |= {"_reconstruct": np.zeros(0).__reduce__()[0], "scalar": np.float64().__reduce__()[0]}
+"""Whatever the module is named: numpy 2 has other names than numpy 1."""
+SPARSE = {f"{form}_{kind}" for form in ("csc", "csr", "coo") for kind in ("matrix", "array")}
 MAKERS = {("_codecs", "encode")}
 MAKERS |= {(module, "_reconstructor") for module in ("copy_reg", "copyreg")}
 MAKERS |= {(module, "object") for module in ("__builtin__", "builtins")}
@@ -38,8 +46,10 @@ class _Reader(pickle.Unpickler):
         if module.split(".")[0] == "chumpy":
             return _Chumpy
         if module.startswith("scipy.sparse") and name in SPARSE:
-            return SPARSE[name]
-        if (module.split(".")[0] == "numpy" and name in ARRAYS) or (module, name) in MAKERS:
+            return getattr(scipy.sparse, name)
+        if module.split(".")[0] == "numpy" and name in ARRAYS:
+            return ARRAYS[name]
+        if (module, name) in MAKERS:
             return super().find_class(module, name)
         raise pickle.UnpicklingError(f"it asks for {module}.{name}, which is no array")
 
@@ -66,7 +76,9 @@ def _array(value: Any) -> np.ndarray:
         # chumpy's Select: some entries of another array, in another shape.
         chosen, shape = _array(value.state["idxs"]).ravel(), value.state["preferred_shape"]
         return _array(value.state["a"]).ravel()[chosen].reshape(shape)
-    if hasattr(value, "check_format"):
+    if scipy.sparse.issparse(value):
+        if value.format == "coo":
+            value = scipy.sparse.coo_matrix((value.data, (value.row, value.col)), value.shape).tocsr()
         value.check_format(full_check=True)  # scipy trusts indices, and dies of them
         return value.toarray()
     array = np.asarray(value)

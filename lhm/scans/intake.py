@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError, MeshError
+from ..base.errors import FitError, InputError, MeshError
 from ..base.files.surface_file import Scan, read_scan
 from ..base.files.text import naming_file
 from ..base.files.texture import Texture, read_texture
@@ -20,15 +20,15 @@ from ..base.progress import OnProgress, silent
 from ..head.detail import Detail, count_fine_vertices
 from ..head.head import LayeredHead
 from ..head.skin import check_skin
-from ..identities.arkit import find_arkit_morphs
+from ..identities.arkit import arkit_name, find_arkit_morphs
 from ..template.depths.depths import DepthRegressor
 from ..template.fit import fit_head, has_triangles_of, is_upright
 from ..template.registration.landmarks import Pairs, landmark_ids, pair_landmarks
 from ..template.registration.registration import find_face, register
 from ..template.template import Template
 from .detail import find_colours, lay_detail
-from .placing import Placement, find_placement, millimetres
-from .repair import repair_scan
+from .placing import Placement, find_placement, millimetres, place_near
+from .repair import Repaired, repair_pieces
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
@@ -92,8 +92,9 @@ def fit_scan(
     detail = None
     if not has_triangles_of(template, placed.skin):
         detail = lay_detail(template, head.skin, placed.skin)
-    if placed.texture is not None:
-        detail = detail or Detail(np.zeros(count_fine_vertices(head.skin), np.float32))
+    if detail is None and (placed.texture is not None or placed.placement.motion.shift.any()):
+        detail = Detail(np.zeros(count_fine_vertices(head.skin), np.float32))
+    if detail is not None and placed.texture is not None:
         detail = replace(detail, colours=find_colours(head.skin, detail, placed.texture))
     if detail is not None:
         motion = placed.placement.motion
@@ -117,13 +118,24 @@ def place_scan(
     """
     if isinstance(scan, Surface):
         return _place(template, Scan(scan.vertices, scan.triangles), hints, repair, progress)
-    read = read_scan(scan)
+    read, notes = read_at_rest(scan)
     with naming_file(scan):
         placed = _place(template, read, hints, repair, progress)
-    return _paint(placed, scan)
+    return _paint(replace(placed, notes=(*notes, *placed.notes)), scan, read.vertices)
 
 
-def _paint(placed: PlacedScan, path: str | os.PathLike[str]) -> PlacedScan:
+def read_at_rest(path: str | os.PathLike[str]) -> tuple[Scan, tuple[str, ...]]:
+    """Read a scan without the ARKit expressions that its file shows, and notes on it; InputError as `read_scan`."""
+    scan = read_scan(path)
+    expressed = [name for name in scan.shown if arkit_name(name) is not None]
+    if not expressed:
+        return scan, scan.notes
+    rest = scan.vertices - sum(scan.shown[name] for name in expressed)
+    note = f"expressions that the file shows were taken out: {', '.join(expressed)}"
+    return replace(scan, vertices=rest), (*scan.notes, note)
+
+
+def _paint(placed: PlacedScan, path: str | os.PathLike[str], vertices: Floats) -> PlacedScan:
     """Add a scan's texture; one that cannot be read is no reason to refuse a scan, and is told in the notes."""
     try:
         texture = read_texture(path)
@@ -132,8 +144,11 @@ def _paint(placed: PlacedScan, path: str | os.PathLike[str]) -> PlacedScan:
     if texture is None:
         return placed
     width, height = texture.picture.size
-    moved = texture.with_vertices(placed.placement.motion(texture.vertices))
-    return replace(placed, texture=moved, notes=(*placed.notes, f"texture: a picture of {width} x {height}"))
+    moved = texture.with_vertices(placed.placement.motion(vertices))
+    note = f"texture: a picture of {width} x {height}"
+    if texture.others:
+        note += f"; {texture.others} more, of fewer triangles, are left out"
+    return replace(placed, texture=moved, notes=(*placed.notes, note))
 
 
 def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgress = silent) -> dict[str, Floats]:
@@ -155,21 +170,18 @@ def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress:
     if same := has_triangles_of(template, scan):
         where = _place_same(template, scan, hints)
     else:
-        if repair:
-            done = repair_scan(scan)
-            scan, notes = done.scan, [*done.notes]
-        if hints.landmarks is not None:
-            pairs = _in_file(pair_landmarks(template.skin, template.parts, hints.landmarks), scan, hints.unit)
-        _, face = find_face(template.skin, template.parts)
-        where = find_placement(
-            scan.surface,
-            (template.skin.vertices[face], template.skin.vertex_normals[face]),
-            landmarks=None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1]),
-            unit=hints.unit,
-            up=hints.up,
-            front=hints.front,
-            progress=progress,
-        )
+        refused: list[InputError | FitError] = []
+        for done in repair_pieces(scan) if repair else [Repaired(scan)]:
+            try:
+                where, pairs = _find(template, done.scan, hints, progress)
+            except (InputError, FitError) as error:
+                refused.append(error)
+            else:
+                scan, notes = done.scan, [*done.notes]
+                break
+        else:
+            more = f" ({len(refused)} of its separate pieces were tried)" if len(refused) > 1 else ""
+            raise FitError(f"{refused[0]}{more}")
     notes += where.notes
     skin = Surface(where.motion(scan.vertices), scan.triangles)
     if same:
@@ -180,9 +192,32 @@ def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress:
         turn = where.motion.scale * where.motion.rotation
         own = {name: delta @ turn.T for name, delta in morphs.items()}
         notes.append(f"expressions: {len(own)} of the file's {len(scan.morphs)} morph targets are ARKit's")
+    elif scan.morphs:
+        notes.append(
+            f"expressions: the template's; {len(morphs) or 'none'} of the file's {len(scan.morphs)} morph targets is "
+            f"ARKit's by name, {ENOUGH} are needed"
+        )
     if pairs is not None:
         pairs = pairs[0], where.motion(pairs[1])
     return PlacedScan(skin, own, pairs, where, tuple(notes))
+
+
+def _find(template: Template, scan: Scan, hints: Hints, progress: OnProgress) -> tuple[Placement, Pairs | None]:
+    """Find where a piece of a scan has its face, and the pairs of landmarks on it."""
+    pairs = None
+    if hints.landmarks is not None:
+        pairs = _in_file(pair_landmarks(template.skin, template.parts, hints.landmarks), scan, hints.unit)
+    _, face = find_face(template.skin, template.parts)
+    where = find_placement(
+        scan.surface,
+        (template.skin.vertices[face], template.skin.vertex_normals[face]),
+        landmarks=None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1]),
+        unit=hints.unit,
+        up=hints.up,
+        front=hints.front,
+        progress=progress,
+    )
+    return where, pairs
 
 
 def _place_same(template: Template, scan: Scan, hints: Hints) -> Placement:
@@ -191,7 +226,7 @@ def _place_same(template: Template, scan: Scan, hints: Hints) -> Placement:
     if not np.ptp(scan.vertices, axis=0).max() > 0:
         raise MeshError("skin: all its vertices are in one place")
     if (hints.unit, hints.up, hints.front) == (None, None, None) and is_upright(template.skin, scan.surface):
-        return Placement(Similarity(1.0, np.eye(3), np.zeros(3)), ())
+        return place_near(Similarity(1.0, np.eye(3), np.zeros(3)), scan.vertices)
     return find_placement(
         scan.surface, (rest, rest), landmarks=(rest, scan.vertices), unit=hints.unit, up=hints.up, front=hints.front
     )

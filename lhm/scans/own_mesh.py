@@ -10,20 +10,23 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ..base.errors import InputError, MeshError
-from ..base.files.surface_file import read_scan
 from ..base.files.texture import read_texture
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.rays import first_hits
+from ..base.geometry.settle import settle_on
 from ..base.geometry.topology import unique_edges
 from ..base.mesh import Floats, Surface
 from ..head.columns import unit
 from ..head.head import LayeredHead
 from .detail import POLICY, fill_colours
+from .intake import read_at_rest
 
 TURNED = 10.0
 """[mm] that a unit of difference between normals counts beside a distance: an upper lip is not tied to the lower."""
 NEAR = 1.0
-"""[mm] in the median of a scan to the skin that was laid onto it: 0.1 to 0.3."""
+"""[mm] in the median of a scan to the skin that was laid onto it, 0.1 to 0.3, and of what would settle it."""
+POINTS = 4000
+"""Of the scan, by which that motion is found."""
 TORN, FEW = 0.7, 3
 """Lids count as shut where a blink parts the ends of FEW edges by this share of its largest motion."""
 IN_FRONT, DEEP = 60.0, 20.0
@@ -50,7 +53,7 @@ class OwnMesh:
                 f"{path}: the head does not know where it lies in its scan: it has none, or its scan is in its own "
                 "triangles, or an earlier version fitted it"
             )
-        scan = read_scan(path)
+        scan, _ = read_at_rest(path)
         sound = scan.sound
         try:
             surface = Surface(scan.vertices @ detail.place[:, :3].T + detail.place[:, 3], scan.triangles[sound])
@@ -59,9 +62,15 @@ class OwnMesh:
         laid = detail.heights != 0.0
         tree = TriangleTree(surface.vertices, surface.triangles)
         off = float(np.median(tree.closest(fine.vertices[laid] if laid.any() else fine.vertices)[2]))
+        if off <= NEAR:
+            some = np.unique(np.linspace(0, len(surface.vertices) - 1, POINTS).astype(int))
+            points, normals = surface.vertices[some], surface.vertex_normals[some]
+            skin = TriangleTree(fine.vertices, fine.triangles)
+            settled, _ = settle_on(skin, unit(fine.face_normals), points, normals)
+            off = float(np.median(np.linalg.norm(settled - points, axis=1)))
         if off > NEAR:
             raise InputError(f"{path}: it lies {off:.3g} mm off the head; is it the scan that the head was fitted to?")
-        return cls(surface, _tie(surface, fine), _find_colours(path, surface, detail.place))
+        return cls(surface, _tie(surface, fine), _find_colours(path, surface))
 
     def has_shut_lids(self, blink: Floats) -> bool:
         """Tell whether a blink (n, 3) [mm] tears the mesh: the scan's lids are shut, or one surface with the eyes."""
@@ -86,7 +95,7 @@ def _tie(surface: Surface, fine: Surface) -> csr_matrix:
     return csr_matrix(entries, shape=(count, len(fine.vertices)))
 
 
-def _find_colours(path: str | os.PathLike[str], surface: Surface, place: Floats) -> NDArray[np.uint8] | None:
+def _find_colours(path: str | os.PathLike[str], surface: Surface) -> NDArray[np.uint8] | None:
     """Find each vertex' colour in the scan's texture; the median where it has none."""
     try:
         texture = read_texture(path)
@@ -94,6 +103,5 @@ def _find_colours(path: str | os.PathLike[str], surface: Surface, place: Floats)
         return None
     if texture is None:
         return None
-    texture = texture.with_vertices(texture.vertices @ place[:, :3].T + place[:, 3])
-    colours, distance = texture.find_colours(surface.vertices)
+    colours, distance = texture.with_vertices(surface.vertices).find_colours(surface.vertices)
     return fill_colours(colours, distance < POLICY.reach)

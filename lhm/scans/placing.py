@@ -14,6 +14,7 @@ from ..base.geometry.warp import Similarity, fit_similarity
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..head.columns import unit
+from ..head.skin import FARTHEST_OFF
 from ..template.registration.alignment import Target, icp, score_start
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
@@ -95,7 +96,17 @@ def find_placement(
             )
     about_unit, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
     rotation, about_axes = _upright(motion.rotation.T, known=up is not None and front is not None)
-    return Placement(Similarity(scale, rotation, np.zeros(3)), (about_unit, about_axes))
+    return place_near(Similarity(scale, rotation, np.zeros(3)), used, about_unit, about_axes)
+
+
+def place_near(motion: Similarity, points: Floats, *notes: str) -> Placement:
+    """Return a motion [mm] that brings points (n, 3) of a file to the origin, too, where they would lie far off."""
+    middle = motion(points).mean(axis=0)
+    off = float(np.abs(middle).max())
+    if off <= FARTHEST_OFF:
+        return Placement(motion, notes)
+    moved = Similarity(motion.scale, motion.rotation, motion.shift - middle)
+    return Placement(moved, (*notes, f"place: {off / 1000.0:.6g} m from the origin, where it was moved to"))
 
 
 def millimetres(unit: str) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,9 @@ SAME = 1e-6
 HAIR = 1e-12
 """Triangles of less than this share of the largest extent squared have no area."""
 
+TRIED, LEAST_PIECE = 3, 0.01
+"""So many pieces may be the head, of at least this share of the largest one's size."""
+
 
 @dataclass(frozen=True, eq=False)
 class Repaired:
@@ -34,13 +37,23 @@ def repair_scan(scan: Scan) -> Repaired:
 
     In turns: vertices that lie upon one another on open edges (the seams of textures) become one; triangles without
     area and doubles go; neighbours are turned the same way round, and all of them outwards; of several pieces the main
-    one is kept: the one that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if
-    nothing is left.
+    one is kept: the one that moves most in the morph targets, or else the one that encloses most. Openings stay. Raises
+    MeshError if nothing is left.
+    """
+    return next(repair_pieces(scan))
+
+
+def repair_pieces(scan: Scan) -> Iterator[Repaired]:
+    """Yield what `repair_scan` makes of the main piece, and then of the next ones, at most TRIED of them.
+
+    A plate or a backdrop encloses next to nothing; a stand, hair or clothes may enclose more than a head.
     """
     notes: list[str] = []
-    for step in (_merge, _sound, _orient, _one_piece, _outwards):
+    for step in (_merge, _sound, _orient):
         scan = step(scan, notes)
-    return Repaired(scan, tuple(notes))
+    for piece, note in _pieces(scan):
+        said = [*notes, note] if note else [*notes]
+        yield Repaired(_outwards(piece, said), tuple(said))
 
 
 def _merge(scan: Scan, notes: list[str]) -> Scan:
@@ -104,21 +117,48 @@ def _orient(scan: Scan, notes: list[str]) -> Scan:
     return replace(scan, triangles=turned_back)
 
 
-def _one_piece(scan: Scan, notes: list[str]) -> Scan:
+def _pieces(scan: Scan) -> Iterator[tuple[Scan, str]]:
+    """Yield separate pieces, the main one first, and what is said of the others."""
     count, part = connected_parts(scan.triangles, len(scan.vertices))
     of_triangle = part[scan.triangles[:, 0]]
     pieces = len(np.unique(of_triangle))
-    if pieces > 1:
-        a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
-        weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if pieces == 1:
+        yield _used(scan), ""
+        return
+    motion = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
+    a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if motion.any():
+        size = np.bincount(of_triangle, weights=area * motion[scan.triangles].mean(axis=1), minlength=count)
+        order, how = [size.argmax()], "one that the morph targets move most"
+    else:
+        size = _enclosed(np.stack([a, b, c], axis=1), area, of_triangle, count)
+        order = [k for k in np.argsort(-size, kind="stable")[:TRIED] if size[k] >= LEAST_PIECE * size.max()]
         how = "largest"
-        motion = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
-        if motion.any():
-            weight, how = weight * motion[scan.triangles].mean(axis=1), "one that the morph targets move most"
-        kept = of_triangle == np.bincount(of_triangle, weights=weight, minlength=count).argmax()
+    for rank, chosen in enumerate(order):
+        kept = of_triangle == chosen
         left_out = f"{np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?) are left out"
-        notes.append(f"of {pieces} separate pieces the {how} was kept; {left_out}")
-        scan = replace(scan, triangles=scan.triangles[kept])
+        found = how if rank == 0 else "one that a face was found in"
+        yield (
+            _used(replace(scan, triangles=scan.triangles[kept])),
+            f"of {pieces} separate pieces the {found} was kept; {left_out}",
+        )
+
+
+def _enclosed(corners: Floats, area: Floats, part: Ints, count: int) -> Floats:
+    """Return an area (count,) for each part: of a cube of the volume between its triangles and their middle."""
+    whole = np.maximum(np.bincount(part, weights=area, minlength=count), 1e-300)
+    centres = corners.mean(axis=1)
+    middle = np.stack(
+        [np.bincount(part, weights=area * centres[:, axis], minlength=count) for axis in range(3)], axis=1
+    )
+    a, b, c = (corners - (middle / whole[:, None])[part][:, None]).transpose(1, 0, 2)
+    volume = np.abs(np.bincount(part, weights=np.einsum("md,md->m", a, np.cross(b, c)), minlength=count))
+    return volume ** (2.0 / 3.0)
+
+
+def _used(scan: Scan) -> Scan:
+    """A scan without the vertices that no triangle has."""
     used, number = np.unique(scan.triangles, return_inverse=True)
     return scan if len(used) == len(scan.vertices) else _over(scan, used, number.reshape(-1, 3))
 
@@ -134,7 +174,7 @@ def _outwards(scan: Scan, notes: list[str]) -> Scan:
 def _over(scan: Scan, ids: Ints, triangles: Ints) -> Scan:
     """A scan over some of its vertices."""
     morphs: Mapping[str, Floats] = {name: delta[ids] for name, delta in scan.morphs.items()}
-    return Scan(scan.vertices[ids], triangles, morphs)
+    return replace(scan, vertices=scan.vertices[ids], triangles=triangles, morphs=morphs, shown={})
 
 
 def _extent(scan: Scan) -> float:

@@ -10,6 +10,9 @@ from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.base.files.mesh_sequence import read_mesh_sequence
 from softdeca.lhm.base.geometry.warp import rigid_motion
 from softdeca.lhm.expressions import TrackedFace, fit_take, index, read_take, write_take
+from softdeca.lhm.head.file import save_head
+
+from ..refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +64,39 @@ def test_a_take_comes_back_from_other_triangles(mean_head, shapes, take):
     fitted = fit_take(face, frames)
     assert fitted.take.weights[0].max() < 1e-3
     assert np.abs(fitted.take.weights[1:] - take.weights).max() < 1e-3 and fitted.residuals.max() < 1e-3
+
+
+STRANGE = {
+    "turned": lambda x: x * [-1, 1, -1],
+    "mirrored": lambda x: x * [-1, 1, 1],
+    "5 % too large": lambda x: 1.05 * x,
+    "another person": lambda x: x + 4.0 * np.sin(x / 40.0),
+}
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_mesh_that_is_not_this_face_is_refused(mean_head, shapes, name):
+    triangles, (first,) = in_other_triangles(mean_head.skin, mean_head.skin.vertices[None])
+    refused("does not lie on the head's skin", TrackedFace.from_mesh, mean_head.skin, shapes,
+            Surface(STRANGE[name](first), triangles))  # fmt: skip
+    if name != "turned":  # which of its own triangles is a turn of the head
+        frames = [STRANGE[name](mean_head.skin.vertices)]
+        refused("is it mirrored|another person", fit_take, TrackedFace.from_skin(mean_head.skin, shapes), frames)
+
+
+def test_a_mesh_of_as_many_vertices_and_one_with_flaws_are_registered(mean_head, shapes, take, command, tmp_path):
+    """Its vertices are in another order, a triangle repeats one, and no triangle has the last, far off."""
+    save_head(tmp_path / "head.npz", mean_head)
+    order = np.random.default_rng(0).permutation(len(mean_head.skin.vertices))
+    triangles = np.argsort(order)[mean_head.skin.triangles]
+    frames = moving(mean_head.skin, shapes, take)[:, order]
+    frames = np.concatenate([mean_head.skin.vertices[order][None], frames])
+    far = np.full((len(frames), 1, 3), 1e5)
+    for name, x, t in (("order", frames, triangles), ("flaws", np.append(frames, far, 1), [*triangles, [0, 0, 1]])):
+        np.savez(tmp_path / f"{name}.npz", vertices=x, triangles=t)
+        words = ("--head", tmp_path / "head.npz", "--out", tmp_path / "take.csv")
+        assert command("take", "fit", tmp_path / f"{name}.npz", *words).status == 0
+        assert np.abs(read_take(tmp_path / "take.csv").weights[1:] - take.weights).max() < 1e-3
 
 
 def test_hair_is_left_out_of_a_registration(mean_head, shapes, take):
@@ -134,6 +170,8 @@ def test_a_folder_of_meshes_is_read_by_the_numbers_in_names(tmp_path):
     for number in (2, 10, 1):
         write_obj(tmp_path / f"frame_{number}.obj", SQUARE + number, HALVES)
     (tmp_path / "notes.txt").write_text("not a mesh")
+    (tmp_path / "._frame_1.obj").write_bytes(b"\0\5\26\7")  # of macOS
+    (tmp_path / "folder.obj").mkdir()
     sequence = read_mesh_sequence(tmp_path, unit="cm")
     assert sequence.names == ("frame_1.obj", "frame_2.obj", "frame_10.obj") and len(sequence) == 3
     assert [frame[0, 0] for frame in sequence] == [10.0, 20.0, 100.0]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse
 import trimesh
 from scipy.sparse import csc_matrix
 
@@ -17,6 +18,7 @@ from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.head.skin import check_skin
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
+from softdeca.lhm.identities.unpickle import read_pickled
 from softdeca.lhm.template.wraps.landmarks import find_landmarks
 
 from ..refusals import refused
@@ -95,17 +97,25 @@ def test_flame_is_read_alike_from_pickle_and_npz(arrays, chumpy, tmp_path, monke
         "J_regressor": csc_matrix(arrays["J_regressor"]),
         "bs_type": "lrotmin",
     }
-    for protocol in (0, 2, 4):
+    for protocol in range(6):
         (tmp_path / f"{protocol}.pkl").write_bytes(pickle.dumps(pickled, protocol=protocol))
     np.savez(tmp_path / "flame.npz", **arrays)
     for name in ("chumpy", "chumpy.ch", "chumpy.reordering"):
         monkeypatch.delitem(sys.modules, name)
     space = identities.FLAME(tmp_path / "flame.npz")
-    for protocol in (0, 2, 4):
+    for protocol in range(6):
         other = identities.FLAME(tmp_path / f"{protocol}.pkl")
         assert np.array_equal(other.mean.vertices, space.mean.vertices)
         assert np.array_equal(other.identity, space.identity)
         np.testing.assert_allclose(other.expressions, space.expressions, atol=1e-9)
+
+
+@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("kind", ["csc_matrix", "csr_matrix", "coo_matrix", "csc_array", "csr_array", "coo_array"])
+def test_sparse_arrays_come_out_of_a_pickle_dense(tmp_path, kind, protocol):
+    dense = np.array([[1.0, 0, 2], [0, 3, 0]])
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"a": getattr(scipy.sparse, kind)(dense)}, protocol=protocol))
+    np.testing.assert_array_equal(read_pickled(tmp_path / "a.pkl", "a", kind="arrays")["a"], dense)
 
 
 def test_flames_head_is_closed_with_pockets_and_a_jaw(arrays, tmp_path):

@@ -14,6 +14,7 @@ from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_scan, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import find_openings, is_closed
+from softdeca.lhm.scans.intake import read_at_rest
 from softdeca.lhm.scans.repair import repair_scan
 
 from ..refusals import refused
@@ -55,6 +56,25 @@ def test_an_obj_of_several_groups_and_materials_keeps_its_vertices(tmp_path):
     assert np.allclose(vertices, X) and np.array_equal(triangles, TRIANGLES)
     quad = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 \\\n3 4 # a_b\nl 1 2\n"
     assert mesh_of(written(tmp_path / "quad.obj", quad))[1].tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
+SQUARES = "v 0 0 0\nv 10 0 0\nv 10 10 0\nv 9 1 0\n"
+U = "v 0 0 0\nv 3 0 0\nv 3 3 0\nv 2 3 0\nv 2 1 0\nv 1 1 0\nv 1 3 0\nv 0 3 0\n"
+AREAS = {
+    "a concave quad": (SQUARES + "f 1 2 3 4\n", 10.0),
+    "a U": (U + "f 1 2 3 4 5 6 7 8\n", 7.0),
+    "a path in a comment": ("# C:\\scans\\\n" + SQUARES + "f 1 2 3\n", 50.0),
+    "a path as a material": (SQUARES + "f 1 2 3\nusemtl skin\\head\\\nf 1 3 4\n", 50.0 + 40.0),
+    "a path of a library": ("mtllib C:\\scan\\\n" + SQUARES + "f 1 2 3\n", 50.0),
+    "a vertex in two lines": ("v 0 0 \\\n0\n" + SQUARES[8:] + "f 1 2 3\n", 50.0),
+}
+"""By the shoelace formula; a fan of the first quad would cover 90."""
+
+
+@pytest.mark.parametrize("name", AREAS)
+def test_polygons_of_an_obj_cover_what_they_enclose(tmp_path, name):
+    text, area = AREAS[name]
+    assert read_surface(written(tmp_path / "a.obj", text)).areas.sum() == pytest.approx(area)
 
 
 QUADS = [(0, 1, 2, 3), (4, 5, 6), (7, 8, 9, 10, 11)]
@@ -147,6 +167,76 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
         refused(f"{uri}: .*{said}", read_scan, written(tmp_path / "b.gltf", json.dumps(made.words)))
 
 
+WAVE = 10.0 * UNIT * [1, 0, 0]
+
+
+def posed(names=("wide",), by=(), inner=(), named="extras", skin=None):
+    """A sphere with morph targets: their weights `by` the mesh and `inner` of its node, and where names stand."""
+    made = Gltf(nodes=[{"mesh": 0, **({"weights": list(inner)} if inner else {})}])
+    targets = [{"POSITION": made.add(((k + 1) * WAVE).astype("<f4"))} for k in range(len(names))]
+    part = {"attributes": {"POSITION": made.add(X.astype("<f4"))}, "indices": made.add(TRIANGLES.astype("<u2").ravel())}
+    more = {"weights": list(by)} if by else {}
+    if named == "accessors":
+        for target, name in zip(targets, names, strict=True):
+            made.words["accessors"][target["POSITION"]]["name"] = name
+    else:
+        (part if named == "primitive" else more)["extras"] = {"targetNames": list(names)}
+    if skin is not None:
+        made.words["skins"] = [{"joints": [1, 2]}]
+        made.words["nodes"] = [{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}, *({"translation": t} for t in skin)]
+        made.words["scenes"] = [{"nodes": [0, 1, 2]}]
+    made.mesh(part | {"targets": targets}, **more)
+    return made
+
+
+# By the specification: a node's weights replace its mesh's, and the transform of a skinned mesh's node is ignored.
+SHOWN = {
+    "a mesh's weights": ({"by": [1.0]}, WAVE),
+    "a node's weights": ({"by": [1.0], "inner": [0.5]}, 0.5 * WAVE),
+    "two targets": ({"names": ("a", "b"), "by": [0.5, 0.25]}, WAVE),
+    "joints that move alike": ({"skin": ([0, 4, 0], [0, 4, 0])}, [0, 4, 0]),
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_gltf_is_read_as_it_is_shown(tmp_path, name):
+    options, moved = SHOWN[name]
+    scan = read_scan(written(tmp_path / "a.glb", posed(**options).glb()))
+    np.testing.assert_allclose(scan.vertices, X + moved, atol=1e-5)
+    assert scan.notes == ()
+
+
+@pytest.mark.parametrize("named", ["extras", "primitive", "accessors"])
+def test_morph_targets_are_named_where_exporters_name_them(tmp_path, named):
+    scan = read_scan(written(tmp_path / "a.glb", posed(("jawOpen", "smirk"), named=named).glb()))
+    assert list(scan.morphs) == ["jawOpen", "smirk"]
+
+
+def test_expressions_that_a_gltf_shows_are_taken_out_of_a_neutral_head_and_told(tmp_path):
+    made = posed(("jawOpen", "wide"), by=[0.5, 1.0])
+    scan, notes = read_at_rest(written(tmp_path / "a.glb", made.glb()))
+    np.testing.assert_allclose(scan.vertices, X + 2 * WAVE, atol=1e-5)
+    assert notes == ("expressions that the file shows were taken out: jawOpen",)
+
+
+def test_what_of_a_gltf_is_left_out_is_told(tmp_path):
+    made = posed(skin=([0, 4, 0], [0, 0, 0]))
+    strip = made.words["meshes"][0]["primitives"][0] | {"mode": 5, "indices": made.add(np.arange(9).astype("<u2"))}
+    made.words["meshes"][0]["primitives"].append(strip)
+    said = read_scan(written(tmp_path / "a.glb", made.glb())).notes
+    assert len(said) == 2 and "skeleton poses it" in said[0] and "strips" in said[1]
+
+
+def test_positions_of_a_gltf_may_be_sparse_alone(tmp_path):
+    made = posed()
+    ids, x = np.arange(len(X)).astype("<u2"), X.astype("<f4")
+    sparse = {"indices": {"bufferView": made.view(ids.tobytes()), "componentType": 5123}, "count": len(X)}
+    sparse["values"] = {"bufferView": made.view(x.tobytes())}
+    position = made.access({"count": len(X), "type": "VEC3", "componentType": 5126, "sparse": sparse})
+    made.words["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = position
+    np.testing.assert_array_equal(mesh_of(written(tmp_path / "a.glb", made.glb()))[0], X)
+
+
 def test_a_draco_file_is_read():
     pytest.importorskip("DracoPy")
     done = repair_scan(read_scan(Path(__file__).parents[1] / "lee_perry_smith.glb"))
@@ -229,3 +319,6 @@ def test_cache_is_read_back_and_rebuilt_when_damaged(tmp_path, monkeypatch):
     assert len(made) == 2
     np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
     assert len(made) == 2 and len(list(file.parent.iterdir())) == 1
+    file.rename(file.with_name("other.npz"))
+    load_or_make("other", make)
+    assert len(made) == 3  # a file under another name is none

@@ -48,6 +48,29 @@ def test_a_volume_mesh_is_written_as_it_is(tmp_path, spheres):
     assert np.array_equal(again.points[skull], finer.skull_wrap.vertices[finer.skull_wrap.triangles])
 
 
+def test_dolfinx_reads_its_tets_tags_and_surfaces(tmp_path, sphere_head):
+    pytest.importorskip("dolfinx")
+    from dolfinx.io import XDMFFile
+    from mpi4py import MPI
+
+    tagged = tets_from_head(sphere_head, (2, 1))
+    write_tets(tmp_path / "head.xdmf", tagged)
+    assert {path.name for path in tmp_path.iterdir()} == {"head.xdmf", "head.h5"}
+    with XDMFFile(MPI.COMM_WORLD, str(tmp_path / "head.xdmf"), "r") as file:
+        mesh = file.read_mesh()
+        mesh.topology.create_connectivity(2, 3)
+        tags, surfaces = file.read_meshtags(mesh, name="mesh"), file.read_meshtags(mesh, name="surfaces")
+    assert np.array_equal(np.bincount(tags.values), np.bincount(tagged.tags))
+    assert {tag: len(t) for tag, t in tagged.surfaces.items()} == {
+        t: np.sum(surfaces.values == t) for t in (11, 12, 13)
+    }
+    corners = mesh.geometry.x[mesh.geometry.dofmap.array.reshape(-1, 4)]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
+    for tag in (SOFT, MUSCLE):
+        expected = tagged.mesh.volumes[tagged.tags == tag].sum()
+        assert volumes[tags.indices[tags.values == tag]].sum() == pytest.approx(expected)
+
+
 def test_gmsh_reads_it_with_its_names(tmp_path, sphere_head):
     gmsh = pytest.importorskip("gmsh", reason="gmsh is not installed", exc_type=(ImportError, OSError))
     write_tets(tmp_path / "head.msh", tets_from_head(sphere_head))

@@ -21,6 +21,8 @@ from .npz import read_arrays, write_arrays
 
 Arrays = Mapping[str, np.ndarray]
 Made = TypeVar("Made")
+OF = "cached as"
+"""Names the array of a file's own name: a copy under another holds something else."""
 
 
 def cache_folder() -> Path:
@@ -70,14 +72,17 @@ def keep_compiled_functions() -> None:
 def load_or_make(name: str, make: Callable[[], Arrays], read: Callable[[Arrays], Made] = dict) -> Made:  # type: ignore[assignment]
     """Return what `read` makes of the arrays stored as `name`.npz, by default the arrays themselves.
 
-    They are made and stored if the file is missing, cannot be read, or is damaged, for which `read` raises InputError
-    or KeyError. Where the disk is full the arrays are made each time.
+    They are made and stored if the file is missing, cannot be read, is of another name, or is damaged, for which `read`
+    raises InputError or KeyError. Where the disk is full the arrays are made each time.
     """
     path = cache_folder() / f"{name}.npz"
     try:
-        return read(read_arrays(path))
+        kept = read_arrays(path)
+        if kept.pop(OF).tolist() == name:
+            return read(kept)
     except (InputError, MeshError, KeyError):
-        arrays = make()
+        pass
+    arrays = make()
     with contextlib.suppress(InputError):
-        write_arrays(path, arrays)
+        write_arrays(path, {**arrays, OF: np.array(name)})
     return read(arrays)

@@ -5,46 +5,80 @@ from __future__ import annotations
 import base64
 import binascii
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
 
-from ..checks import finite, indices_below, rotations_from_quaternions, shape, texts
+from ..checks import finite, indices_below, number, rotations_from_quaternions, shape, texts
 from ..errors import InputError, MissingDependencyError, escape, quote
 from ..limits import FILE_BYTES, MORPH_VALUES, VERTICES
 from ..mesh import Floats, Ints
+from .painted import CLAMP, MIRROR, REPEAT, Painted
 from .text import find_beside, parse_json, read_bytes, read_json
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 FLOAT = 5126
-_WIDTHS = {"SCALAR": 1, "VEC3": 3}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "MAT4": 16}
 _KNOWN = {"KHR_draco_mesh_compression", "KHR_mesh_quantization"}
 _MESHOPT = {"EXT_meshopt_compression", "KHR_meshopt_compression"}
 LARGEST = 1e12
 """Largest number in a transform."""
 FLAT = 1e-9
 """Least determinant over the cube of a transform's largest number: below it no volume is left."""
+SAME_POSE = 1e-4
+"""Share of a joint's largest number within which joints move a mesh alike."""
+STRIPS = (5, 6)
+"""Modes of primitives that are strips and fans of triangles."""
+WRAPS = {10497: REPEAT, 33071: CLAMP, 33648: MIRROR}
+"""How a picture goes on beyond its edges, by the number of a sampler."""
 ENDED = "the file is shorter than it says: is its end missing?"
 
 
-def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
-    """Read vertices (n, 3), triangles (m, 3) and what each named morph target adds, shape (n, 3), in the scene's axes.
+Read = tuple[Floats, Ints, dict[str, Floats], dict[str, Floats], tuple[str, ...]]
 
-    Nodes' transforms are applied; skeletons, strips, fans, materials and textures are left out.
-    InputError says what is damaged, or which extension is not known.
+
+def read_gltf(path: Path) -> Read:
+    """Read a scene's meshes as a `Scan` has them, in the scene's axes.
+
+    Nodes' transforms and default weights of morph targets are applied, and a skeleton's where all its joints move
+    alike. Other poses of it, strips, fans, materials and textures are left out. InputError says what is damaged, or
+    which extension is not known.
     """
+    with _naming_damage():
+        return _Document(path).mesh()
+
+
+def read_gltf_pictures(path: Path) -> list[Painted]:
+    """Read which triangles of `read_gltf` have a picture as base colour, and where in it they lie; InputError alike."""
+    with _naming_damage():
+        return list(_Document(path).painted())
+
+
+@contextmanager
+def _naming_damage() -> Iterator[None]:
+    """Make every error of a damaged document an InputError."""
     try:
         with np.errstate(all="ignore"):  # numbers that overflow are refused where the mesh is made
-            return _Document(path).mesh()
+            yield
     except InputError:
         raise
     except KeyError as error:
         raise InputError(f"not a sound glTF file ({quote(str(error.args[0]))} is missing)") from None
     except (IndexError, TypeError, ValueError, AttributeError, struct.error, OverflowError, RecursionError) as error:
         raise InputError(f"not a sound glTF file ({type(error).__name__}: {escape(str(error))[:60]})") from None
+
+
+class _Part(NamedTuple):
+    """Triangles (m, 3) over vertices (n, 3), with named morph targets (n, 3); `entry` is the document's primitive."""
+
+    entry: dict[str, Any]
+    vertices: Floats
+    triangles: Ints
+    targets: dict[str, Floats]
 
 
 class _Document:
@@ -61,39 +95,66 @@ class _Document:
         if unknown:
             raise InputError(f"it needs the glTF extension {quote(unknown[0])!r}, which is not read; export it without")
         self._buffers: dict[int, memoryview] = {}
+        self._notes: list[str] = []
         listed = [_bytes("byteLength", buffer["byteLength"]) for buffer in self._json.get("buffers", ())]
         FILE_BYTES.check("its buffers have", sum(listed))
 
-    def mesh(self) -> tuple[Floats, Ints, dict[str, Floats]]:
+    def mesh(self) -> Read:
         """Return all instances of meshes in the scene, one after another."""
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        read: dict[int, list[tuple[Floats, Ints, dict[str, Floats]]]] = {}
+        shown: list[dict[str, Floats]] = []
         first = 0
+        for part, weights, linear, shift in self._instances():
+            x = np.einsum("ij,nj->ni", linear, part.vertices) + shift
+            targets = {name: np.einsum("ij,nj->ni", linear, deltas) for name, deltas in part.targets.items()}
+            added = {name: weights[name] * targets[name] for name in targets if weights.get(name)}
+            vertices.append(x + sum(added.values()))
+            # A mirrored mesh would be inside out.
+            triangles.append(first + (part.triangles[:, ::-1] if np.linalg.det(linear) < 0.0 else part.triangles))
+            morphs.append(targets)
+            shown.append(added)
+            first = VERTICES.check("its scene has", first + len(x))
+        if not vertices:
+            raise InputError("no triangles found; is there a mesh in its scene?")
+        counts = [len(x) for x in vertices]
+        MORPH_VALUES.check("its scene has", 3 * first * len({name for targets in morphs for name in targets}))
+
+        def joined(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
+            return {
+                name: np.vstack([part.get(name, np.zeros((k, 3))) for part, k in zip(parts, counts, strict=True)])
+                for name in dict.fromkeys(name for part in parts for name in part)
+            }
+
+        notes = tuple(dict.fromkeys(self._notes))
+        return np.vstack(vertices), np.vstack(triangles), joined(morphs), joined(shown), notes
+
+    def painted(self) -> Iterator[Painted]:
+        """Yield which triangles have a picture, each instance of a mesh by itself."""
+        first = 0
+        for part, _, linear, _ in self._instances():
+            found = self._picture(part)
+            if found is not None:
+                corners = part.triangles[:, ::-1] if np.linalg.det(linear) < 0.0 else part.triangles
+                name, read, places, wraps, factor = found
+                yield Painted(name, read, first + corners, places[corners], wraps, factor)
+            first += len(part.vertices)
+
+    def _instances(self) -> Iterator[tuple[_Part, dict[str, float], Floats, Floats]]:
+        """Yield each part of a mesh in the scene, its targets' default weights, and its linear map and shift."""
+        read: dict[int, list[_Part]] = {}
         for node, matrix in self._place_meshes():
+            mesh = self._item("meshes", node["mesh"])
             if node["mesh"] not in read:
-                read[node["mesh"]] = list(self._primitives(self._item("meshes", node["mesh"])))
+                read[node["mesh"]] = list(self._parts(mesh))
             linear, shift = matrix[:3, :3], finite("a node's transform", matrix[:3, 3])
             grown = np.linalg.det(finite("a node's transform", linear))
             if np.abs(grown) <= FLAT * np.abs(linear).max() ** 3:
                 raise InputError("a node's transform flattens its mesh")
-            for x, corners, targets in read[node["mesh"]]:
-                vertices.append(np.einsum("ij,nj->ni", linear, x) + shift)
-                # A mirrored mesh would be inside out.
-                triangles.append(first + (corners[:, ::-1] if grown < 0.0 else corners))
-                morphs.append({name: np.einsum("ij,nj->ni", linear, deltas) for name, deltas in targets.items()})
-                first = VERTICES.check("its scene has", first + len(x))
-        if not vertices:
-            raise InputError("no triangles found; is there a mesh in its scene?")
-        counts = [len(x) for x in vertices]
-        all_names = dict.fromkeys(name for targets in morphs for name in targets)
-        MORPH_VALUES.check("its scene has", 3 * first * len(all_names))
-        joined = {
-            name: np.vstack([t.get(name, np.zeros((k, 3))) for t, k in zip(morphs, counts, strict=True)])
-            for name in all_names
-        }
-        return np.vstack(vertices), np.vstack(triangles), joined
+            weights = finite("weights", node.get("weights", mesh.get("weights", [])), (None,), most=LARGEST)
+            for part in read[node["mesh"]]:
+                yield part, dict(zip(part.targets, weights.tolist(), strict=False)), linear, shift
 
     def _count(self, number: int) -> int:
         return self._item("accessors", number)["count"]
@@ -132,26 +193,101 @@ class _Document:
         for k, parent in parents.items():
             local = _local(nodes[k])
             placed[k] = local if parent is None else placed[parent] @ local
+        there = {k: self._find_pose(nodes[k], placed, placed[k]) for k in parents if "mesh" in nodes[k]}
         # A scale of zeros hides a node.
-        return [(nodes[k], placed[k]) for k in parents if "mesh" in nodes[k] and placed[k][:3, :3].any()]
+        return [(nodes[k], matrix) for k, matrix in there.items() if matrix[:3, :3].any()]
 
-    def _primitives(self, mesh: dict) -> Iterator[tuple[Floats, Ints, dict[str, Floats]]]:
-        """Yield vertices, triangles and named targets of a mesh's parts; only lists of triangles are read."""
-        extras = mesh.get("extras")
-        names = texts("targetNames", extras.get("targetNames", [])) if isinstance(extras, dict) else ()
+    def _find_pose(self, node: dict, placed: dict[int, Floats], matrix: Floats) -> Floats:
+        """Return the transform of a node's mesh: its own, or with a skin that of the first joint; others are noted."""
+        if "skin" not in node:
+            return matrix
+        skin = self._item("skins", node["skin"])
+        joints = np.array([placed.get(joint, np.eye(4)) for joint in skin["joints"]])
+        if "inverseBindMatrices" in skin:
+            bound = self._accessor(skin["inverseBindMatrices"], "MAT4")
+            shape("inverseBindMatrices", bound, (len(joints), 16))
+            joints = joints @ _affine("inverseBindMatrices", bound)
+        if np.abs(joints - joints[0]).max() > SAME_POSE * np.abs(joints[0]).max():
+            self._notes.append("its skeleton poses it, which is left out; apply the pose and export it again")
+        return joints[0]
+
+    def _parts(self, mesh: dict) -> Iterator[_Part]:
+        """Yield what a mesh has of triangles; only lists of them are read."""
         for primitive in mesh["primitives"]:
-            if primitive.get("mode", 4) == 4 and "POSITION" in primitive["attributes"]:
-                x, triangles = self._triangles(primitive)
-                targets: dict[str, Floats] = {}
-                MORPH_VALUES.check("a mesh has", x.size * len(primitive.get("targets", ())))
-                for k, target in enumerate(primitive.get("targets", ())):
-                    name = escape(names[k])[:200] if k < len(names) else f"target {k}"
-                    if name in targets:
-                        raise InputError(f"morph target {quote(name)!r} stands there twice")
-                    if "POSITION" in target:
-                        targets[name] = self._accessor(target["POSITION"], "VEC3")
-                        shape(f"morph target {name!r}", targets[name], (len(x), 3))
-                yield x, triangles, targets
+            mode = primitive.get("mode", 4)
+            if mode in STRIPS:
+                self._notes.append("strips and fans of triangles are left out; export lists of triangles")
+            if mode != 4 or "POSITION" not in primitive["attributes"]:
+                continue
+            x, triangles = self._triangles(primitive)
+            listed = primitive.get("targets", ())
+            MORPH_VALUES.check("a mesh has", x.size * len(listed))
+            targets: dict[str, Floats] = {}
+            for name, target in zip(self._target_names(mesh, primitive), listed, strict=True):
+                if name in targets:
+                    raise InputError(f"morph target {quote(name)!r} stands there twice")
+                targets[name] = self._accessor(target["POSITION"], "VEC3") if "POSITION" in target else np.zeros_like(x)
+                shape(f"morph target {name!r}", targets[name], x.shape)
+            yield _Part(primitive, x, triangles, targets)
+
+    def _target_names(self, mesh: dict, primitive: dict) -> list[str]:
+        """Return the names of a primitive's targets: the mesh's, the primitive's own, or their accessors'."""
+        count = len(primitive.get("targets", ()))
+        listed: Sequence[str] = ()
+        for extras in (mesh.get("extras"), primitive.get("extras")):
+            if not listed and isinstance(extras, dict):
+                listed = texts("targetNames", extras.get("targetNames", []))
+        if not listed:
+            used = [target["POSITION"] for target in primitive.get("targets", ()) if "POSITION" in target]
+            named = [self._item("accessors", accessor).get("name") for accessor in used]
+            is_told = len(named) == count == len(set(named)) and all(isinstance(name, str) for name in named)
+            listed = named if is_told else ()
+        return [escape(listed[k])[:200] if k < len(listed) else f"target {k}" for k in range(count)]
+
+    def _picture(self, part: _Part) -> tuple[Hashable, Callable[[], bytes], Floats, tuple[str, str], tuple] | None:
+        """Return a part's picture: its name, its bytes' reader, places (n, 2) right and up, wraps and factor."""
+        if "material" not in part.entry:
+            return None
+        material = self._item("materials", part.entry["material"])
+        older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+        look = material.get("pbrMetallicRoughness", {})
+        used = look.get("baseColorTexture", older.get("diffuseTexture"))
+        if used is None:
+            return None
+        moved = used.get("extensions", {}).get("KHR_texture_transform", {})
+        attribute = f"TEXCOORD_{moved.get('texCoord', used.get('texCoord', 0))}"
+        if attribute not in part.entry["attributes"]:
+            return None
+        places = self._texture_places(part, attribute)
+        turn = number("rotation", moved.get("rotation", 0.0))
+        c, s = np.cos(turn), np.sin(turn)
+        scale, offset = finite("scale", moved.get("scale", [1, 1]), (2,)), finite("offset", moved.get("offset", [0, 0]))
+        places = (places * scale) @ np.array([[c, -s], [s, c]]) + offset
+        texture = self._item("textures", used["index"])
+        sampler = self._item("samplers", texture["sampler"]) if "sampler" in texture else {}
+        wraps = tuple(WRAPS.get(sampler.get(f"wrap{axis}", 10497), REPEAT) for axis in "ST")
+        usual = [1.0, 1.0, 1.0, 1.0]
+        factor = look.get("baseColorFactor", usual) if "baseColorTexture" in look else older.get("diffuseFactor", usual)
+        tint = tuple(finite("baseColorFactor", factor, (4,))[:3].tolist())
+        image = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
+        places = np.column_stack([places[:, 0], 1.0 - places[:, 1]])
+        return image, lambda: self._image(image), places, (wraps[0], wraps[1]), tint
+
+    def _image(self, image: int | None) -> bytes:
+        if image is None:
+            raise InputError("its texture is of Basis Universal, which is not read; export it as PNG or JPEG")
+        entry = self._item("images", image)
+        return bytes(self._view(entry["bufferView"]) if "bufferView" in entry else self._resource(entry["uri"]))
+
+    def _texture_places(self, part: _Part, attribute: str) -> Floats:
+        """Return texture coordinates (n, 2) of a part's vertices, right and down."""
+        packed = part.entry.get("extensions", {}).get("KHR_draco_mesh_compression")
+        if packed is not None and attribute in packed["attributes"]:
+            places = decode_draco(bytes(self._view(packed["bufferView"])), packed["attributes"][attribute], width=2)[0]
+        else:
+            places = self._accessor(part.entry["attributes"][attribute], "VEC2")
+        shape(attribute, places, (len(part.vertices), 2))
+        return places
 
     def _triangles(self, primitive: dict) -> tuple[Floats, Ints]:
         attributes = primitive["attributes"]
@@ -180,7 +316,7 @@ class _Document:
             raise InputError(f"accessor {number}: of type {quote(accessor['type'])}, expected {kind_of}")
         if integer and accessor["componentType"] == FLOAT:
             raise InputError(f"accessor {number}: of floats, expected integers")
-        if stored and "bufferView" not in accessor:
+        if stored and not {"bufferView", "sparse"} & accessor.keys():
             raise InputError(f"accessor {number}: its numbers are not in the file")
         kind, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[kind_of]
         count = self._count(number)
@@ -309,8 +445,8 @@ def _affine(name: str, columns: Floats) -> Floats:
     return matrices
 
 
-def decode_draco(content: bytes, number: int) -> tuple[Floats, Ints]:
-    """Return vertices (n, 3) and triangles (m, 3) of a Draco buffer; `number`: the unique id of the attribute.
+def decode_draco(content: bytes, attribute_id: int, *, width: int = 3) -> tuple[Floats, Ints]:
+    """Return an attribute of vertices (n, width) and triangles (m, 3) of a Draco buffer, by the attribute's unique id.
 
     MissingDependencyError without DracoPy, InputError for a damaged buffer.
     """
@@ -324,7 +460,7 @@ def decode_draco(content: bytes, number: int) -> tuple[Floats, Ints]:
         mesh = DracoPy.decode(content)
         points = np.asarray(mesh.points, dtype=np.float64)
         for attribute in getattr(mesh, "attributes", ()):
-            if attribute.get("unique_id") == number and np.shape(attribute.get("data"))[1:] == (3,):
+            if attribute.get("unique_id") == attribute_id and np.shape(attribute.get("data"))[1:] == (width,):
                 points = np.asarray(attribute["data"], dtype=np.float64)
         return points, np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # the C++ library raises whatever the damage makes it raise

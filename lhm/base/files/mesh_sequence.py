@@ -16,6 +16,7 @@ from ..limits import TAKE_FRAMES
 from ..mesh import Floats, Ints
 from .npz import read_arrays
 from .surface_file import MILLIMETRES, SUFFIXES, read_scan
+from .text import list_files
 
 IN_FOLDERS = tuple(suffix for suffix in SUFFIXES if suffix != ".npz")
 
@@ -24,12 +25,13 @@ IN_FOLDERS = tuple(suffix for suffix in SUFFIXES if suffix != ".npz")
 class MeshSequence:
     """Meshes of one triangulation over time. Iterating reads each frame's vertices (n, 3) [mm] in turn.
 
-    `names` of the frames, for messages; `triangles` (m, 3), None where the file has none.
+    `names` of the frames, for messages; `triangles` (m, 3), None where the file has none; `notes` of the first file.
     """
 
     names: tuple[str, ...]
     triangles: Ints | None
     read: Callable[[int], Floats]
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -50,7 +52,7 @@ def read_mesh_sequence(path: str | os.PathLike[str], *, unit: str = "mm") -> Mes
 
 
 def _from_folder(folder: Path, factor: float) -> MeshSequence:
-    files = [file for file in folder.iterdir() if file.suffix.lower() in IN_FOLDERS]
+    files = [file for file in list_files(folder) if file.suffix.lower() in IN_FOLDERS]
     if not files:
         raise InputError(f"{folder}: no meshes in this folder; expected {', '.join(IN_FOLDERS)}")
     TAKE_FRAMES.check(f"{folder}: it has", len(files))
@@ -67,7 +69,7 @@ def _from_folder(folder: Path, factor: float) -> MeshSequence:
             raise InputError(f"{files[number]}: other triangles than {files[0].name}; expected one triangulation")
         return scan.vertices * factor
 
-    return MeshSequence(tuple(file.name for file in files), first.triangles, read)
+    return MeshSequence(tuple(file.name for file in files), first.triangles, read, first.notes)
 
 
 def _order_by_numbers(name: str) -> list[tuple[int, int, str]]:

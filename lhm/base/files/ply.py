@@ -10,9 +10,11 @@ from struct import Struct
 
 import numpy as np
 
+from ..checks import indices_below
 from ..errors import InputError, quote
 from ..limits import VERTICES
 from ..mesh import Floats, Ints
+from .polygons import cut_polygons
 from .text import read_bytes
 
 KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
@@ -42,7 +44,7 @@ class _Element:
 
 
 def read_ply(path: Path) -> tuple[Floats, Ints]:
-    """Read vertices (n, 3) in the file's order, and triangles (m, 3); polygons become fans.
+    """Read vertices (n, 3) in the file's order, and triangles (m, 3), see `cut_polygons`.
 
     InputError where the header is none, promises more than the file has or less, or names no x, y and z.
     """
@@ -52,17 +54,18 @@ def read_ply(path: Path) -> tuple[Floats, Ints]:
         raise InputError("not a PLY file: its header has no end, or does not begin with 'ply'")
     order, elements = _header(match[1].decode("ascii", errors="replace"))
     body = _Body(content[match.end() :], order)
-    vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices, corners, lengths = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
     for element in elements:
         columns = body.read(element)
         if element.name == "vertex":
             VERTICES.check("it has", element.count)
             vertices = _vertices(element, columns)
         elif element.name == "face":
-            triangles = _triangles(element, columns)
+            corners, lengths = _polygons(element, columns)
     if not body.is_at_end():
         raise InputError("it goes on after the elements that its header promises")
-    return vertices, triangles
+    corners = indices_below("triangles", corners, len(vertices))
+    return vertices, corners[cut_polygons(vertices[corners], lengths)]
 
 
 def _header(text: str) -> tuple[str, list[_Element]]:
@@ -180,8 +183,8 @@ def _vertices(element: _Element, columns: Columns) -> Floats:
         return np.stack([columns[axis][0].astype(np.float64) for axis in "xyz"], axis=1)
 
 
-def _triangles(element: _Element, columns: Columns) -> Ints:
-    """Return the triangles of polygons, each from its first corner; those of less than three corners have none."""
+def _polygons(element: _Element, columns: Columns) -> tuple[Ints, Ints]:
+    """Return the corners of all polygons, one after another, and how many each has."""
     lists = [each.name for each in element.properties if each.length]
     if not lists:
         raise InputError("its header names no vertices of the faces")
@@ -189,9 +192,4 @@ def _triangles(element: _Element, columns: Columns) -> Ints:
     with np.errstate(invalid="ignore"):
         if (corners != np.round(corners)).any():
             raise InputError("triangles: an index is no integer")
-        corners = corners.astype(np.int64)
-    ends = np.cumsum(lengths)
-    counts = np.maximum(lengths - 2, 0)
-    first = np.repeat(ends - lengths, counts)
-    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.stack([corners[first], corners[first + within + 1], corners[first + within + 2]], axis=1)
+        return corners.astype(np.int64), lengths

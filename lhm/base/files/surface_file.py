@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..checks import finite, one_of
-from ..errors import InputError, MeshError, one_line, quote
-from ..limits import VERTICES
+from ..errors import InputError, MeshError, one_line
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf import read_gltf
 from .npz import read_arrays
+from .obj import read_obj
 from .ply import read_ply
 from .text import check_file, naming_file, read_bytes
 
@@ -34,12 +33,15 @@ class Scan:
     """A mesh in its file's own unit and axes: `vertices` (n, 3) in the file's order, `triangles` (m, 3).
 
     Groups, materials and primitives are one mesh; polygons are triangles. `morphs`: what each named morph target adds,
-    shape (n, 3). Raises MeshError for values that are not finite and indices out of range.
+    shape (n, 3); `shown`: what of them the file's own weights have added to `vertices`, by the target's name. `notes`
+    tell what was left out. Raises MeshError for values that are not finite and indices out of range.
     """
 
     vertices: Floats
     triangles: Ints
     morphs: Mapping[str, Floats] = field(default_factory=dict, repr=False)
+    shown: Mapping[str, Floats] = field(default_factory=dict, repr=False)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
@@ -97,53 +99,6 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
     arrays = read_arrays(path, "vertices", "triangles", kind="a surface")
     return finite("vertices", arrays["vertices"], (None, 3)), arrays["triangles"]
-
-
-def read_obj(path: Path) -> tuple[Floats, Ints]:
-    """Read the vertices (n, 3) of a Wavefront OBJ in the file's order, and its polygons as fans of triangles (m, 3).
-
-    Texture coordinates, normals, materials, lines and points are left out: a vertex that has two texture coordinates
-    stays one. Negative indices count back from the last vertex. InputError names a line that is none of OBJ, vertices
-    that are not finite and indices out of range.
-    """
-    content = read_bytes(path).removeprefix(b"\xef\xbb\xbf")  # names of materials may be in any encoding
-    if b"\0" in content:
-        raise InputError("not an OBJ file: it is no text")
-    if b"\\" in content:  # at a line's end it continues the line
-        content = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    coordinates, corners = array("d"), array("q")
-    for number, line in enumerate(content.splitlines(), start=1):
-        said = line.partition(b"#")[0]
-        kind, *fields = said.split() or [b""]
-        try:
-            if b"_" in said and kind in (b"v", b"f"):  # 1_0 is a number to Python alone
-                raise ValueError
-            if kind == b"v":
-                x, y, z = fields[:3]
-                coordinates.extend((float(x), float(y), float(z)))
-            elif kind == b"f":
-                polygon = [_obj_index(field, len(coordinates) // 3) for field in fields]
-                if len(polygon) < 3:
-                    raise ValueError
-                for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
-                    corners.extend((polygon[0], b, c))
-        except (ValueError, OverflowError):
-            shown = quote(line.strip().decode("utf-8", "replace"), 60)
-            raise InputError(f"line {number} is none of an OBJ file: {shown!r}") from None
-    vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
-    triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
-    VERTICES.check("it has", len(vertices))
-    try:
-        return as_points("vertices", vertices), as_elements("triangles", triangles, 3, len(vertices))
-    except MeshError as error:
-        raise InputError(str(error)) from None
-
-
-def _obj_index(field: bytes, count: int) -> int:
-    value = int(field.partition(b"/")[0])
-    if value == 0 or value < -count:
-        raise ValueError
-    return value - 1 if value > 0 else count + value
 
 
 def read_stl(path: Path) -> tuple[Floats, Ints]:

@@ -1,4 +1,4 @@
-"""Tet meshes with tags, written in the formats of other programs (gmsh, VTK, XDMF, Medit) through meshio."""
+"""Tet meshes with tags in the formats of other programs: gmsh, VTK and Medit by meshio, XDMF as FEniCSx reads it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree import ElementTree
 
+import h5py
 import meshio
 import numpy as np
 
 from ..errors import InputError
 from ..mesh import Ints, TetMesh
-from .atomic import replaced
+from .atomic import check_replaceable, replaced, write_whole
 
-FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".xdmf": "xdmf", ".mesh": "medit"}
-TAG = {".msh": "gmsh:physical", ".vtu": "tag", ".xdmf": "tag", ".mesh": "medit:ref"}
+FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".mesh": "medit"}
+TAG = {".msh": "gmsh:physical", ".vtu": "tag", ".mesh": "medit:ref"}
+XDMF = ".xdmf"
+SUFFIXES = (*FORMATS, XDMF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +40,15 @@ class TaggedTets:
 def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
     """Write a .msh (gmsh 2.2), .vtu, .xdmf or .mesh file [mm], whole or not at all; InputError for another suffix.
 
-    Surfaces are elements beside the tets. Names go with .msh alone: the other formats have numbers only.
+    Surfaces are elements beside the tets. Names go with .msh alone: the other formats have numbers only. XDMF has its
+    numbers in an .h5 file of its name, tets and their tags in the grid `mesh`, triangles and theirs in `surfaces`, as
+    `XDMFFile.read_mesh` and `read_meshtags` of DOLFINx take them.
     """
     path = Path(path)
     kind = _kind(path)
+    if kind == XDMF:
+        _write_xdmf(path, tagged)
+        return
     blocks = [("tetra", tagged.mesh.tets), *(("triangle", t) for t in tagged.surfaces.values())]
     numbers = [tagged.tags, *(np.full(len(t), tag) for tag, t in tagged.surfaces.items())]
     data = {TAG[kind]: [np.asarray(values, dtype=np.int32) for values in numbers]}
@@ -49,12 +58,45 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
         flat = {*tagged.surfaces}
         more = {"field_data": {name: np.array([tag, 2 if tag in flat else 3]) for tag, name in tagged.names.items()}}
     mesh = meshio.Mesh(tagged.mesh.vertices, blocks, cell_data=data, **more)
-    settings = {".msh": {"file_format": "gmsh22"}, ".xdmf": {"data_format": "XML"}}.get(kind, {})
+    settings = {".msh": {"file_format": "gmsh22"}}.get(kind, {})
     with replaced(path) as temporary, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         mesh.write(temporary, **{"file_format": FORMATS[kind], **settings})
 
 
+def _write_xdmf(path: Path, tagged: TaggedTets) -> None:
+    """Write the numbers as HDF5 and, after it, the XML that names them: one grid for each kind of cell."""
+    beside, buffer = path.with_suffix(".h5"), io.BytesIO()
+    triangles = [np.asarray(each) for each in tagged.surfaces.values()]
+    tags = [np.full(len(each), tag) for tag, each in tagged.surfaces.items()]
+    grids = [("mesh", "Tetrahedron", tagged.mesh.tets, tagged.tags)]
+    if triangles:
+        grids.append(("surfaces", "Triangle", np.concatenate(triangles), np.concatenate(tags)))
+    root = ElementTree.Element("Xdmf", Version="3.0")
+    domain = ElementTree.SubElement(root, "Domain")
+    with h5py.File(buffer, "w") as file:
+
+        def add(parent: ElementTree.Element, name: str, values: np.ndarray) -> None:
+            file[name] = values
+            kind = {"f": "Float", "i": "Int"}[values.dtype.kind]
+            size = " ".join(map(str, values.shape))
+            words = {"Dimensions": size, "NumberType": kind, "Precision": str(values.itemsize), "Format": "HDF"}
+            ElementTree.SubElement(parent, "DataItem", words).text = f"{beside.name}:/{name}"
+
+        for name, cell, corners, numbers in grids:
+            grid = ElementTree.SubElement(domain, "Grid", Name=name, GridType="Uniform")
+            count, width = corners.shape
+            words = {"TopologyType": cell, "NumberOfElements": str(count), "NodesPerElement": str(width)}
+            add(ElementTree.SubElement(grid, "Topology", words), f"{name}/topology", corners.astype(np.int64))
+            geometry = ElementTree.SubElement(grid, "Geometry", GeometryType="XYZ")
+            add(geometry, f"{name}/geometry", tagged.mesh.vertices)
+            words = {"Name": "tag", "AttributeType": "Scalar", "Center": "Cell"}
+            add(ElementTree.SubElement(grid, "Attribute", words), f"{name}/tag", numbers.astype(np.int32)[:, None])
+    check_replaceable(path)
+    write_whole(beside, buffer.getvalue())
+    write_whole(path, ElementTree.tostring(root, xml_declaration=True))
+
+
 def _kind(path: Path) -> str:
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: unknown kind of tet mesh; expected one of {', '.join(FORMATS)}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: unknown kind of tet mesh; expected one of {', '.join(SUFFIXES)}")
     return path.suffix.lower()

@@ -22,6 +22,14 @@ def is_plain_file(path: Path) -> bool:
         return False
 
 
+def list_files(folder: Path, pattern: str = "*") -> list[Path]:
+    """List a folder's plain files by name, without hidden ones, as macOS writes beside each for its attributes.
+
+    `pattern` is of `Path.glob`.
+    """
+    return sorted(file for file in folder.glob(pattern) if not file.name.startswith(".") and is_plain_file(file))
+
+
 def check_file(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> Path:
     """Return the path of a plain file; InputError names one that is missing, no plain file, or beyond the bound."""
     path = Path(path)

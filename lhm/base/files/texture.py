@@ -1,39 +1,48 @@
-"""The colours of a scan: a picture, and where in it the scan's vertices lie; OBJ and glTF, as trimesh reads them."""
+"""The colours of a scan: a picture, and where in it the scan's triangles lie; OBJ and glTF."""
 
 from __future__ import annotations
 
 import io
 import os
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from ..errors import InputError, one_line
+from ..errors import InputError
 from ..geometry.bvh import TriangleTree
 from ..limits import PIXELS
 from ..mesh import Floats, Ints
-from .text import find_beside, naming_file, read_bytes
+from .gltf import read_gltf_pictures
+from .obj import read_obj_pictures
+from .painted import CLAMP, MIRROR, REPEAT, Painted
+from .surface_file import read_scan
+from .text import naming_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "MPO")
+READERS = {".obj": read_obj_pictures, ".glb": read_gltf_pictures, ".gltf": read_gltf_pictures}
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture, and the triangles (m, 3) that have it: vertices (n, 3) where they lie, places (n, 2) in the picture.
+    """A picture, and the triangles (m, 3) that have it: vertices (n, 3) where they lie, places (m, 3, 2) of corners.
 
-    Places are right and up from the picture's lower left corner, in its width and height; they repeat beyond 1.
+    Places, wraps and factor are as `Painted` has them. `others`: how many more pictures the file has.
     """
 
     picture: Image
     vertices: Floats
     triangles: Ints
     places: Floats
+    wraps: tuple[str, str] = (REPEAT, REPEAT)
+    factor: tuple[float, ...] = (1.0, 1.0, 1.0)
+    others: int = 0
 
     def with_vertices(self, vertices: Floats) -> Texture:
         """Return the texture of the same triangles elsewhere."""
@@ -41,78 +50,76 @@ class Texture:
 
     def find_colours(self, points: Floats) -> tuple[Floats, Floats]:
         """Find the colours (k, 3), 0 to 255, of the closest points of the triangles, and their distances (k,)."""
-        from trimesh.visual.color import uv_to_interpolated_color
-
         triangle, weights, distance = TriangleTree(self.vertices, self.triangles).closest(points)
-        places = np.einsum("kc,kcd->kd", weights, self.places[self.triangles[triangle]])
-        return uv_to_interpolated_color(places, self.picture)[:, :3].astype(np.float64), distance
+        places = np.einsum("kc,kcd->kd", weights, self.places[triangle])
+        right, up = (_wrap(places[:, axis], self.wraps[axis]) for axis in range(2))
+        pixels = np.asarray(self.picture)
+        height, width, _ = pixels.shape
+        at = np.stack([(1.0 - up) * height - 0.5, right * width - 0.5])
+        mode = "grid-wrap" if set(self.wraps) == {REPEAT} else "nearest"
+        found = [map_coordinates(pixels[:, :, c], at, np.float64, order=1, mode=mode) for c in range(3)]
+        return _tint(np.stack(found, axis=1), self.factor), distance
+
+
+def _wrap(places: Floats, how: str) -> Floats:
+    """Return the places within a picture, 0 to 1, that stand for any."""
+    if how == CLAMP:
+        return np.clip(places, 0.0, 1.0)
+    if how == MIRROR:
+        return 1.0 - np.abs(places % 2.0 - 1.0)
+    return places % 1.0
+
+
+def _tint(colours: Floats, factor: tuple[float, ...]) -> Floats:
+    """Multiply the linear light of colours (k, 3), 0 to 255, by a factor (IEC 61966-2-1)."""
+    if set(factor) == {1.0}:
+        return colours
+    share = colours / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    light = np.clip(light * factor, 0.0, 1.0)
+    return 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
 
 
 def read_texture(path: str | os.PathLike[str]) -> Texture | None:
     """Read a scan's texture, where `read_scan` has its vertices; None without one, or in another kind of file.
 
-    Of several parts with a picture the largest counts. InputError, one line that names the file, for a picture that is
-    missing, outside the file's folder, or damaged.
+    Of several pictures the one that most triangles have counts. InputError, one line that names the file, for a picture
+    that is missing, outside the file's folder, or damaged.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".obj", ".glb", ".gltf"):
+    read = READERS.get(path.suffix.lower())
+    if read is None:
         return None
     with naming_file(path):
-        scene = _read_scene(path)
-        placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
-        parts = [(mesh, matrix) for mesh, matrix in placed if _picture_of(mesh) is not None]
-        if not parts:
+        by_look: dict[Hashable, list[Painted]] = {}
+        for part in read(path):
+            by_look.setdefault((part.name, part.wraps, part.factor), []).append(part)
+        if not by_look:
             return None
-        mesh, matrix = max(parts, key=lambda part: len(part[0].faces))
-        vertices = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        if not np.ptp(vertices, axis=0).any():  # trimesh has zeros in place of what Draco packed
-            raise InputError("its texture lies on a mesh packed by Draco, and is not read")
-        return Texture(_decode(_picture_of(mesh)), vertices, np.array(mesh.faces), np.array(mesh.visual.uv))
+        parts = max(by_look.values(), key=lambda parts: sum(len(part.triangles) for part in parts))
+        one = parts[0]
+        return Texture(
+            _decode(one.read()),
+            read_scan(path).vertices,
+            np.concatenate([part.triangles for part in parts]),
+            np.concatenate([part.places for part in parts]),
+            one.wraps,
+            one.factor,
+            len({name for name, *_ in by_look}) - 1,  # type: ignore[misc]
+        )
 
 
-class _Beside(dict):
-    """Reads what a file names from its folder, and keeps what is refused: trimesh goes on without."""
+def _decode(content: bytes) -> Image:
+    """Decode a picture as 8 bits of red, green and blue."""
+    from PIL import Image
 
-    def __init__(self, path: Path):
-        super().__init__()
-        self.path = path
-        self.refused: list[InputError] = []
-
-    def get(self, name: str) -> bytes:  # type: ignore[override]
-        try:
-            return read_bytes(find_beside(self.path, unquote(name)))
-        except InputError as error:
-            self.refused.append(error)
+    try:
+        with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
+            PIXELS.check("its picture", picture.width * picture.height)
+            if picture.mode.startswith("I"):  # grey of 16 bits, which Pillow would cut off at 255
+                return Image.fromarray((np.asarray(picture) // 257).astype(np.uint8)).convert("RGB")
+            return picture.convert("RGB")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        if isinstance(error, InputError):
             raise
-
-    __getitem__ = get
-
-
-def _read_scene(path: Path):
-    """Return trimesh's scene of a file."""
-    from trimesh import load_scene
-
-    beside, content = _Beside(path), io.BytesIO(read_bytes(path))
-    try:
-        scene = load_scene(content, file_type=path.suffix.lower()[1:], resolver=beside, process=False)
-    except Exception as error:  # trimesh raises whatever the damage makes it raise
-        raise InputError(f"its texture cannot be read ({one_line(str(error))[:80]})") from None
-    if beside.refused:
-        raise beside.refused[0]
-    return scene
-
-
-def _picture_of(mesh) -> Any:
-    """Return the picture of a part, if it has one from the file, and places in it."""
-    material = getattr(mesh.visual, "material", None)
-    picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
-    has_places = getattr(mesh.visual, "uv", None) is not None
-    return picture if has_places and getattr(picture, "format", None) in FORMATS else None
-
-
-def _decode(picture: Image) -> Image:
-    PIXELS.check("its picture", picture.width * picture.height)
-    try:
-        return picture.convert("RGB")
-    except (OSError, ValueError, SyntaxError):
         raise InputError(f"its picture is damaged, or none of {', '.join(FORMATS)}") from None

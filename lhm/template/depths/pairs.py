@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from ...base.errors import InputError, SoftdecaError
 from ...base.files.surface_file import SUFFIXES, read_surface
+from ...base.files.text import list_files
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.distance import SignedDistance
 from ...base.geometry.rays import first_hits
@@ -134,7 +135,7 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     pairs: dict[str, dict[str, Path]] = {}
-    for path in sorted(folder.iterdir()):
+    for path in list_files(folder):
         name, _, kind = path.stem.rpartition("_")
         if path.suffix.lower() in SUFFIXES and kind in ("skin", "skull") and name:
             if kind in pairs.setdefault(name, {}):
