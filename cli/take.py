@@ -12,7 +12,7 @@ import numpy as np
 from ..lhm.base.files.mesh_sequence import read_mesh_sequence
 from ..lhm.base.files.surface_file import MILLIMETRES, Scan
 from ..lhm.base.files.text import naming_file
-from ..lhm.base.mesh import Surface
+from ..lhm.base.mesh import Ints, Surface
 from ..lhm.expressions import TrackedFace, fit_take, write_take
 from ..lhm.expressions.readers import RATES
 from ..reference import Parameters
@@ -57,7 +57,7 @@ class Fit:
             face = HeadChoice(self.head, self.identities).face(Parameters(), progress)
             with naming_file(self.meshes):
                 first, triangles = sequence.read(0), sequence.triangles
-                if triangles is None or np.array_equal(triangles, face.skin.triangles):
+                if triangles is None or has_same_triangles(triangles, face.skin.triangles):
                     tracked = TrackedFace.from_skin(face.skin, face.shapes)
                 else:
                     sound = Scan(first, triangles).sound
@@ -85,3 +85,9 @@ class Fit:
             click.echo(f"not fitted, since the head does not move by them: {', '.join(fitted.take.missing)}")
         click.echo(f"wrote {self.out}")
         return 0
+
+
+def has_same_triangles(one: Ints, other: Ints) -> bool:
+    """Tell whether two lists (m, 3) have the same triangles, whatever their order and the way round."""
+    first, second = (np.unique(np.sort(each, axis=1), axis=0) for each in (one, other))
+    return np.array_equal(first, second)

@@ -25,7 +25,7 @@ ARRAYS |= {"_reconstruct": np.zeros(0).__reduce__()[0], "scalar": np.float64()._
 SPARSE = {f"{form}_{kind}" for form in ("csc", "csr", "coo") for kind in ("matrix", "array")}
 MAKERS = {("_codecs", "encode")}
 MAKERS |= {(module, "_reconstructor") for module in ("copy_reg", "copyreg")}
-MAKERS |= {(module, "object") for module in ("__builtin__", "builtins")}
+MAKERS |= {(module, "object") for module in ("__builtin__", "builtins")} | {("collections", "OrderedDict")}
 """How Python 2 has bytes and objects."""
 
 

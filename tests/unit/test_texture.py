@@ -63,7 +63,10 @@ MAPS = {
     "a byte order mark": {"materials": "\ufeffnewmtl skin\nmap_Kd picture.png\n"},
     "options": {"materials": "newmtl skin\nmap_Kd -s 1 1 1 -clamp on picture.png\n"},
     "Windows": {"materials": "newmtl skin\nmap_Kd .\\below\\picture.png\n", "name": "below/picture.png"},
+    "capitals": {"materials": "NEWMTL skin\nMAP_KD picture.png\n"},
+    "quotes": {"materials": 'newmtl skin\nmap_Kd "picture.png"\n'},
     "a comment": {"materials": "newmtl skin\nmap_Kd picture.png # x\n"},
+    "a comment on use": {"faces": "usemtl skin # x\nf 1/1 2/2 3/3 4/4\n"},
     "spaces": {"materials": "newmtl skin\nmap_Kd my picture.png\n", "name": "my picture.png"},
     "two libraries": {"libraries": "mtllib other.mtl square.mtl"},
     "libraries in two lines": {"libraries": "mtllib square.mtl\nmtllib other.mtl"},
@@ -172,9 +175,15 @@ def test_a_factor_multiplies_light(tmp_path):
     assert np.allclose(colours_of(texture, MIDDLES), QUARTERS.reshape(4, 3) / 255 * 187.5, atol=0.1)
 
 
-def test_a_picture_that_nobody_reads_is_told(tmp_path):
-    compressed = {"extensions": {"KHR_texture_basisu": {"source": 0}}}
-    refused("Basis Universal", read_texture, write_gltf(tmp_path / "square.glb", texture=compressed))
+UNREAD = {
+    "Basis Universal": {"texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}},
+    "no triangle has a place in its picture": {"used": {"texCoord": 3}},
+}
+
+
+@pytest.mark.parametrize("words", UNREAD)
+def test_a_picture_that_is_left_out_is_told(tmp_path, words):
+    refused(words, read_texture, write_gltf(tmp_path / "square.glb", **UNREAD[words]))
 
 
 def test_a_head_keeps_the_colours_of_its_scan(tmp_path):

@@ -131,13 +131,14 @@ class _Document:
         return np.vstack(vertices), np.vstack(triangles), joined(morphs), joined(shown), notes
 
     def painted(self) -> Iterator[Painted]:
-        """Yield which triangles have a picture, each instance of a mesh by itself."""
+        """Yield which triangles have a picture, each instance of a mesh by itself; none where places are missing."""
         first = 0
         for part, _, linear, _ in self._instances():
             found = self._picture(part)
             if found is not None:
                 corners = part.triangles[:, ::-1] if np.linalg.det(linear) < 0.0 else part.triangles
                 name, read, places, wraps, factor = found
+                corners = corners[np.isfinite(places[corners]).all(axis=(1, 2))]
                 yield Painted(name, read, first + corners, places[corners], wraps, factor)
             first += len(part.vertices)
 
@@ -256,9 +257,8 @@ class _Document:
             return None
         moved = used.get("extensions", {}).get("KHR_texture_transform", {})
         attribute = f"TEXCOORD_{moved.get('texCoord', used.get('texCoord', 0))}"
-        if attribute not in part.entry["attributes"]:
-            return None
-        places = self._texture_places(part, attribute)
+        is_placed = attribute in part.entry["attributes"]
+        places = self._texture_places(part, attribute) if is_placed else np.full((len(part.vertices), 2), np.nan)
         turn = number("rotation", moved.get("rotation", 0.0))
         c, s = np.cos(turn), np.sin(turn)
         scale, offset = finite("scale", moved.get("scale", [1, 1]), (2,)), finite("offset", moved.get("offset", [0, 0]))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -23,8 +24,6 @@ MARK = b"\xef\xbb\xbf"
 """Begins a text in UTF-8 that Windows wrote."""
 CONTINUED = {b"v", b"vt", b"vn", b"f", b"l", b"p"}
 """Lines that may go on after a backslash; in a name or a comment it is part of a path."""
-NO_PLACE = 0
-"""A corner's number of a texture coordinate where it has none; they count from 1, or back from -1."""
 
 
 def read_obj(path: Path) -> tuple[Floats, Ints]:
@@ -34,16 +33,17 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
     stays one. Negative indices count back from the last vertex. InputError names a line that is none of OBJ, vertices
     that are not finite and indices out of range.
     """
-    found = _parse(path)
-    return found.vertices(), found.triangles()
+    found = _parse(path, textured=False)
+    return found.vertices(), np.frombuffer(found.corners, np.int64)[found.cut()]
 
 
 def read_obj_pictures(path: Path) -> list[Painted]:
     """Read which triangles of an OBJ have a picture, by `map_Kd` of their material, and where in it they lie.
 
-    InputError as `read_obj`, and for a library of materials that is needed and cannot be read.
+    A picture that no triangle has is there with none. InputError as `read_obj`, for texture coordinates alike, and for
+    a library of materials that is needed and cannot be read.
     """
-    found = _parse(path)
+    found = _parse(path, textured=True)
     cut = found.cut()
     triangles = np.frombuffer(found.corners, np.int64)[cut]
     material = np.repeat(found.materials, np.maximum(np.array(found.lengths) - 2, 0))
@@ -54,13 +54,12 @@ def read_obj_pictures(path: Path) -> list[Painted]:
     of_corner = np.frombuffer(found.place_ids, np.int64)[cut]
     has_place = (of_corner >= 0).all(axis=1)
     indices_below("texture coordinates", of_corner[has_place], len(places))
+    names = [_material(name, maps) for name in found.names]
     painted = []
-    for number, name in enumerate(found.names):
-        chosen = has_place & (material == number)
-        if name in maps and chosen.any():
-            map_ = maps[name]
-            there = places[of_corner[chosen]] * map_.scale + map_.offset
-            painted.append(Painted(map_.file, map_.read, triangles[chosen], there, map_.wraps))
+    for name, image in maps.items():
+        chosen = has_place & np.isin(material, [k for k, each in enumerate(names) if each == name])
+        there = places[of_corner[chosen]] * image.scale + image.offset
+        painted.append(Painted(image.file, image.read, triangles[chosen], there, image.wraps))
     return painted
 
 
@@ -89,11 +88,8 @@ class _Parsed:
         corners = indices_below("triangles", np.frombuffer(self.corners, np.int64), len(vertices))
         return cut_polygons(vertices[corners], np.frombuffer(self.lengths, np.int64))
 
-    def triangles(self) -> Ints:
-        return np.frombuffer(self.corners, np.int64)[self.cut()]
 
-
-def _parse(path: Path) -> _Parsed:
+def _parse(path: Path, *, textured: bool) -> _Parsed:
     content = read_bytes(path).removeprefix(MARK)  # names of materials may be in any encoding
     if b"\0" in content:
         raise InputError("not an OBJ file: it is no text")
@@ -101,12 +97,12 @@ def _parse(path: Path) -> _Parsed:
     for number, line, said in _lines(content):
         kind, *fields = said.split() or [b""]
         try:
-            if b"_" in said and kind in (b"v", b"vt", b"f"):  # 1_0 is a number to Python alone
+            if b"_" in said and kind in (b"v", b"f"):  # 1_0 is a number to Python alone
                 raise ValueError
             if kind == b"v":
                 x, y, z = fields[:3]
                 found.coordinates.extend((float(x), float(y), float(z)))
-            elif kind == b"vt":
+            elif kind == b"vt" and textured:
                 found.places.extend((float(fields[0]), float(fields[1]) if len(fields) > 1 else 0.0))
             elif kind == b"f":
                 if len(fields) < 3:
@@ -114,8 +110,9 @@ def _parse(path: Path) -> _Parsed:
                 for corner in fields:
                     vertex, *others = corner.split(b"/")
                     found.corners.append(_index(vertex, len(found.coordinates) // 3))
-                    place = others[0] if others else b""
-                    found.place_ids.append(_index(place, len(found.places) // 2) if place else -1)
+                    if textured:
+                        place = others[0] if others else b""
+                        found.place_ids.append(_index(place, len(found.places) // 2) if place else -1)
                 found.lengths.append(len(fields))
                 found.materials.append(current)
             elif kind == b"usemtl":
@@ -159,9 +156,12 @@ def _index(text: bytes, count: int) -> int:
 
 
 class _Map(NamedTuple):
-    """A picture of a material: its file, and how places in it are scaled, shifted and go on beyond it."""
+    """A picture of a material: its file, and how places in it are scaled, shifted and go on beyond it.
 
-    library: Path
+    The file lies beside one of `besides`: its library, or the OBJ.
+    """
+
+    besides: tuple[Path, Path]
     file: str
     scale: tuple[float, float]
     offset: tuple[float, float]
@@ -169,7 +169,8 @@ class _Map(NamedTuple):
 
     def read(self) -> bytes:
         """Return the bytes of the picture."""
-        return read_bytes(_find(self.library, self.file))
+        library, path = self.besides
+        return read_bytes(_find(library if _is_there(self.file, library) else path, self.file))
 
 
 OPTIONS = {b"-s": 3, b"-o": 3, b"-t": 3, b"-mm": 2}
@@ -184,24 +185,30 @@ def _read_libraries(path: Path, listed: list[bytes], needed: set[bytes]) -> dict
     for line in listed:
         for library in _split_names(path, line):
             try:
-                content = read_bytes(_find(path, library)).removeprefix(MARK)
+                place = _find(path, library)
+                content = read_bytes(place).removeprefix(MARK)
             except InputError as error:
                 refused.append(error)
                 continue
             material = b""
             for text in content.splitlines():
-                kind, *words = text.split() or [b""]
+                kind, *words = text.lower().split() or [b""]
                 if kind == b"newmtl":
                     material = _rest(text)
                     known.add(material)
-                elif kind.lower() == b"map_kd" and words:
-                    maps.setdefault(material, _read_map(path, text))
-    if refused and needed - known - {b""}:
+                elif kind == b"map_kd" and words:
+                    maps.setdefault(material, _read_map(place, path, text))
+    if refused and {_material(name, known) for name in needed} - known - {b""}:
         raise refused[0]
     return maps
 
 
-def _read_map(path: Path, line: bytes) -> _Map:
+def _material(name: bytes, known: Collection[bytes]) -> bytes:
+    """Return a material's name as it is, or without a comment where only that is known."""
+    return name if name in known else name.split(b" #")[0].strip()
+
+
+def _read_map(library: Path, path: Path, line: bytes) -> _Map:
     rest = _rest(line)
     options: dict[bytes, list[bytes]] = {}
     while rest.startswith(b"-") and len(rest.split(None, 1)) == 2:
@@ -219,7 +226,8 @@ def _read_map(path: Path, line: bytes) -> _Map:
         return numbers[0], numbers[1]
 
     wrap = CLAMP if options.get(b"-clamp") == [b"on"] else REPEAT
-    return _Map(path, _without_comment(path, os.fsdecode(rest)), pair(b"-s", 1.0), pair(b"-o", 0.0), (wrap, wrap))
+    file = _without_comment(os.fsdecode(rest), library, path)
+    return _Map((library, path), file, pair(b"-s", 1.0), pair(b"-o", 0.0), (wrap, wrap))
 
 
 def _is_number(word: bytes) -> bool:
@@ -231,24 +239,22 @@ def _is_number(word: bytes) -> bool:
 
 def _split_names(path: Path, line: bytes) -> list[str]:
     """Return the files that a line names: one whose name has spaces, or several."""
-    text = _without_comment(path, os.fsdecode(line))
-    return [text] if _is_there(path, text) else text.split()
+    text = _without_comment(os.fsdecode(line), path)
+    return [text] if _is_there(text, path) else text.split()
 
 
-def _without_comment(path: Path, text: str) -> str:
-    """Return a name as it is, or without what follows a # where only that is a file."""
-    short = text.split(" #")[0].strip()
-    return short if short != text and not _is_there(path, text) else text
+def _without_comment(text: str, *besides: Path) -> str:
+    """Return a name as it is where that is a file beside one of these, or else without what follows a #."""
+    return text if _is_there(text, *besides) else text.split(" #")[0].strip()
 
 
-def _is_there(path: Path, name: str) -> bool:
-    try:
-        _find(path, name)
-    except InputError:
-        return False
-    return True
+def _is_there(name: str, *besides: Path) -> bool:
+    for path in besides:
+        with suppress(InputError):
+            return _find(path, name).is_file()
+    return False
 
 
 def _find(path: Path, name: str) -> Path:
-    """Find a file beside `path`, also by a name as Windows writes it; InputError as `find_beside`."""
-    return find_beside(path, name.replace("\\", "/"))
+    """Find a file beside `path`, by a name that may be as Windows writes it, or quoted; InputError as `find_beside`."""
+    return find_beside(path, name.strip('"').replace("\\", "/"))

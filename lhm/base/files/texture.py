@@ -98,6 +98,8 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
             return None
         parts = max(by_look.values(), key=lambda parts: sum(len(part.triangles) for part in parts))
         one = parts[0]
+        if not any(len(part.triangles) for part in parts):
+            raise InputError("no triangle has a place in its picture")
         return Texture(
             _decode(one.read()),
             read_scan(path).vertices,
@@ -116,8 +118,11 @@ def _decode(content: bytes) -> Image:
     try:
         with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
             PIXELS.check("its picture", picture.width * picture.height)
-            if picture.mode.startswith("I"):  # grey of 16 bits, which Pillow would cut off at 255
-                return Image.fromarray((np.asarray(picture) // 257).astype(np.uint8)).convert("RGB")
+            if picture.mode[0] in "IF":  # which Pillow would cut off at 255
+                grey = np.asarray(picture)
+                if picture.mode == "F" or grey.min() < 0 or grey.max() > 65535:
+                    raise InputError("its picture has more than 16 bits; export it with 8 or 16")
+                return Image.fromarray((grey // 257).astype(np.uint8)).convert("RGB")
             return picture.convert("RGB")
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         if isinstance(error, InputError):
