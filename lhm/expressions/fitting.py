@@ -98,7 +98,7 @@ class TrackedFace:
         if off > policy.off:
             raise InputError(
                 f"the first frame does not lie on the head's skin to {policy.off:g} mm (median); expected a neutral "
-                "face of this very head, upright, facing as it does, neither mirrored nor inside out: `head fit --skin` makes one"
+                "face of this very head, facing as it does, not mirrored, not inside out: `head fit --skin` makes one"
             )
         placed = first.vertices.copy()
         placed[is_used] = points

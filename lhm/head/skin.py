@@ -18,7 +18,7 @@ from ..identities.space import EXTENT
 
 LEAST_EXTENT, GREATEST_EXTENT = EXTENT
 FARTHEST_OFF = 10_000.0
-"""[mm] From the origin: beyond, single precision, which exported files and pages have, rounds by more than .001 mm."""
+"""[mm] Distance from the origin beyond which single precision, as exported files have it, rounds by .001 mm."""
 # A thousandth or a tenth of them is a head in metres or centimetres.
 _UNITS = {"metres: use unit='m'": 1e-3, "centimetres: use unit='cm'": 0.1}
 LEAST_SHAPE = 1.0

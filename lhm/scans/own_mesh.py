@@ -26,7 +26,7 @@ TURNED = 10.0
 NEAR = 1.0
 """[mm] in the median of a scan to the skin that was laid onto it, 0.1 to 0.3, and of what would settle it."""
 POINTS = 4000
-"""Of the scan, by which that motion is found."""
+"""Points of the scan by which that motion is found."""
 TORN, FEW = 0.7, 3
 """Lids count as shut where a blink parts the ends of FEW edges by this share of its largest motion."""
 IN_FRONT, DEEP = 60.0, 20.0
