@@ -14,7 +14,6 @@ from ..lhm.base.files.surface_file import MILLIMETRES, Scan
 from ..lhm.base.files.text import naming_file
 from ..lhm.base.mesh import Ints, Surface
 from ..lhm.expressions import TrackedFace, fit_take, write_take
-from ..lhm.expressions.readers import RATES
 from ..reference import Parameters
 from .options import FILE, argument, as_command, option
 from .take_options import HeadChoice
@@ -46,7 +45,7 @@ class Fit:
         None, "identity space of the head (anny or ict:FILE); with --head: of the expressions", type=str
     )
     unit: str = option("mm", "unit of the meshes", type=click.Choice(list(MILLIMETRES)))
-    fps: float = option(30.0, "frames per second of the meshes", type=click.FloatRange(*RATES))
+    fps: float = option(30.0, "frames per second of the meshes", type=float)
     out: Path = option("out/take.csv", "file of the take", type=CSV)
     json: bool = option(False, "print the result, every frame's residual with it, as JSON")
 
