@@ -112,6 +112,11 @@ def test_the_scans_own_mesh_is_exported_with_its_shapes(fitted, file, person, co
     ended = command("head", "export", fitted[0], "--scan", file, "--out", tmp_path / "own.glb", "--json")
     notes = json.loads(ended.out)
     assert ended.status == 0 and {"mouth", "lids"}.isdisjoint(notes) and notes["without"] == ["tongueOut"]
+    lines = [line.split() for line in file.read_text().splitlines()]
+    moved = [["v", *line[1:3], str(float(line[3]) + 0.3)] if line[:1] == ["v"] else line for line in lines]
+    (tmp_path / "moved.obj").write_text("\n".join(map(" ".join, moved)) + "\n")  # by 3 mm, upwards
+    ended = command("head", "export", fitted[0], "--scan", tmp_path / "moved.obj", "--out", tmp_path / "moved.glb")
+    assert "is it the scan that the head was fitted to?" in ended.refusal()
     own = read_glb(tmp_path / "own.glb")[0]["skin"]
     order = np.random.default_rng(1).permutation(len(person.vertices))
     space, face = identities.Anny(), (person.vertices[order][:, 2] > np.quantile(person.vertices[:, 2], 0.6))

@@ -44,6 +44,7 @@ def touched(x, triangles):
     return np.vstack([x, tip + [[9, 0, 90], [9, 9, 90], [0, 9, 90.0]]]), np.vstack([triangles, more])
 
 
+PLATE = np.array([[-600.0, -150, -600], [600, -150, -600], [600, -150, 600], [-600, -150, 600]])
 # Each is the head again once it is read: by suffix, what is done to it, and words of a note on how it was repaired.
 MENDED = {
     "windows.obj": (lambda x, t: obj(x, t).replace("\n", "\r\n"), ""),
@@ -64,6 +65,10 @@ MENDED = {
     "stray.obj": (lambda x, t: obj(np.vstack([x, 1e5 * np.ones((9, 3))]), t), ""),
     "pieces.obj": (
         lambda x, t: obj(np.vstack([x, x[:4] + 300]), np.vstack([t, len(x) + np.array([[0, 1, 2]])])),
+        "of 2 separate pieces the largest was kept",
+    ),
+    "plate.obj": (  # of 1.2 m, and of more area than the head
+        lambda x, t: obj(np.vstack([x, PLATE]), np.vstack([t, len(x) + np.array([[0, 1, 2], [0, 2, 3]])])),
         "of 2 separate pieces the largest was kept",
     ),
     "eyeballs.obj": (

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from softdeca.lhm import FitError, Surface, identities, scans
 from softdeca.lhm.base.files.surface_file import Scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.scans.repair import repair_scan
+from softdeca.lhm.scans.repair import repair_pieces, repair_scan
 from softdeca.lhm.template.registration.registration import find_face
 
 X, TRIANGLES = geodesic_sphere(4)
@@ -29,6 +30,14 @@ def test_a_sound_surface_is_left_as_it_is_open_or_not():
         done = repair_scan(scan)
         assert done.scan.triangles.shape == triangles.shape
         assert done.notes == () and len(done.scan.vertices) == len(np.unique(triangles))
+
+
+def test_a_stand_larger_than_the_head_is_tried_first_and_the_head_next():
+    stand = trimesh.creation.box((4.0, 3.0, 4.0))
+    x = np.vstack([X, stand.vertices - [0, 3, 0]])
+    pieces = list(repair_pieces(Scan(x, np.vstack([TRIANGLES, len(X) + stand.faces]))))
+    assert [len(done.scan.vertices) for done in pieces] == [8, len(X)]
+    assert "the one that a face was found in was kept" in pieces[1].notes[-1]
 
 
 def test_lips_that_touch_are_not_sewn_together_where_a_morph_target_opens_them():
@@ -115,6 +124,11 @@ def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(
     placed = scans.place_scan(template, written(factor * rest.vertices @ turn.T))
     np.testing.assert_allclose(placed.skin.vertices, rest.vertices, atol=1e-9)
     assert f"taken for {unit}," in placed.notes[0] and placed.notes[1] == "axes: z is up, x the front"
+    # Kilometres off it is moved to the origin, and knows its place.
+    there = rest.vertices + [4.5e8, 0, -5e9]
+    placed = scans.place_scan(template, written(there))
+    assert np.abs(placed.skin.vertices.mean(axis=0)).max() < 1e-3 and "5e+06 m from the origin" in placed.notes[0]
+    np.testing.assert_allclose(placed.placement.inverse(placed.skin.vertices), there, atol=1e-5)
     # As it stands where it stands as a head does, a child's too.
     child = 0.6 * rest.vertices + [1000.0, 0, 0]
     placed = scans.place_scan(template, written(child))
