@@ -24,7 +24,7 @@ from ..reference import Parameters
 from ..reference.face.dynamics import OSCILLATION, Swing
 from ..reference.face.face import Face
 from ..reference.face.local import at_vertices as spread_over
-from .corpus.face import KeptFace
+from .corpus.face import KeptFace, name_person
 from .corpus.mixture import BONES, NAMES, STATIC, basis
 from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
@@ -70,6 +70,10 @@ class Surrogate:
     def knows(self, skin: Surface) -> bool:
         """Whether a skin is in the triangles of the default space, and the weights are of that space."""
         return self.space == "anny" and np.array_equal(skin.triangles, self.weights.mean.triangles)
+
+    def has_learned_from(self, code: Floats) -> bool | None:
+        """Tell whether a person of the code (c,) is among those that it learned from; None where they are unknown."""
+        return name_person(code) in self.weights.people if self.weights.people else None
 
     def find_nearest(self, skin: Surface) -> NearestPerson | None:
         """Find the person of the default space nearest to a skin [mm]; None for one that the weights do not know."""

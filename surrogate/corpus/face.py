@@ -91,6 +91,11 @@ class Heads:
         return self._last[1]
 
 
+def name_person(code: Floats) -> str:
+    """Name a person by the identity code (c,): 16 hexadecimal digits, by which weights know whom they learned from."""
+    return hashlib.sha256(np.ascontiguousarray(code, dtype="<f8").tobytes()).hexdigest()[:16]
+
+
 def surface_hash(surface: Surface) -> str:
     """Name a mean skin by its triangles, and its vertices to 0.01 mm: 16 hexadecimal digits.
 

@@ -320,6 +320,7 @@ def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
     return {item: given.get(item, 0.0) / scale for item in known}
 
 
+# No two have a seed in common: a person follows from seed and number alone.
 PRESETS: dict[str, CorpusPlan] = {
     # Every part once, in seconds: for tests and for trying a set-up.
     "tiny": CorpusPlan(
@@ -365,8 +366,8 @@ PRESETS: dict[str, CorpusPlan] = {
         hard=10,
         seconds=53.0,
     ),
-    # Some two hours of two cores; what the shipped surrogate is trained on.
-    "small": CorpusPlan(),
+    # Some two hours of two cores.
+    "small": CorpusPlan(seed=1001),
     # Neutral faces and their derivatives alone, six for the price of one of the others: faces limit what is learned.
     # Hardly anything touches where a face is at rest.
     "faces": CorpusPlan(
@@ -380,6 +381,7 @@ PRESETS: dict[str, CorpusPlan] = {
     ),
     # SoftDECA's 500,000 frames, a quarter of them in sequences.
     "paper": CorpusPlan(
+        seed=1002,
         identities=7813,
         groups=4,
         frames=12,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference.face.tissue import CellKind
-from .face import Derivatives, Frames, Heads, KeptFace, Person
+from .face import Derivatives, Frames, Heads, KeptFace, Person, name_person
 from .folder import Corpus
 from .mixture import ParameterSet
 from .plan import SPLITS, Split
@@ -226,6 +226,12 @@ class Faces(Table):
     def code(self, index: int) -> Floats:
         """Return the code (c,) of a face's person."""
         return np.asarray(self.described(index)["code"], dtype=np.float64)
+
+    def name_people(self, numbers: Ints | None = None) -> frozenset[str]:
+        """Name the people of the faces of some numbers, by default of all; see `name_person`."""
+        groups = self.groups if numbers is None else self.groups[numbers]
+        people = np.unique(groups[:, 0]).tolist()
+        return frozenset(name_person(self._people[k].groups["persons/code"][0]) for k in people)
 
     def coefficients(self, index: int) -> Floats:
         """Return a face's coefficients of STATIC (P, 1 + WAVES)."""

@@ -47,7 +47,7 @@ from .trainer import (
     join_curves,
     torch,
 )
-from .weights import FORMS, TrainingNote, Weights
+from .weights import FORMS, TrainingNote, Weights, join_people
 
 LEAST_MOTION = 0.02
 """[mm] Added to a frame's own size: a still one must not decide."""
@@ -160,9 +160,10 @@ def train_gradients(
     )
     inputs, arrays = lesson.inputs, first | trainer.arrays()
     looseness = None if start is None else start.looseness
+    learned = join_people(start, faces.name_people(lesson.training), *([] if more is None else [more.name_people()]))
     return Weights(
-        form.kind, faces.space, faces.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness
-    )  # fmt: skip
+        form.kind, faces.space, faces.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness, people=learned
+    )
 
 
 class GradientLesson(Lesson):

@@ -44,7 +44,7 @@ from .trainer import (
     to_tensors,
     torch,
 )
-from .weights import MODAL, TrainingNote, Weights
+from .weights import MODAL, TrainingNote, Weights, join_people
 
 OF_REMAINDER = ("gain_", "remainder_", "modes", "size_")
 """Beginnings of the names of arrays that frames teach."""
@@ -241,4 +241,7 @@ def _export(
         cells=corpus.cells,
     )
     looseness = None if start is None else start.looseness
-    return Weights(MODAL, corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness)
+    learned = join_people(start, corpus.name_people(data.training), *([] if more is None else [more.name_people()]))
+    return Weights(
+        MODAL, corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness, people=learned
+    )

@@ -12,13 +12,13 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import extrapolate_turns, find_pivot
-from ..corpus.face import Heads, KeptFace, Person
+from ..corpus.face import Heads, KeptFace, Person, name_person
 from ..corpus.mixture import basis
 from ..corpus.reading import Table
 from ..rigs.rig import Rig
 from .recurrence import WITHOUT_BIAS, LearnedRecurrence, coefficients, recurrence_layers
 from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, draw_positions, torch
-from .weights import Weights
+from .weights import Weights, join_people
 
 KEPT = 64
 """Sequences kept in memory between two batches: 2 MB each on the default head."""
@@ -59,7 +59,9 @@ def train_recurrence(
     lesson = RecurrenceLesson(weights, bind, table, pivot, config)
     trainer = Trainer(lesson, config)
     trainer.train(on_progress=on_progress)
-    return replace(weights, recurrence=LearnedRecurrence(trainer.arrays(), pivot))
+    numbers = table.groups[lesson.training, 0].tolist()
+    people = join_people(weights, frozenset(name_person(table.person(number).code) for number in set(numbers)))
+    return replace(weights, recurrence=LearnedRecurrence(trainer.arrays(), pivot), people=people)
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,12 +84,20 @@ class TrainingNote:
         return self.faces + self.neutrals
 
 
+def join_people(start: Weights | None, *groups: frozenset[str]) -> frozenset[str]:
+    """Join the people of a training and of the weights that it began with; none where nobody knows the latter."""
+    if start is not None and not start.people:
+        return frozenset()
+    return frozenset().union(*groups, () if start is None else start.people)
+
+
 @dataclass(frozen=True, eq=False)
 class Weights:
     """Arrays of a network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
 
     kind: MODAL, or one of FORMS. looseness: what dynamic frames need besides; None where nobody could fit heads to the
-    people. recurrence: learned coefficients of Eq. 21, which take its place.
+    people. recurrence: learned coefficients of Eq. 21, which take its place. people: names of all that it learned from
+    (`name_person`), those of weights that it began with among them; empty where they are unknown.
     """
 
     kind: str
@@ -101,6 +109,7 @@ class Weights:
     note: TrainingNote
     looseness: Looseness | None = None
     recurrence: LearnedRecurrence | None = None
+    people: frozenset[str] = frozenset()
 
     @cached_property
     def inputs(self) -> Inputs:
@@ -119,6 +128,14 @@ class Weights:
                 f"weights: of a mean skin of {len(self.mean.vertices)} vertices, not of the corpus' space and level"
             )
 
+    def check_unseen(self, people: frozenset[str], whose: str) -> None:
+        """Raise InputError where some people, by their names, are among those that it learned from."""
+        if seen := people & self.people:
+            raise InputError(
+                f"{whose}: the weights learned from {len(seen)} of its {len(people)} people that are tested; a corpus "
+                "of another seed has others"
+            )
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write one .safetensors file; `path` is whole or as it was.
 
@@ -132,6 +149,7 @@ class Weights:
             "template": self.template,
             "parameters": STATIC,
             "note": asdict(self.note),
+            "people": sorted(self.people),
             "checksum": UNSEALED,
         }
         arrays: dict[str, np.ndarray] = {
@@ -180,6 +198,7 @@ class Weights:
             note=TrainingNote(**note | {"curve": tuple(note["curve"]), "seen": seen, "held": tuple(note["held"])}),
             looseness=Looseness(**{k: v.astype(np.float64) for k, v in loose.items()}) if loose else None,
             recurrence=LearnedRecurrence(swing, swing.pop("pivot")) if swing else None,
+            people=frozenset(about.get("people", ())),
         )
 
 

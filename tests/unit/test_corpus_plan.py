@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError
+from softdeca.lhm import InputError, identities
 from softdeca.reference import Parameters
 from softdeca.reference.face.settle import changes_neutral
+from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, select_static
-from softdeca.surrogate.corpus.plan import CorpusPlan, read_plan
+from softdeca.surrogate.corpus.plan import IDENTITY, PRESETS, CorpusPlan, read_plan
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients
 
@@ -44,6 +45,24 @@ def test_a_plan_is_the_same_each_time_and_another_seed_makes_another():
     again = replace(MADE_UP)
     assert again.digest == MADE_UP.digest != replace(MADE_UP, seed=1).digest
     assert again.static(3, 2) == MADE_UP.static(3, 2) and again.sequence(3, 0) == MADE_UP.sequence(3, 0)
+
+
+def test_the_shipped_network_knows_whom_it_learned_from():
+    network, space = Surrogate.load(), identities.Anny()
+
+    def draw_codes(plan, count):
+        return np.array([space.sample(plan.rng(IDENTITY, k))[0] for k in range(count)])
+
+    contact = replace(PRESETS["small"], seed=31, identities=100)
+    codes = draw_codes(contact, contact.trained)
+    assert np.array_equal(codes.mean(axis=0), network.weights.code_mean)
+    held = network.weights.note.trainings[-1].held
+    assert [k for k, code in enumerate(codes) if not network.has_learned_from(code)] == list(held)
+    assert all(map(network.has_learned_from, draw_codes(PRESETS["faces"], network.weights.note.people)))
+    # No two presets share a seed, by which alone people differ.
+    assert len({plan.seed for plan in PRESETS.values()}) == len(PRESETS)
+    for name in PRESETS.keys() - {"faces"}:
+        assert not any(map(network.has_learned_from, draw_codes(PRESETS[name], 30)))
 
 
 @pytest.mark.parametrize(

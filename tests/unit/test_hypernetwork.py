@@ -111,6 +111,9 @@ def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
     # Materials alone have no effect.
     assert of_tables - moved == {"response_position", "effect_position", "effect_table", "effect_scale"}
     assert more.note.all_faces == more.note.faces + len(faces["test"])
+    assert more.people == weights.people | faces["test"].name_people()
+    unknown = train_gradients(faces["train"], few, start=replace(weights, people=frozenset()))
+    assert not unknown.people
 
 
 def test_scaled_bones_carry_the_skin_before_a_network_moves_it(surrogate):
@@ -141,7 +144,11 @@ def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weigh
     assert network.method == "network" and network.frames == 20
     assert network.everywhere < nothing.everywhere / 1.5
     held, training = set(weights.note.held), set(faces["train"].groups[:, 0].tolist())
-    assert held < training and len(training - held) == weights.note.people
+    assert held < training and len(training - held) == weights.note.people == len(weights.people)
+    weights.check_unseen(faces["test"].name_people(), "corpus")
+    with pytest.raises(InputError, match=f"corpus: the weights learned from {len(training - held)} of its"):
+        weights.check_unseen(faces["train"].name_people(), "corpus")
+    assert ready_methods(Surrogate(weights))[NETWORK].needs == "head"
 
 
 @pytest.mark.parametrize("name", [*NETWORKS])
@@ -153,6 +160,7 @@ def test_every_form_s_frames_at_run_time_are_those_of_its_training(name, faces, 
         weights.network["scale"][:] *= 100.0  # spheres have little beyond first order
     weights.save(tmp_path / "weights.safetensors")
     surrogate = Surrogate.load(tmp_path / "weights.safetensors")
+    assert surrogate.weights.people == weights.people
     network = {name: torch.from_numpy(value) for name, value in surrogate.weights.network.items()}
     followed, form = weights.network["followed"] > 0.0, FORMS[weights.kind]
     source = FrameSource(faces["test"], first_order=form.has_tables)

@@ -36,13 +36,17 @@ def parse_people(people: str) -> Split | None:
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """The people on whom a network is tested, and its rivals; InputError for weights of another mesh."""
+    """The people on whom a network is tested, and its rivals.
+
+    InputError for weights of another mesh, and for people that they learned from.
+    """
 
     tested: CorpusTrials
     network: Surrogate
 
     def __post_init__(self):
         self.network.weights.check_mesh(self.tested.faces.mean)
+        self.network.weights.check_unseen(self.tested.faces.name_people(), f"corpus {self.tested.folder}")
 
     @cached_property
     def methods(self) -> dict[str, Method]:

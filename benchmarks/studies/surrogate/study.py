@@ -96,6 +96,7 @@ class SurrogateOnCorpus(Study):
             **scored,
             "people": len(np.unique(contest.tested.faces.groups[:, 0])),
             "trained_on": asdict(contest.network.weights.note),
+            "learned_from": len(contest.network.weights.people),
         }
         if task == Task(self._name_corpus(), NETWORK):
             return {**values, **self._describe(contest)}
@@ -131,12 +132,14 @@ class SurrogateOnCorpus(Study):
         if not sentences:
             return table
         people, trainings = rows[0].values["people"], _read_note(rows[0]).trainings
+        # An open contest has refused people that the weights name.
+        unseen = "that" if rows[0].values.get("learned_from") else "of whom nobody says that"
         frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
         known = f"{frames:,} static frames and the derivatives of {faces:,} faces"
         parts = (
             describe_defeats(scores).strip(),
-            f"{people} people that training has not seen ({known}). Share left of the motion that bones alone do not "
-            f"explain: {'; '.join(sentences)}.",
+            f"{people} people {unseen} training has not seen ({known}). Share left of the motion that bones alone do "
+            f"not explain: {'; '.join(sentences)}.",
             table,
         )
         return " ".join(part for part in parts if part)
