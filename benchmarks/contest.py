@@ -35,6 +35,7 @@ from ..lhm.expressions import sample_weights
 from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
 from ..reference.added import NotModelledError
+from ..surrogate import Surrogate
 from ..surrogate import methods as m
 from ..surrogate.corpus.mixture import STATIC, draw
 from ..surrogate.corpus.people import People, people_from_text
@@ -347,10 +348,13 @@ def draw_case(
     """Draw somebody of `people` (see `people_from_text`) by a seed, p of a kind (KINDS, or BEYOND), and expressions.
 
     Every second expression is hard: two to five shapes, up to full weight. The case's own kind is one of the ruler's.
+    InputError for somebody whom the shipped network has learned from.
     """
     rng = np.random.default_rng(seed)
     people_there = find_people(people, level)
     who = people_there.person(rng)
+    if Surrogate.load().has_learned_from(who.code):
+        raise InputError(f"{name}: the shipped network has learned from the person of seed {seed}")
     begin = time.process_time()
     head = people_there.head(who)
     head_s = time.process_time() - begin
