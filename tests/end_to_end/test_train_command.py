@@ -57,13 +57,11 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert kept["words"].startswith("The network loses to a rival without learning on")
     page = (scores / "index.html").read_text()
     assert "<svg" in page and list(scores.glob("*worst-frame*.png"))
-    # As `bench surrogate`, here on everybody; gates are of the shipped network alone.
-    judged = command("bench", "surrogate", "--corpus", corpus, *asked[2:], "network", "--people", "all",
-                     "--out", tmp_path / "study", "--json")  # fmt: skip
-    assert judged.status == 0 and judged.errors == [] and len(json.loads(judged.out)["gates"]) == 1
-    frames = [max(line["frames"] for row in json.loads(run.out)["rows"] for line in row["values"]["rows"])
-              for run in (ended, judged)]  # fmt: skip
-    assert frames[1] > frames[0] > 0
+    # Gates are of the shipped network alone; whom training has seen is tested by neither command.
+    assert len(kept["gates"]) == 1
+    for asks in (asked, ("bench", "surrogate", "--corpus", corpus, *asked[2:])):
+        seen = command(*asks, "--people", "all", "--out", tmp_path / "all")
+        assert seen.status == 1 and "the weights learned from 10 of its 12 people" in seen.errors[0]
 
 
 def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command, corpus, tmp_path):
