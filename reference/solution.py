@@ -83,14 +83,15 @@ class Times:
 
 @dataclass(frozen=True, eq=False)
 class Stresses:
-    """Stresses [kPa] of the tets, shape (m, 3, 3), and reactions [mN], shape (n, 3); see `Solution`."""
+    """Stresses [kPa] of the tets, shape (m, 3, 3), reactions and contact forces [mN], (n, 3); see `Solution`."""
 
     first_piola: Floats
     cauchy: Floats
     reactions: Floats
+    contact_forces: Floats
 
     @classmethod
-    def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats) -> Stresses:
+    def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats, contact_forces: Floats) -> Stresses:
         """Average P [kPa] and F over each tet's q points, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
 
         P over the volume at rest, Cauchy's stress P Fᵀ / J over the deformed one.
@@ -99,7 +100,7 @@ class Stresses:
         with np.errstate(divide="ignore", invalid="ignore"):
             cauchy = np.einsum("mq,mqij,mqkj->mik", volume, P, F) / deformed[:, None, None]
         mean = np.einsum("mq,mqij->mij", volume, P) / volume.sum(axis=1)[:, None, None]
-        return cls(mean, cauchy, reactions)
+        return cls(mean, cauchy, reactions, contact_forces)
 
 
 def von_mises(cauchy: Floats) -> Floats:
@@ -165,10 +166,17 @@ class Solution:
     def reactions(self) -> Floats:
         """Forces [mN], shape (n, 3), by which Fixed terms hold their components in place; zero elsewhere.
 
-        With all loads and springs' pulls they add up to nothing. Nodes on edges give half to each end. The forces of
-        Contact are not among those that they balance.
+        With all loads, springs' pulls and contact forces they add up to nothing. Nodes on edges give half to each end.
         """
         return self._recovered.reactions
+
+    @property
+    def contact_forces(self) -> Floats:
+        """Forces [mN], shape (n, 3), by which Contact and Gaps push vertices; zero elsewhere.
+
+        What pushes an obstacle pushes its carriers; those of one that stands still push nothing of the scene.
+        """
+        return self._recovered.contact_forces
 
     @cached_property
     def _recovered(self) -> Stresses:
@@ -285,9 +293,9 @@ def first_positions(scene: Scene, start: Floats | None) -> Floats:
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with its solution, whole or not at all.
 
-    Per vertex `displacement` and `reaction`, per tet `J`, `inverted` (0 or 1), `von_mises`, `cauchy` and `first_piola`
-    (nine components, row by row); NaN for what is not finite, as Cauchy's stress of a flat tet. Raises InputError for
-    another suffix, a solution of another scene, and a place that cannot be written.
+    Per vertex `displacement`, `reaction` and `contact_force`, per tet `J`, `inverted` (0 or 1), `von_mises`, `cauchy`
+    and `first_piola` (nine components, row by row); NaN for what is not finite, as Cauchy's stress of a flat tet.
+    Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -303,7 +311,11 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     mesh = meshio.Mesh(
         scene.vertices,
         [("tetra", scene.tets)],
-        point_data={"displacement": solution.positions - scene.vertices, "reaction": solution.reactions},
+        point_data={
+            "displacement": solution.positions - scene.vertices,
+            "reaction": solution.reactions,
+            "contact_force": solution.contact_forces,
+        },
         cell_data={name: [np.where(np.isfinite(values), values, np.nan)] for name, values in quantities.items()},
     )
     with replaced(path) as temporary, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):

@@ -11,6 +11,7 @@ from ..scene import Scene
 from ..solution import Stresses
 from . import dolfinx_version as seam
 from .energy.assembly import add_forces
+from .energy.gaps import Distances
 from .energy.quadrature import Quadrature
 from .linear.problem import Problem
 from .mesh.numbering import Numbering
@@ -117,4 +118,8 @@ def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     for end in numbering.ends[: nodes.owned].T:  # an edge's node gives half to each of its ends
         np.add.at(shares, numbering.dof[end], 0.5 * forces)
     reactions = numbering.to_scene(nodes.spread(nodes.sum_up(shares)), np.zeros(scene.vertices.shape))
-    return Stresses.from_points(P_of, F_of, volume, reactions)
+    pull = np.zeros_like(numbering.X)
+    for gaps in Distances.from_scene(scene, numbering):
+        gaps.add_gradient(numbering.X + u, pull)
+    pushes = numbering.to_scene(-pull, np.zeros(scene.vertices.shape))
+    return Stresses.from_points(P_of, F_of, volume, reactions, pushes)

@@ -90,7 +90,7 @@ class Watch:
     ):
         self._rounding = rounding
         self._recorder, self._rest, self._policy = recorder, rest, policy
-        self._threshold, self._max_iterations = threshold, max_iterations
+        self.threshold, self._max_iterations = threshold, max_iterations
         self.iteration = -1
         self.forget()
 
@@ -108,7 +108,7 @@ class Watch:
             return Reason.INTERRUPTED
         if not np.isfinite(point.energy) or not np.isfinite(norm):
             return Reason.NOT_FINITE
-        if norm <= self._threshold:
+        if norm <= self.threshold:
             return Reason.CONVERGED
         rounding = self._policy.rounding * abs(point.energy)
         if (

@@ -37,13 +37,17 @@ class ContactPolicy:
     """Contact of a surface with itself and with obstacles; see `contact.descent` and `contact.surfaces`."""
 
     offset: float = 0.005  # [mm] beyond the gap: stiff contact acts below it, and so holds the gap itself
-    reach: float = 0.2  # [mm] within which pairs are rows: a step's gaps that may close are among them
+    touching: float = 5e-4  # [mm] at rest, below which surfaces are drawn back by the offset: nothing can part them
+    reach: float = 0.2  # [mm] within which pairs are rows at least: a step's gaps that may close are among them
     slack: float = 0.1  # [mm] that vertices may move on before pairs are sought anew
     kept: float = 0.2  # of a pair's distance that a step leaves at least
     before: float = 0.999  # of the share at which a step would meet something
+    led: float = 0.1  # [mm] of the way of what is held, made at once where it meets something
+    following: int = 5  # iterations after it
     stage: float = 1.0  # [mm] of the way of what is held, on which pairs are sought at once
     apart: float = 1e-3  # of a distance, or of a stage: what comes so near, or so far only, has met
     passes: int = 12  # of active sets in an iteration at most; the next one goes on
+    settled: float = 1e-2  # of the offset, by which forces' depths may still differ at the end of a pass
     closed: float = 1e-9  # [mm] of depth in the model, above which a row is pressed
     least: float = 1e-4  # of a step as it is bounded: the memory is emptied where no more of it lowers the energy
 

@@ -135,15 +135,22 @@ class ProjectivePrepared:
             relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
             untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
             problem = replace(problem, untangling=untangling)
-        first = problem.at(place)
+        first, met, led = problem.at(place), None, False
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
-        threshold, rounding = limits.threshold(scene, first.norm), scene.rounding()
+        start_norm, rounding = first.norm, scene.rounding()
+        threshold = limits.threshold(scene, start_norm)
         watch = Watch(recorder, scene.vertices, threshold, most, policy.descent, rounding=rounding)
         descend = METHODS[self.method]
         if self.contact is not None:
             apart = partial(self.contact.descend, solve=work.solve)
             descend = partial(after_untangling, apart, untangle=apart)
-        point, reason = descend(problem, first, watch)
+            led = bool((values != begin)[held].any()) and self.contact.is_met(begin, scene.vertices + place.u)
+            if led:
+                free = replace(problem, untangling=None)
+                first, met, forces = self.contact.lead(free, begin, place.u, watch, solve=work.solve)
+                watch.threshold = limits.threshold(scene, max(start_norm, forces))
+                problem = free
+        point, reason = (first, met) if met is not None else descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
         positions = np.where(held, values, scene.vertices + point.u)
@@ -152,8 +159,8 @@ class ProjectivePrepared:
             contact = self.contact.summarise(positions)
             if reason in (Reason.CONVERGED, Reason.STAGNATED):
                 crosses = contact["contact_crossings"] > self.contact.crossings_at_rest
-                led = bool((values != begin)[held].any())  # past the descent, which sees the way of what is free
-                if crosses or (led and self.contact.leaps(begin, positions)):
+                # The descent sees the way of what is free, `lead` that of what is held.
+                if crosses or (not led and (values != begin)[held].any() and self.contact.leaps(begin, positions)):
                     reason = Reason.CONTACT
         return Solution(
             positions=positions,
@@ -163,7 +170,7 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(self.scene, positions),
             detail=work.counts() | contact,
-            recovery=partial(recover, scene, positions),
+            recovery=partial(recover, scene, positions, self.contact and self.contact.find_pushes),
             times=recorder.times(self.spent),
         )
 

@@ -78,6 +78,11 @@ class Barrier:
             return np.inf
         return float(self._potential(near, self._mesh, places))
 
+    def frees(self, x: Floats, ahead: Floats) -> bool:
+        """Whether surfaces stay farther apart than the gap on the straight way between positions, shape (size,)."""
+        ways, ccd = (self._places(x), self._places(ahead)), self._ipctk.AdditiveCCD()
+        return bool(self._ipctk.is_step_collision_free(self._mesh, *ways, self._gap, narrow_phase_ccd=ccd))
+
     def gradient(self, x: Floats) -> Floats:
         places, gradient = self._places(x), np.zeros(self._size)
         gradient[self._dofs] = self._potential.gradient(self._find_near(places), self._mesh, places)

@@ -130,7 +130,7 @@ def _largest_finite_part(energy: Energy, x: Floats, whole: Floats, smallest: flo
     """1, 1/2, 1/4, ...: the largest part of the motion from x that leaves the energy finite; 0 below `smallest`."""
     part = 1.0
     while part >= smallest:
-        if np.isfinite(energy.value(x + part * (whole - x) if part < 1 else whole)):
+        if np.isfinite(energy.value_ahead(x, x + part * (whole - x) if part < 1 else whole)):
             return part
         part /= 2
     return 0.0

@@ -152,9 +152,26 @@ class Energy:
         """The energy [µJ]; infinite where a law does not hold."""
         return sum(part.value(x) for part in self._parts)
 
+    def value_ahead(self, x: Floats, ahead: Floats) -> float:
+        """The energy [µJ] ahead of positions x; infinite, too, where surfaces meet on the straight way there."""
+        value = self.value(ahead)
+        return value if np.isfinite(value) and self.is_free(x, ahead) else np.inf
+
+    def is_apart(self, x: Floats) -> bool:
+        """Whether surfaces in contact neither cross nor are nearer than their gap."""
+        return all(np.isfinite(part.value(x)) for part in self._parts if isinstance(part, Barrier))
+
+    def is_free(self, x: Floats, ahead: Floats) -> bool:
+        """Whether no surfaces in contact meet on the straight way between positions."""
+        return all(part.frees(x, ahead) for part in self._parts if isinstance(part, Barrier))
+
     def gradient(self, x: Floats) -> Floats:
         """The gradient [mN], shape (size,), at positions of finite energy."""
         return sum((part.gradient(x) for part in self._parts[1:]), self._parts[0].gradient(x))
+
+    def contact_forces(self, x: Floats) -> Floats:
+        """The forces [mN] by which contact pushes, shape (size,)."""
+        return -sum((part.gradient(x) for part in self._parts if isinstance(part, Barrier)), np.zeros(len(x)))
 
     def exact_hessian(self, x: Floats) -> csc_matrix:
         """The Hessian [mN/mm] at positions of finite energy; it need not be definite."""

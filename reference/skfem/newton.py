@@ -92,7 +92,7 @@ def _step(
         return Reason.LINEAR_SOLVER
     if near:
         x = unknowns.move(state.x, step)
-        value = energy.value(x)
+        value = energy.value_ahead(state.x, x)
         full = _state(energy, unknowns, x, value) if np.isfinite(value) else None
         if full is not None and np.linalg.norm(full.gradient) <= 0.5 * np.linalg.norm(state.gradient):
             return full
@@ -100,7 +100,7 @@ def _step(
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(policy.halvings):
         x = unknowns.move(state.x, length * step)
-        value = energy.value(x)
+        value = energy.value_ahead(state.x, x)
         if value < state.value and value <= state.value + policy.armijo * length * slope:
             return _state(energy, unknowns, x, value)
         length /= 2

@@ -15,6 +15,7 @@ from ..scene import Scene, refuse_unknown
 from ..solution import (
     Limits,
     OnIteration,
+    Reason,
     Recorder,
     Solution,
     Stresses,
@@ -79,13 +80,18 @@ class Prepared:
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
-        carried = None
+        if not at_rest and not energy.is_apart(x):
+            x = discretisation.by_dof(scene.vertices)
+        carried, is_met = None, not energy.is_apart(x)
         if np.isfinite(energy.value(x)):
             carried = carry(energy, x, goal, free=free, scales=scales, policy=self.policy)
+            is_met = carried is None and not energy.is_free(x, goal)
         x, forces = (goal, 0.0) if carried is None else carried
         unknowns = Unknowns(np.flatnonzero(free), discretisation.size, bodies)
         descent = Descent(scene, discretisation, energy, unknowns, scales, recorder, self.policy)
         x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
+        if is_met and reason is not Reason.INTERRUPTED:
+            reason = Reason.CONTACT
         history = recorder.history()
         answer = x[discretisation.vertex_dofs]
         ratio, least = volume_ratio(scene, answer), None
@@ -134,10 +140,10 @@ def recover(scene: Scene, element: str, x: Floats) -> Stresses:
         mean, stress = parts[1].stress(x)
         F[scene.prisms] = mean[:, None]
         P[scene.prisms] += stress[:, None]
-    forces = np.where(discretisation.held_dofs(scene.dirichlet()[0]), Energy(scene, discretisation).gradient(x), 0.0)[
-        discretisation.dofs
-    ]
+    energy = Energy(scene, discretisation)
+    forces = np.where(discretisation.held_dofs(scene.dirichlet()[0]), energy.gradient(x), 0.0)[discretisation.dofs]
     reactions = np.zeros(scene.vertices.shape)
     for end in discretisation.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)
-    return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
+    P, F = (values.reshape(*volume.shape, 3, 3) for values in (P, F))
+    return Stresses.from_points(P, F, volume, reactions, energy.contact_forces(x)[discretisation.vertex_dofs])

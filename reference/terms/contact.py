@@ -72,11 +72,13 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Contact(OnTriangles):
-    """Self-contact of surfaces: stiffness/2 per rest area times the squared depth of what is nearer than `thickness`.
+    """Self-contact of surfaces, which push one another, without friction, where they are nearer than an offset o.
 
-    triangles (k, 3) of the scene's vertices are kept from crossing one another (SoftDECA 3.3.2) and the `obstacles`;
-    stiffness [kPa/mm]; thickness [mm] is the gap kept, less where parts are nearer at rest. Pairs are of a vertex and a
-    triangle, and of two edges, that have no common vertex. A start must not cross.
+    triangles (k, 3) of the scene's vertices are kept from crossing one another (SoftDECA 3.3.2) and the `obstacles`.
+    The energy per rest area at a distance d is stiffness/2 (o - d)² o/d: a spring of that stiffness [kPa/mm] at first,
+    and more than any load as d falls to 0. o is 0.005 mm more than `thickness` [mm], less where parts are nearer at
+    rest; those that touch there are met 0.005 mm within. Pairs are of a vertex and a triangle, and of two edges,
+    that have no common vertex. A start must not cross.
     """
 
     triangles: np.ndarray = field(repr=False)
@@ -103,7 +105,10 @@ class Contact(OnTriangles):
 
 @dataclass(frozen=True, eq=False)
 class Gaps(Term):
-    """Contact of known pairs: Σ stiffness/2 max(offset - distance, 0)², for solvers that look for none themselves.
+    """Contact of known pairs, for solvers that look for none themselves: Σ m stiffness/2 (offset - d)² offset/d.
+
+    The sum is over pairs nearer than their offset. m is 1, but m = a (2 - a) for two edges the squared sine of whose
+    angle is a/1000 with a < 1, since parallel ones have no one pair of nearest points.
 
     pairs (r, 4) of the scene's vertices: a vertex and a triangle or, where `between_edges` (r,) says so, two edges;
     the distance [mm] is that of their nearest points. stiffness [mN/mm] and offset [mm]: one number or one per pair.

@@ -21,8 +21,10 @@ from .nodal import NodalEnergy
 
 INSIDE = 1e-9
 """Edges whose squared sine is below it count as parallel."""
-DIFFERENCE = 1e-6
-"""Step of a corner in finite differences [mm]."""
+DIFFERENCE, NEARER = 1e-6, 1e-3
+"""Step of a corner in finite differences: [mm], and share of a pair's distance, at most."""
+PARALLEL = 1e-3
+"""Edges whose squared sine is below it push by a share of their energy, by none where they are parallel."""
 TINY = 1e-12
 """A distance [mm] below which the way between two points is none."""
 
@@ -54,8 +56,9 @@ class Distances(NodalEnergy):
 
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
-        distance, _ = self._measure(self.gaps.find_corners(x[self.nodes]))
-        return 0.5 * float(self.stiffness @ np.maximum(self.offset - distance, 0.0) ** 2)
+        corners = self.gaps.find_corners(x[self.nodes])
+        share, _ = _share_of_parallel(corners, self.gaps.between_edges)
+        return float(share @ self._full_energies(self._measure(corners)[0]))
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
@@ -66,9 +69,10 @@ class Distances(NodalEnergy):
         """See NodalEnergy; by central differences of the forces."""
         corners = self.gaps.find_corners(x[self.nodes])
         local = np.empty((len(corners), 12, 12))
-        for column, step in enumerate(DIFFERENCE * np.eye(12).reshape(12, 4, 3)):
-            change = self._push(corners + step) - self._push(corners - step)
-            local[:, :, column] = change.reshape(-1, 12) / (2.0 * DIFFERENCE)
+        size = np.clip(NEARER * self._measure(corners)[0], TINY, DIFFERENCE)[:, None, None]
+        for column, direction in enumerate(np.eye(12).reshape(12, 4, 3)):
+            change = self._push(corners + size * direction) - self._push(corners - size * direction)
+            local[:, :, column] = (change / (2.0 * size)).reshape(-1, 12)
         local = 0.5 * (local + local.transpose(0, 2, 1))
         if kept < 1.0:
             values, vectors = np.linalg.eigh(local)
@@ -79,7 +83,16 @@ class Distances(NodalEnergy):
     def _push(self, corners: Floats) -> Floats:
         """Return the energy's gradient [mN] by corners, both (m, 4, 3)."""
         distance, slope = self._measure(corners)
-        return (-self.stiffness * np.maximum(self.offset - distance, 0.0))[:, None, None] * slope
+        share, turned = _share_of_parallel(corners, self.gaps.between_edges)
+        ratio = self.offset / np.clip(distance, TINY, self.offset)
+        forces = -0.5 * share * self.stiffness * self.offset * (ratio**2 - 1.0)
+        return forces[:, None, None] * slope + self._full_energies(distance)[:, None, None] * turned
+
+    def _full_energies(self, distance: Floats) -> Floats:
+        """Return the energies [µJ] of pairs at distances (m,) whose edges are not parallel; infinite at 0."""
+        below = np.maximum(self.offset - distance, 0.0)
+        with np.errstate(divide="ignore"):
+            return 0.5 * self.stiffness * below**2 * self.offset / np.minimum(distance, self.offset)
 
     def _measure(self, corners: Floats) -> tuple[Floats, Floats]:
         """Return distances (m,) of corners (m, 4, 3), and their derivatives by these (m, 4, 3)."""
@@ -91,6 +104,17 @@ class Distances(NodalEnergy):
         distance = np.linalg.norm(gap, axis=1)
         normal = gap / np.maximum(distance, TINY)[:, None]
         return distance, weights[:, :, None] * normal[:, None, :]
+
+
+def _share_of_parallel(corners: Floats, between: np.ndarray) -> tuple[Floats, Floats]:
+    """Return the share of its energy that each pair has, (m,), and its derivative by corners (m, 4, 3)."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
+    a, b = (np.linalg.norm(each, axis=1)[:, None] for each in (u, v))
+    cosine = np.sum(u / a * v / b, axis=1)[:, None]
+    square = np.where(between[:, None], np.clip(1.0 - cosine**2, 0.0, PARALLEL), PARALLEL) / PARALLEL
+    slope = (2.0 - 2.0 * square) * -2.0 * cosine / PARALLEL
+    by_u, by_v = slope * (v / b - cosine * u / a) / a, slope * (u / a - cosine * v / b) / b
+    return (square * (2.0 - square))[:, 0], np.stack([-by_u, by_u, -by_v, by_v], axis=1)
 
 
 def _choose_least(corners: Floats, weights: Floats) -> Floats:

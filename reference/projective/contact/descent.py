@@ -1,7 +1,7 @@
 """The way down that surfaces do not cross: L-BFGS models elasticity, and contact is solved for in its model.
 
 Each iteration measures what is near, and finds the forces λ >= 0 of those rows for which the step of the model,
-d = -B⁻¹ (g - Pᵀ Cᵀ λ), leaves them pressed as λ = stiffness × depth says: a gap that the step would close is a row
+d = -B⁻¹ (g - Pᵀ Cᵀ λ), leaves them as deep as `Rows.give_way` says: a gap that the step would close is a row
 already, so the step goes round it. Continuous collision detection bounds the step, and energy with contact has to fall.
 L-BFGS learns from elasticity's gradient g alone, for contact is never modelled but as it is.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -57,6 +57,10 @@ class ContactDescent:
         """Make the surfaces of a scene; nothing is solved for yet."""
         points = ContactPoints.from_scene(scene)
         surfaces = ContactSurface.from_scene(scene, points, policy)
+        touching = np.unique(np.concatenate([surface.find_near(policy.touching).ravel() for surface in surfaces]))
+        if touching.size:
+            points = points.drawn_back(scene, touching[touching < len(points.vertices)], policy.offset)
+            surfaces = ContactSurface.from_scene(scene, points, policy)
         return cls(scene.vertices, points, surfaces, Compliance(system, points.vertices), system, policy)
 
     def descend(self, problem: Problem, point: Point, watch: Observer, *, solve: SolveMatrix) -> tuple[Point, Reason]:
@@ -91,12 +95,15 @@ class ContactDescent:
         while (reason := watch.see(here.total)) is None:
             gradient = here.free.gradient
             model.turn(here.free.place.rotations)
-            free = model.restrict_solution(gradient, solved)
-            wanted = self._find_pushes(model, here.rows, -free, pushes)
             right, solved_right = -gradient, -solved
+            if (turning := here.rows.turn(len(self.points))).any():
+                spread = model.spread(turning)
+                right, solved_right = right + spread, solved_right + model.solve_start(spread)
+            free = model.restrict_solution(right, solved_right)
+            wanted = self._find_pushes(model, here.rows, free, pushes)
             if wanted.any():
                 spread = model.spread(wanted)
-                right, solved_right = spread - gradient, model.solve_start(spread) - solved
+                right, solved_right = right + spread, solved_right + model.solve_start(spread)
             step = model.solve(right, solved_right)
             # What the model says of elasticity's energy along the step: slope and curvature.
             taken = self._take(problem, nearby, here, step, (float(gradient @ step), float(right @ step)))
@@ -111,6 +118,61 @@ class ContactDescent:
             pushes = pushes + share * (wanted - pushes)
             here = ahead
         return here.total, reason
+
+    def is_met(self, begin: Floats, end: Floats) -> bool:
+        """Tell whether surfaces touch at positions end (n, 3) [mm], or on the straight way there; see `leaps`."""
+        return self.touches(end) or self.leaps(begin, end)
+
+    def lead(
+        self, problem: Problem, begin: Floats, goal: Floats, watch: Observer, *, solve: SolveMatrix
+    ) -> tuple[Point, Reason | None, float]:
+        """Move what is held from positions (n, 3) [mm] to displacements `goal` (n, 3) [mm], stage by stage.
+
+        Surfaces that it meets give way: a stage's step has the forces that part them at its end, and a few iterations
+        follow. Begins at rest where more crosses at `begin`. Returns where this ends, the reason: CONTACT for what does
+        not give way, None at the goal, and the largest gradient norm [mN] that a stage has caused.
+        """
+        held, nearby = self.system.coordinates.held, Nearby(self.surfaces, self.policy)
+        if self.count_crossings(self.points.find_places(begin)) > self.crossings_at_rest:
+            begin = self.rest
+        place = self.system.coordinates.start(begin - self.rest)
+        model = Model(
+            lambda vector: solve(vector, place.rotations),
+            self.system.coordinates,
+            self.compliance,
+            self.points,
+            place.rotations,
+        )
+        point, largest = problem.at(place), 0.0
+        while (left := np.where(held, goal - point.u, 0.0)).any():
+            x, gradient = self.find_places(point.place), point.gradient
+            part = left * min(1.0, self.policy.led / float(np.linalg.norm(left, axis=1).max()))
+            carried = self.points.find_places(self.rest + point.u + part) - x
+            model.turn(point.place.rotations)
+            solved = model.solve_start(gradient)
+            free = model.restrict_solution(-gradient, -solved) + carried
+            wanted = self._find_pushes(model, nearby.find_rows(x), free, np.zeros_like(x))
+            right = model.spread(wanted)
+            step = model.solve(right - gradient, model.solve_start(right) - solved)
+            ahead = self._move(problem, point.place, step, part)
+            share = nearby.find_free_share(x, self.find_places(ahead) - x)
+            if share < self.policy.apart:
+                return point, Reason.CONTACT, largest
+            if share < 1.0:
+                share *= self.policy.before
+                ahead = self._move(problem, point.place, share * step, share * part)
+            watch.forget()
+            few = Few(watch, self.policy.following)
+            point, _ = self._descend_touching(problem, problem.at(ahead), few, nearby, model)
+            largest = max(largest, few.first)
+            if few.reason is not None:
+                return point, few.reason, largest
+        return point, None, largest
+
+    def _move(self, problem: Problem, place: Place, step: Floats, part: Floats) -> Place:
+        """Take a step over the unknowns, and a part (n, 3) [mm] of the way of what is held."""
+        moved = problem.move(place, step)
+        return Place(moved.u + part, moved.rotations)
 
     def leaps(self, begin: Floats, end: Floats) -> bool:
         """Tell whether surfaces pass through each other on the straight way between positions (n, 3) [mm].
@@ -141,12 +203,19 @@ class ContactDescent:
         """
         x = self.points.find_places(positions)
         rows = self._find_rows(x)
-        pushes = rows.spread(rows.forces, len(x))
         return {
             "contact_pairs": float(np.count_nonzero(rows.depth > 0.0)),
-            "contact_force": float(0.5 * np.linalg.norm(pushes, axis=1).sum()),
+            "contact_force": float(0.5 * np.linalg.norm(rows.push(len(x)), axis=1).sum()),
             "contact_crossings": float(self.count_crossings(x)),
         }
+
+    @property
+    def find_pushes(self) -> Callable[[Floats], Floats]:
+        """Return a function of positions (n, 3) [mm]: the forces [mN] on vertices and obstacles' carriers, (n, 3).
+
+        It can be pickled, unlike what solves with A.
+        """
+        return partial(_push, self.points, self.surfaces, self.policy)
 
     def touches(self, positions: Floats) -> bool:
         """Tell whether pairs are too near at positions (n, 3) [mm], or more triangles cross than at rest."""
@@ -178,7 +247,7 @@ class ContactDescent:
 
     def _touch(self, point: Point, x: Floats, rows: Rows) -> Touching:
         """Add contact to a point of the energy without it, with contact points at x (k, 3) and these rows near."""
-        forces = self.points.spread(rows.spread(rows.forces, len(x)), len(self.rest))
+        forces = self.points.spread(rows.push(len(x)), len(self.rest))
         gradient = point.gradient - self.system.coordinates.pull(forces, point.place)
         return Touching(point, x, rows, Point(point.place, point.energy + rows.energy, gradient))
 
@@ -186,31 +255,37 @@ class ContactDescent:
         """Find the forces on the contact points (k, 3) [mN] that the model's step ends with.
 
         free (k, 3): its motion without any; pushes (k, 3): the forces of the step before, under which gaps that would
-        close count. Active sets, each a dense solve of (C S Cᵀ + 1 / stiffness) λ = depth after the free motion.
+        close count. Newton's method and active sets, each pass a dense solve, on C S Cᵀ λ + give_way(λ) = the depth
+        after the free motion.
         """
         under = free + model.push(pushes) if pushes.any() else free
         rows = rows.select(np.flatnonzero((rows.depth > 0.0) | (rows.depth > rows.widen(under))))
-        count = len(rows.ids)
+        compliance = model.between(rows)
+        movable = np.flatnonzero(np.diag(compliance) > 0.0)  # the others are held on both sides
+        count, rows, compliance = len(movable), rows.select(movable), compliance[np.ix_(movable, movable)]
         if not count:
             return np.zeros_like(free)
         depth = rows.depth - rows.widen(free)
-        compliance = model.between(rows)
         active = rows.depth > 0.0
         if not active.any():
             active = depth > 0.0
-        forces = np.zeros(count)
+        forces = rows.forces.copy()
         for _ in range(self.policy.passes):
             chosen = np.flatnonzero(active)
-            matrix = compliance[np.ix_(chosen, chosen)] + np.diag(1.0 / rows.stiffness[chosen])
-            forces[:] = 0.0
+            given, yielding = rows.give_way(forces)
+            matrix = compliance[np.ix_(chosen, chosen)] + np.diag(yielding[chosen])
+            right = (depth - given + yielding * forces)[chosen]
+            before, forces = forces, np.zeros(count)
             if len(chosen):
-                forces[chosen] = cho_solve(cho_factor(matrix, check_finite=False), depth[chosen], check_finite=False)
+                found = cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False)
+                forces[chosen] = np.maximum(found, 0.0)
             closed = depth - compliance @ forces > self.policy.closed
             closed[chosen] = forces[chosen] > 0.0
-            if np.array_equal(closed, active):
+            settled = np.abs(rows.give_way(forces)[0] - given - yielding * (forces - before))
+            if np.array_equal(closed, active) and np.all(settled <= self.policy.settled * rows.offset):
                 break
             active = closed
-        return rows.spread(np.maximum(forces, 0.0), len(free))
+        return rows.spread(forces, len(free))
 
     def _take(
         self, problem: Problem, nearby: Nearby, here: Touching, step: Floats, model: tuple[float, float]
@@ -237,6 +312,36 @@ class ContactDescent:
                     return share, ahead
             share *= 0.5
         return None
+
+
+def _push(
+    points: ContactPoints, surfaces: Sequence[ContactSurface], policy: ContactPolicy, positions: Floats
+) -> Floats:
+    x = points.find_places(positions)
+    return points.spread(Nearby(surfaces, policy).find_rows(x).push(len(x)), len(positions))
+
+
+class Few:
+    """Shows a watch a few iterations; `first` is the first gradient norm [mN].
+
+    `reason` is why the watch wants to stop, unless the gradient is small enough.
+    """
+
+    def __init__(self, watch: Observer, count: int):
+        self._watch, self._left, self.first = watch, count, 0.0
+        self.reason: Reason | None = None
+
+    def see(self, point: Point) -> Reason | None:
+        """Take note of a point."""
+        self._left -= 1
+        self.first = self.first or point.norm
+        reason = self._watch.see(point)
+        if reason is not None and reason is not Reason.CONVERGED:
+            self.reason = reason
+        return reason or (Reason.MAX_ITERATIONS if self._left < 0 else None)
+
+    def forget(self):
+        self._watch.forget()
 
 
 class Looks:

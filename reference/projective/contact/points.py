@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -22,12 +22,14 @@ class ContactPoints:
 
     An obstacle's point is at its place (o, 3) [mm] plus the sum of shares (o, 4) times the positions of its carriers
     (o, 4), which are the scene's vertices. One that stands still has shares of nothing, one that is carried is at 0.
+    Vertices are met where they are plus `shift` (k, 3) [mm].
     """
 
     vertices: Ints
     places: Floats
     carriers: Ints
     shares: Floats
+    shift: Floats
 
     @classmethod
     def from_scene(cls, scene: Scene) -> ContactPoints:
@@ -40,7 +42,19 @@ class ContactPoints:
         parts = [(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4)))]
         for obstacle in obstacles:
             parts.append(_hang(obstacle, scene, bodies))
-        return cls(vertices, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(vertices, *columns, np.zeros((len(vertices), 3)))
+
+    def drawn_back(self, scene: Scene, points: Ints, way: float) -> ContactPoints:
+        """Return the same, but some points (any) of vertices met `way` [mm] further within their tets at rest."""
+        place = np.full(len(scene.vertices), -1)
+        place[self.vertices[points]] = points
+        inward = scene.vertices[scene.tets].mean(axis=1)[:, None] - scene.vertices[scene.tets]
+        some = place[scene.tets] >= 0
+        summed = np.zeros_like(self.shift)
+        np.add.at(summed, place[scene.tets][some], inward[some])
+        length = np.linalg.norm(summed, axis=1, keepdims=True)
+        return replace(self, shift=way * summed / np.where(length > 0.0, length, 1.0))
 
     def __len__(self) -> int:
         """The number of points, k + o."""
@@ -48,10 +62,11 @@ class ContactPoints:
 
     def find_places(self, positions: Floats) -> Floats:
         """Return the points' positions [mm], shape (k + o, 3), with the scene's vertices at positions (n, 3)."""
+        own = positions[self.vertices] + self.shift
         if not len(self.places):
-            return positions[self.vertices]
+            return own
         carried = np.einsum("oj,ojc->oc", self.shares, positions[self.carriers])
-        return np.vstack([positions[self.vertices], self.places + carried])
+        return np.vstack([own, self.places + carried])
 
     def spread(self, forces: Floats, count: int) -> Floats:
         """Spread forces [mN] on the points (k + o, 3) over so many vertices of the scene, shape (count, 3)."""
@@ -78,10 +93,14 @@ class ContactPoints:
         """
         first = len(self.vertices)
         is_own = rows.ids < first
-        own = self.vertices[np.where(is_own, rows.ids, 0)]
-        if is_own.all():
+        place = np.where(is_own, rows.ids, 0)
+        own = self.vertices[place]
+        if is_own.all() and not self.shift.any():
             return Gaps(own, rows.between_edges, rows.stiffness, rows.offset)
         every = np.arange(len(rows.ids))
+        if is_own.all():
+            shares = np.broadcast_to(np.eye(4), (len(every), 4, 4))
+            return Gaps(own, rows.between_edges, rows.stiffness, rows.offset, shares, self.shift[place])
         spare = own[every, is_own.argmax(axis=1)][:, None]
         point = np.where(is_own, 0, rows.ids - first)
         met = point[every, is_own.argmin(axis=1)]
@@ -90,7 +109,7 @@ class ContactPoints:
         shares = np.zeros((len(every), 4, 8))
         shares[:, range(4), range(4)] = is_own
         shares[:, :, 4:] = np.where(is_own[..., None], 0.0, self.shares[point])
-        places = np.where(is_own[..., None], 0.0, self.places[point])
+        places = np.where(is_own[..., None], self.shift[place], self.places[point])
         return Gaps(pairs, rows.between_edges, rows.stiffness, rows.offset, shares, places)
 
 

@@ -1,4 +1,9 @@
-"""Pairs that are near one another: their gaps, forces and energy."""
+"""Pairs that are near one another: their gaps, forces and energy.
+
+A gap d below its offset o has the energy ½ stiffness (o - d)² o / d: at first a spring, and more than any load as d
+falls to 0. Two edges that are all but parallel have no one pair of nearest points: of theirs a share is taken, which is
+none for parallel ones (Li et al. 2020, "Incremental Potential Contact", Eq. 24).
+"""
 
 from __future__ import annotations
 
@@ -10,13 +15,19 @@ import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
 
+PARALLEL = 1e-3
+"""Squared sine between two edges, below which less than all of their energy is taken."""
+TINY = 1e-12
+"""[mm] A distance of 0 counts as this."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Pairs near one another, r of them, and the energy ½ Σ stiffness max(depth, 0)² [µJ] of what is too near.
+    """Pairs near one another, r of them.
 
     ids (r, 4) of the contact vertices and between_edges (r,): the pairs, as of `terms.Gaps`; weights (r, 4) and
-    normals (r, 3) of their gaps, see `terms.gaps.measure_pair`; distance and offset (r,) [mm]; stiffness (r,) [mN/mm].
+    normals (r, 3) of their gaps, see `terms.gaps.measure_pair`; distance and offset (r,) [mm]; stiffness (r,) [mN/mm];
+    share (r,), and its derivative by the corners, turns (r, 4, 3) [1/mm], see `find_shares`.
     """
 
     ids: Ints
@@ -26,6 +37,8 @@ class Rows:
     distance: Floats
     offset: Floats
     stiffness: Floats
+    share: Floats
+    turns: Floats
 
     @cached_property
     def depth(self) -> Floats:
@@ -41,22 +54,63 @@ class Rows:
         """Select some rows."""
         return Rows(*(getattr(self, field.name)[which] for field in fields(self)))
 
+    @cached_property
+    def _distance_below(self) -> Floats:
+        return np.clip(self.distance, TINY, self.offset)
+
     @property
     def energy(self) -> float:
         """The energy [µJ]."""
-        return float(0.5 * np.sum(self.stiffness * np.maximum(self.depth, 0.0) ** 2))
+        return float(self.share @ self._full_energies)
 
-    @property
+    @cached_property
+    def _full_energies(self) -> Floats:
+        depth = np.maximum(self.depth, 0.0)
+        return 0.5 * self.stiffness * depth**2 * self.offset / self._distance_below
+
+    @cached_property
     def forces(self) -> Floats:
         """The forces [mN], shape (r,), that push each pair apart."""
-        return self.stiffness * np.maximum(self.depth, 0.0)
+        ratio = self.offset / self._distance_below
+        return 0.5 * self.share * self.stiffness * self.offset * (ratio**2 - 1.0)
+
+    def give_way(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return the depths [mm] at which pairs push by forces (r,) [mN], and their derivatives [mm/mN]."""
+        stiffness = self.share * self.stiffness
+        ratio = 1.0 + 2.0 * forces / (stiffness * self.offset)
+        return self.offset * (1.0 - ratio**-0.5), ratio**-1.5 / stiffness
+
+    def push(self, count: int) -> Floats:
+        """Return all forces [mN] of the energy on the contact vertices, shape (count, 3)."""
+        return self.spread(self.forces, count) + self.turn(count)
+
+    def turn(self, count: int) -> Floats:
+        """Return the forces [mN], shape (count, 3), by which edges that are all but parallel turn from one another."""
+        return self._sum(-self._full_energies[:, None, None] * self.turns, count)
 
     def spread(self, forces: Floats, count: int) -> Floats:
         """Spread forces (r,) along the gaps over the contact vertices, shape (count, 3)."""
-        pushes = (forces[:, None] * self.weights)[:, :, None] * self.normals[:, None, :]
+        return self._sum((forces[:, None] * self.weights)[:, :, None] * self.normals[:, None, :], count)
+
+    def _sum(self, forces: Floats, count: int) -> Floats:
         ids = self.ids.ravel()
-        return np.stack([np.bincount(ids, pushes[..., c].ravel(), count) for c in range(3)], axis=1)
+        return np.stack([np.bincount(ids, forces[..., c].ravel(), count) for c in range(3)], axis=1)
 
     def widen(self, motion: Floats) -> Floats:
         """Tell by how much a motion (k, 3) [mm] widens each gap, shape (r,)."""
         return np.einsum("rj,rjc,rc->r", self.weights, motion[self.ids], self.normals)
+
+
+def find_shares(corners: Floats, between_edges: np.ndarray) -> tuple[Floats, Floats]:
+    """Find the shares (r,) of pairs with corners (r, 4, 3) [mm], and their derivatives by these, (r, 4, 3)."""
+    share, turns = np.ones(len(corners)), np.zeros(corners.shape)
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
+    uu, vv, uv = (np.einsum("rc,rc->r", a, b) for a, b in ((u, u), (v, v), (u, v)))
+    sine = np.maximum(1.0 - uv**2 / np.where(between_edges, uu * vv, 1.0), 0.0)
+    for r in np.flatnonzero(between_edges & (sine < PARALLEL)):
+        part = sine[r] / PARALLEL
+        share[r] = part * (2.0 - part)
+        slope = -4.0 * (1.0 - part) / PARALLEL * uv[r] / (uu[r] * vv[r])
+        by_u, by_v = slope * (v[r] - uv[r] / uu[r] * u[r]), slope * (u[r] - uv[r] / vv[r] * v[r])
+        turns[r] = -by_u, by_u, -by_v, by_v
+    return share, turns

@@ -16,7 +16,12 @@ from ...terms import Contact
 from ..policy import ContactPolicy
 from .pairs import find_free_share, measure_near
 from .points import ContactPoints
-from .rows import Rows
+from .rows import Rows, find_shares
+
+AHEAD = 1.5
+"""Of the offset, the distance within which pairs are rows at least."""
+LEAST = 1e-9
+"""[mm] An offset of pairs that touch or cross at rest, below which nothing pushes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +97,12 @@ class ContactSurface:
     @cached_property
     def has_close_pairs(self) -> bool:
         """Whether some pairs are nearer at rest than the offset."""
-        pairs, of_vertices = self.find_candidates(self.rest, self.rest, self.offset)
-        return bool(len(measure_near(self.rest, pairs, of_vertices, self.offset)[0]))
+        return bool(len(self.find_near(self.offset)))
+
+    def find_near(self, reach: float) -> Ints:
+        """Find the pairs, shape (r, 4), that are nearer than `reach` [mm] at rest."""
+        pairs, of_vertices = self.find_candidates(self.rest, self.rest, reach)
+        return pairs[measure_near(self.rest, pairs, of_vertices, reach)[0]]
 
     def count_crossings(self, x: Floats) -> int:
         """Count the pairs of triangles that cross with contact points at x (k, 3) [mm]."""
@@ -148,6 +157,7 @@ class _Candidates:
 
     def __init__(self, surface: ContactSurface, policy: ContactPolicy):
         self._surface, self._policy = surface, policy
+        self._reach = max(policy.reach, AHEAD * surface.offset)
         self._low = np.full((1, 3), np.inf)
         self._high = -self._low
         self._at: Floats | None = None
@@ -156,15 +166,17 @@ class _Candidates:
     def find_rows(self, x: Floats) -> Rows:
         surface = self._surface
         self._search(x, x)
-        which, weights, normals, distance = measure_near(x, self._pairs, self._of_vertices, self._policy.reach)
-        self._at, self._least = x, distance.min(initial=self._policy.reach)
+        which, weights, normals, distance = measure_near(x, self._pairs, self._of_vertices, self._reach)
+        self._at, self._least = x, distance.min(initial=self._reach)
         ids, between_edges = self._pairs[which], which >= self._of_vertices
         areas = surface.weigh(ids, between_edges)
         offset = np.full(len(ids), surface.offset)
         if surface.has_close_pairs:
             at_rest = measure_near(surface.rest, ids, int(np.count_nonzero(~between_edges)), np.inf)[3]
             offset = np.minimum(offset, at_rest)
-        return _merge(Rows(ids, between_edges, weights, normals, distance, offset, surface.stiffness * areas))
+        shares = find_shares(x[ids], between_edges)
+        rows = Rows(ids, between_edges, weights, normals, distance, offset, surface.stiffness * areas, *shares)
+        return _merge(rows.select(np.flatnonzero((rows.share > 0.0) & (offset > LEAST))))
 
     def find_free_share(self, x: Floats, motion: Floats) -> float:
         self._search(x, x + motion)
@@ -179,17 +191,22 @@ class _Candidates:
         if np.all(low >= self._low) and np.all(high <= self._high):
             return
         self._low, self._high = low - self._policy.slack, high + self._policy.slack
-        self._pairs, self._of_vertices = self._surface.find_candidates(self._low, self._high, self._policy.reach)
+        self._pairs, self._of_vertices = self._surface.find_candidates(self._low, self._high, self._reach)
 
 
 def _merge(rows: Rows) -> Rows:
-    """Make one row of pairs whose nearest points are of the same corners or edges, with their stiffnesses together."""
+    """Make one row of pairs whose nearest points are of the same corners or edges, with their stiffnesses together.
+
+    Edges that are all but parallel stay alone.
+    """
     used = np.where(np.abs(rows.weights) > 1e-9, rows.ids + 1, 0)
     is_first = np.arange(4) < np.where(rows.between_edges, 2, 1)[:, None]
     most = int(rows.ids.max(initial=0)) + 2
     places = most ** np.array([0, 0, 1, 2])  # a side has three vertices at most
     sides = [np.sort(np.where(mask, used, 0), axis=1) @ places for mask in (is_first, ~is_first)]
-    keys = np.column_stack([np.minimum(*sides), np.maximum(*sides), np.round(1e9 * rows.offset).astype(np.int64)])
+    alone = np.where(rows.share < 1.0, np.arange(len(rows.ids)), -1)
+    offsets = np.round(1e9 * rows.offset).astype(np.int64)
+    keys = np.column_stack([np.minimum(*sides), np.maximum(*sides), offsets, alone])
     _, chosen, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     merged = rows.select(chosen)
     together = np.bincount(which.ravel(), rows.stiffness, len(chosen)).astype(np.float64, copy=False)

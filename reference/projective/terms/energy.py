@@ -5,6 +5,7 @@ Stresses and reactions of an answer: P from what each cell alone gives to the gr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -115,10 +116,18 @@ class Energy:
         return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
 
 
-def recover(scene: Scene, positions: Floats) -> Stresses:
-    """Recover stresses and reactions at positions [mm], shape (n, 3); the tets of a prism have its."""
+def recover(scene: Scene, positions: Floats, find_pushes: Callable[[Floats], Floats] | None) -> Stresses:
+    """Recover stresses and reactions at positions [mm], shape (n, 3); the tets of a prism have its.
+
+    find_pushes: Contact's forces [mN] on the vertices, (n, 3), at positions; None without Contact.
+    """
     energy, u = Energy.from_scene(scene), positions - scene.vertices
-    reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
+    pushes = np.zeros_like(u) if find_pushes is None else find_pushes(positions)
+    reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1] - pushes, 0.0)
+    if (pairs := energy.part(Pairs)) is not None:
+        known = np.zeros_like(u)
+        pairs.add_to(u, known)
+        pushes = pushes - known
     F = np.eye(3) + Cells.from_mesh(scene, np.arange(len(scene.tets))).deformation(u)
     F[scene.prisms] = np.eye(3) + scene.prism_cells.deformation(u)[:, None]
     P = np.zeros_like(F)
@@ -132,4 +141,4 @@ def recover(scene: Scene, positions: Floats) -> Stresses:
             stress = np.einsum("rai,raj->rij", forces.reshape(*vertices.shape, 3), edges)
             tets = part.tets.reshape(len(vertices), -1)
             np.add.at(P, tets, (stress / part.cells.volumes[:, None, None])[:, None])
-    return Stresses.from_points(P[:, None], F[:, None], scene.volumes[:, None], reactions)
+    return Stresses.from_points(P[:, None], F[:, None], scene.volumes[:, None], reactions, pushes)

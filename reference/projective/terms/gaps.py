@@ -18,8 +18,10 @@ from ...terms import Gaps
 from ..unknowns.sparsity import add_block
 from .part import Part
 
-DIFFERENCE = 1e-6
-"""[mm] by which corners are moved for a Hessian, the difference of two gradients."""
+DIFFERENCE, NEARER = 1e-6, 1e-3
+"""[mm], and share of a pair's distance, by which corners are moved at most for a Hessian: a difference of gradients."""
+PARALLEL = 1e-3
+"""Squared sine between two edges, below which less than all of their energy is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,17 +124,42 @@ def measure_pair(corners, between_edges, weights, normal):
 
 
 @njit(cache=True)
+def _push_apart(corners, between_edges, stiffness, offset, weights, normal, forces):
+    """Return the energy [µJ] of a pair with corners (4, 3), and write the forces [mN] on these; see `terms.Gaps`."""
+    forces[:] = 0.0
+    distance = measure_pair(corners, between_edges, weights, normal)
+    if distance >= offset:
+        return 0.0
+    if distance == 0.0:
+        return np.inf
+    energy = 0.5 * stiffness * (offset - distance) ** 2 * offset / distance
+    share = 1.0
+    if between_edges:
+        u, v = corners[1] - corners[0], corners[3] - corners[2]
+        uu, vv, uv = np.sum(u * u), np.sum(v * v), np.sum(u * v)
+        part = max(1.0 - uv * uv / (uu * vv), 0.0) / PARALLEL
+        if part < 1.0:
+            share = part * (2.0 - part)
+            slope = -4.0 * (1.0 - part) / PARALLEL * uv / (uu * vv)
+            by_u, by_v = slope * (v - uv / uu * u), slope * (u - uv / vv * v)
+            forces[0] += energy * by_u
+            forces[1] -= energy * by_u
+            forces[2] += energy * by_v
+            forces[3] -= energy * by_v
+    push = 0.5 * share * stiffness * offset * ((offset / distance) ** 2 - 1.0)
+    for j in range(4):
+        for c in range(3):
+            forces[j, c] += push * weights[j] * normal[c]
+    return share * energy
+
+
+@njit(cache=True)
 def _push(corners, between_edges, stiffness, offset):
     """Return the energy [µJ] of pairs with corners (r, 4, 3), and the forces [mN] on these."""
-    forces, weights, normal = np.zeros(corners.shape), np.empty(4), np.empty(3)
+    forces, weights, normal = np.empty(corners.shape), np.empty(4), np.empty(3)
     energy = 0.0
     for r in range(len(corners)):
-        depth = offset[r] - measure_pair(corners[r], between_edges[r], weights, normal)
-        if depth > 0.0:
-            energy += 0.5 * stiffness[r] * depth * depth
-            for j in range(4):
-                for c in range(3):
-                    forces[r, j, c] = stiffness[r] * depth * weights[j] * normal[c]
+        energy += _push_apart(corners[r], between_edges[r], stiffness[r], offset[r], weights, normal, forces[r])
     return energy, forces
 
 
@@ -140,20 +167,21 @@ def _push(corners, between_edges, stiffness, offset):
 def _find_hessians(at, between_edges, stiffness, offset):
     """Find the Hessians [mN/mm] of pairs with corners (r, 4, 3), (r, 12, 12), by central differences of gradients."""
     hessians = np.zeros((len(at), 12, 12))
-    corners, weights, normal = np.empty((4, 3)), np.empty(4), np.empty(3)
+    corners, weights, normal, forces = np.empty((4, 3)), np.empty(4), np.empty(3), np.empty((4, 3))
     for r in range(len(at)):
         corners[:] = at[r]
-        if measure_pair(corners, between_edges[r], weights, normal) >= offset[r]:
+        distance = measure_pair(corners, between_edges[r], weights, normal)
+        if distance >= offset[r]:
             continue
+        step = min(DIFFERENCE, NEARER * distance)
         for column in range(12):
             j, c = divmod(column, 3)
             place = corners[j, c]
             for side in (1.0, -1.0):
-                corners[j, c] = place + side * DIFFERENCE
-                depth = offset[r] - measure_pair(corners, between_edges[r], weights, normal)
+                corners[j, c] = place + side * step
+                _push_apart(corners, between_edges[r], stiffness[r], offset[r], weights, normal, forces)
                 for row in range(12):
-                    force = stiffness[r] * max(depth, 0.0) * weights[row // 3] * normal[row % 3]
-                    hessians[r, row, column] -= side * force / (2.0 * DIFFERENCE)
+                    hessians[r, row, column] -= side * forces[row // 3, row % 3] / (2.0 * step)
             corners[j, c] = place
     return 0.5 * (hessians + hessians.transpose(0, 2, 1))
 
