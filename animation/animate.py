@@ -75,7 +75,8 @@ class AnimateResult:
     """Outcome of an animated take: frames by method, the files, and the time it took.
 
     failed: frames beyond the accuracy or without an answer, and why. error: the largest that was told [mm], None where
-    none was. uncertain: how many frames told an error that is not certain. bind_seconds: before the first frame;
+    none was. uncertain: how many frames told an error that is not certain; crossing: in how many skin crosses skin
+    that does not in the neutral face, in files' notes and the log, too. bind_seconds: before the first frame;
     frame_ms: median of a frame. notes: what a file leaves out or approximates. neutral: why settling under p stopped;
     without CONVERGED it failed.
     """
@@ -84,6 +85,7 @@ class AnimateResult:
     methods: dict[str, int]
     error: float | None
     uncertain: int
+    crossing: int
     failed: tuple[tuple[int, str], ...]
     bind_seconds: float
     frame_ms: float
@@ -138,7 +140,8 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
         begin = time.perf_counter()
         for number, (skin, record) in enumerate(frames):
             seconds = round(time.perf_counter() - begin, 6)
-            log.append({"frame": number, "time": float(take.times[number]), **record, "seconds": seconds})
+            row = {"frame": number, "time": float(take.times[number]), **record, "seconds": seconds}
+            log.append(row | {"skin_crossings": face.count_crossings(skin)})
             skin = in_room(skin, number)
             if number in shown:
                 kept[number] = skin.astype(np.float32)
@@ -148,7 +151,7 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
 
     fine = face.head.fine_skin if wanted.detail else None
     files = [wanted.out / f"take.{wanted.format}"]
-    notes = _write_skins(files[0], make_skins(), face.skin, fine, take, named)
+    notes = _write_skins(files[0], make_skins(), face.skin, fine, take, named, log)
     if shown:
         files.append(wanted.out / f"preview.{wanted.preview}")
         plain = {number: in_room(face.blend(take.weights[number]), number) for number in kept}
@@ -164,6 +167,7 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
         methods=dict(Counter(row["method"] for row in log)),
         error=max(errors, default=None),
         uncertain=sum(row["error"] is not None and not row["certain"] for row in log),
+        crossing=sum(row["skin_crossings"] > 0 for row in log),
         failed=tuple((row["frame"], row["reason"]) for row in log if row["reason"]),
         bind_seconds=bind_seconds,
         frame_ms=1e3 * float(np.median([row["seconds"] for row in log])),
@@ -180,8 +184,12 @@ def _write_skins(
     fine: FineSkin | None,
     take: Take,
     rig: MorphRig | None,
+    log: list[dict[str, Any]],
 ) -> list[str]:
-    """Write skins (n, 3) [mm], and return notes; `rig` plays the take where they are sums of named targets."""
+    """Write skins (n, 3) [mm], and return notes; `rig` plays the take where they are sums of named targets.
+
+    log: of the frames made so far; files that have notes tell in which skin crosses skin.
+    """
     if path.suffix == ".vtkhdf":
         triangles = neutral.triangles if fine is None else fine.triangles
         drawn = (drawn_surface(neutral.with_vertices(skin), fine).vertices for skin in skins)
@@ -194,6 +202,8 @@ def _write_skins(
         note = f"{path.name}: {len(morphs.targets)} morph targets, greatest error {morphs.error:.2g} mm"
     else:
         note = f"{path.name}: ARKit's {len(rig.names)} morph targets"
+    if crossing := [row["frame"] for row in log if row["skin_crossings"]]:
+        rig = replace(rig, notes={**rig.notes, "frames_where_skin_crosses_skin": crossing})
     WRITERS[path.suffix[1:]](path, rig if fine is None else refine_rig(rig, fine))
     return [note]
 

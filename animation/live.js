@@ -266,7 +266,7 @@ function start([content, arrays]) {
   function tell() {
     const { frame, frames } = shown;
     byId("error").textContent = frame.mean === null ? "not known" : `${frame.last ? "" : "≈ "}${inMillimetres(frame.mean)}`;
-    byId("meaning").textContent = MEANINGS.find(([holds]) => holds(frame))[1];
+    byId("meaning").textContent = MEANINGS.find(([holds]) => holds(frame))[1] + (frame.crossings ? "; skin crosses skin" : "");
     for (const [place, { rung, name, told }] of rungs.entries()) {
       const its = frames.get(place);
       rung.className = place === frame.place ? "now" : its ? "done" : "";

@@ -57,8 +57,9 @@ class Animate:
     the simulator's derivatives on other heads of their triangles, and these alone on all others.
 
     Writes OUT/take.vtkhdf (or .glb, or .usd), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error,
-    certain and seconds of each frame. Morph targets of glb and usd have ARKit's names where derivatives alone make all
-    frames. Exit status 1 if a frame is not within the accuracy; those are listed.
+    certain and seconds of each frame, and how many pairs of its triangles cross. Morph targets of glb and usd have
+    ARKit's names where derivatives alone make all frames. Exit status 1 if a frame is not within the accuracy; those
+    are listed.
     """
 
     take: str = argument("TAKE", type=str)
@@ -127,6 +128,7 @@ class Animate:
         methods = ", ".join(f"{count} {method}" for method, count in result.methods.items())
         error_text = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
         doubt = f", {result.uncertain} not certain" if result.uncertain else ""
+        doubt += f"; skin crosses skin in {result.crossing}" if result.crossing else ""
         click.echo(
             f"{result.frames} frames ({methods}), {len(result.failed)} failed; {error_text}{doubt}; "
             f"bound in {result.bind_seconds:.2g} s, median {result.frame_ms:.2g} ms a frame"

@@ -46,6 +46,7 @@ class Frame:
     method: a label of `surrogate.methods`. error [mm], shape (n,): of each vertex; mean_error [mm]: over those that
     physics moves. Both are None where nothing is known. An estimate that is not `certain` may be off by a factor of
     three. `is_last` says that nothing better will come; `seconds` is the time since the work on the change began.
+    crossings: pairs of triangles that cross in the simulator's skin, see `Face.count_crossings`; 0 where nobody looked.
     """
 
     change: int
@@ -56,6 +57,7 @@ class Frame:
     certain: bool
     is_last: bool
     seconds: float
+    crossings: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +126,7 @@ def pack_frame(frame: Frame, blended: Floats) -> bytes:
         "certain": frame.certain,
         "last": frame.is_last,
         "seconds": frame.seconds,
+        "crossings": frame.crossings,
     }
     text = json.dumps(header, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)

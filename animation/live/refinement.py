@@ -73,6 +73,7 @@ class Refinement:
                 certain=frame.certain,
                 is_last=has_converged,
                 seconds=time.perf_counter() - begin,
+                crossings=self._face.count_crossings(frame.skin),
             )
             if has_converged:
                 return

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...lhm.base.checks import finite
 from ...lhm.base.errors import InputError, quote
-from ...lhm.base.mesh import Floats, Floats32, Surface
+from ...lhm.base.geometry.bvh import TriangleTree
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...lhm.head.head import LayeredHead
 from ...lhm.head.skin import check_shapes
 from ..projective import Pattern
@@ -110,6 +111,24 @@ class Face:
     def blend(self, weights: Floats | Floats32) -> Floats:
         """Blend the shapes [mm], shape (n, 3), without p: S of weights (52,)."""
         return self.head.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
+
+    def count_crossings(self, skin: Floats | Floats32) -> int:
+        """Count the pairs of triangles of a skin [mm], shape (n, 3), that cross, and do not cross in the neutral one.
+
+        One of each pair is of what touches as a face moves: of lids, lips and what lines eyes and mouth.
+        """
+        tree, some, at_rest = self._tree
+        pairs = tree.moved(np.asarray(skin, dtype=np.float64)).crossings_of(some)
+        return len(np.setdiff1d(pairs @ [len(self.skin.triangles), 1], at_rest))
+
+    @cached_property
+    def _tree(self) -> tuple[TriangleTree, Ints, Ints]:
+        """The neutral skin's triangles, those that touch others (k,), and the pairs that cross, as numbers."""
+        tree = TriangleTree(self.skin.vertices, self.skin.triangles)
+        regions = contact_regions(self.head)
+        touching = self.head.on_skin(regions) if regions else np.zeros(len(self.skin.vertices), dtype=bool)
+        some = np.flatnonzero(touching[self.skin.triangles].any(axis=1))
+        return tree, some, tree.crossings_of(some) @ [len(self.skin.triangles), 1]
 
     @cached_property
     def carried(self) -> Floats:

@@ -70,7 +70,8 @@ def test_a_take_is_the_dials_or_the_simulators(sphere_head, deltas, tmp_path, dy
 
     config = Animation(tmp_path, dynamic=dynamic, bones=bones, accuracy=0.01)
     done = run(config, sphere_head, deltas, take(), p)
-    assert (done.frames, done.failed) == (8, ())
+    assert (done.frames, done.failed, done.crossing) == (8, (), 0)
+    assert [row["skin_crossings"] for row in logged(tmp_path)] == 8 * [0]
     moved = played(done.files[0]) - sphere_head.skin.vertices
     assert all(row["error"] * (1 if row["certain"] else 3) <= 0.01 for row in logged(tmp_path))
     if not dynamic and bones == "rigid":

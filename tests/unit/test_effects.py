@@ -10,7 +10,7 @@ from softdeca.benchmarks.studies.agreement.solvers import leave_out, start_elsew
 from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.cases import CASES, Case, add_case, get_case
 from softdeca.benchmarks.studies.person import person
-from softdeca.lhm import check_head
+from softdeca.lhm import check_head, expressions
 from softdeca.lhm.base.geometry.mirror import find_twins
 from softdeca.lhm.head.flesh import POLICY, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Face, Parameters, Reason, facial_scene, settle, solve, terms
@@ -181,6 +181,19 @@ def test_palsy_is_measured(head):
     assert up[1] < 0.5 * up[0]
     assert answer.told["energy_rise"] < 1e-12 and answer.told["least_ratio"] > 0.0
     assert np.abs(start_elsewhere(face).solve(weights).positions - answer.positions).max() < 1e-5
+
+
+def test_an_open_jaw_puts_no_lining_through_a_palsied_cheek():
+    """And a frame is told in which it is put there by hand."""
+    someone = person(level=2, seed=None)
+    face = Face(someone.head, someone.shapes, Parameters(paralysis_left=1.0), per="wraps")
+    expression = face.blend(expressions.weights_of({"jawOpen": 1.0}))
+    answer = solve(face.expression_scene(expression))
+    assert answer.converged and face.count_crossings(face.expression_skin(expression, answer.positions)) == 0
+    through = expression.copy()
+    lining = someone.head.on_skin(["mouth"]) & (expression[:, 0] > 15.0)
+    through[lining] += [10.0, 0.0, 10.0]
+    assert face.count_crossings(through) > 10
 
 
 def moved_face(head, parameters, by=(0.0, 0.0, 0.0)):

@@ -216,6 +216,12 @@ class TriangleTree:
         """Return pairs of triangles without a common vertex that cross, (k, 2); the search ends after `most`."""
         return self._pairs(self.corners, self.triangles, True, most)
 
+    def crossings_of(self, some: Ints) -> Ints:
+        """Return those of these pairs that have one of some triangles (k,), each pair and row in rising order."""
+        pairs = self._pairs(self.corners[some], self.triangles[some], False, ALL)
+        pairs[:, 0] = some[pairs[:, 0]]
+        return np.unique(np.sort(pairs, axis=1), axis=0)
+
     def measure_overlap(self) -> tuple[int, float]:
         """Count `self_crossings`, and measure the longest shift [mm] that one of these pairs needs to be parted."""
         pairs = self.self_crossings()
