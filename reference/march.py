@@ -129,6 +129,8 @@ def march(
             raise SceneError(f"{name}: expected a function of time [s], got {quote(function)}")
     if scene.of(RigidBody):
         raise SceneError("march: cannot model RigidBody; hold its vertices by Fixed")
+    if (skin is None) == bool(np.any(skin_density)):
+        raise SceneError("march: skin and skin_density need each other")
     mass = _lump_masses(scene, density, skin, skin_density)
     if not mass.any():
         raise SceneError("march: nothing has mass; give density, or skin and skin_density")
@@ -148,8 +150,8 @@ def march(
     )
     return marcher.run(
         MARCH_STEPS.check("steps", steps),
-        finite("positions", x, scene.vertices.shape, error=SceneError),
-        finite("velocities", v, scene.vertices.shape, error=SceneError),
+        finite("positions", x, scene.vertices.shape, error=SceneError).copy(),
+        finite("velocities", v, scene.vertices.shape, error=SceneError).copy(),
     )
 
 
@@ -190,7 +192,7 @@ class _March:
         if not isinstance(scene, Scene):
             raise SceneError(f"scenes: expected a Scene at {time:g} s, got {type(scene).__name__}")
         frame = np.zeros(3) if self.acceleration is None else self.acceleration(time)
-        return scene, finite("acceleration", frame, (3,), error=SceneError)
+        return scene, finite("acceleration", frame, (3,), error=SceneError).copy()
 
     def _start(self, x: Floats, v: Floats) -> Moment:
         """Hold vertices with mass, let the others find their balance, and take accelerations from what is left."""

@@ -302,6 +302,24 @@ def test_what_a_march_gives_is_a_copy_and_what_it_is_given_a_scene():
             array -= 7.0
     with pytest.raises(SceneError, match="scenes: expected a Scene at 0.0?1?[0-9]* s, got NoneType"):
         list(march(swinging(), scenes=lambda t: swinging() if t == 0.0 else None, **options))
+    for one in ({"skin_density": 1e-6}, {"skin": TETS[:, :3]}):
+        with pytest.raises(SceneError, match="skin and skin_density need each other"):
+            march(swinging(), **one, **options)
+
+
+def test_a_march_keeps_copies_of_what_it_is_given():
+    """Arrays of a caller that writes to them later, as to one buffer for the frame's acceleration at all times."""
+    buffer, kick = np.zeros(3), np.tile([100.0, 0.0, 0.0], (len(X), 1))
+
+    def shake(time):
+        buffer[0] = 1e5 * time
+        return buffer
+
+    options = {"time_step": H, "steps": 3, "density": DENSITY, "solver": "projective", "scheme": "generalised-alpha"}
+    right = marched(swinging(), velocities=kick, acceleration=lambda time: shake(time).copy(), **options)
+    moments = march(swinging(), velocities=kick, acceleration=shake, **options)
+    kick[:] = 0.0
+    np.testing.assert_array_equal([moment.positions for moment in moments], right.positions)
 
 
 def test_a_step_that_fails_ends_the_march():
