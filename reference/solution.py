@@ -34,7 +34,7 @@ class Reason(str, Enum):
     STAGNATED = "stagnated: no step lowers the energy further; the tolerance is below what rounding allows"
     LINE_SEARCH = "line search failed: apply the load or the motion in smaller steps"
     LINEAR_SOLVER = "the linear solver failed: use a direct one, or look for a part that nothing holds"
-    NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
+    NOT_FINITE = "the energy is not finite at the start: start without inverted tets, and without pairs at distance 0"
     INVERTED = (
         "cells of a hyperelastic law are inside out: no answer; load in steps, each from the last, or refine there"
     )

@@ -57,8 +57,10 @@ class Distances(NodalEnergy):
     def energy(self, x: Floats) -> float:
         """See NodalEnergy."""
         corners = self.gaps.find_corners(x[self.nodes])
-        share, _ = _share_of_parallel(corners, self.gaps.between_edges)
-        return float(share @ self._full_energies(self._measure(corners)[0]))
+        distance, (share, _) = self._measure(corners)[0], _share_of_parallel(corners, self.gaps.between_edges)
+        if np.any((distance == 0.0) & (self.offset > 0.0)):
+            return np.inf
+        return float(share @ self._full_energies(distance))
 
     def add_gradient(self, x: Floats, into: Floats):
         """See NodalEnergy."""
@@ -84,15 +86,14 @@ class Distances(NodalEnergy):
         """Return the energy's gradient [mN] by corners, both (m, 4, 3)."""
         distance, slope = self._measure(corners)
         share, turned = _share_of_parallel(corners, self.gaps.between_edges)
-        ratio = self.offset / np.clip(distance, TINY, self.offset)
+        ratio = self.offset / np.clip(distance, TINY, np.maximum(self.offset, TINY))
         forces = -0.5 * share * self.stiffness * self.offset * (ratio**2 - 1.0)
         return forces[:, None, None] * slope + self._full_energies(distance)[:, None, None] * turned
 
     def _full_energies(self, distance: Floats) -> Floats:
-        """Return the energies [µJ] of pairs at distances (m,) whose edges are not parallel; infinite at 0."""
+        """Return the energies [µJ] of pairs at distances (m,) above 0 whose edges are not parallel."""
         below = np.maximum(self.offset - distance, 0.0)
-        with np.errstate(divide="ignore"):
-            return 0.5 * self.stiffness * below**2 * self.offset / np.minimum(distance, self.offset)
+        return 0.5 * self.stiffness * below**2 * self.offset / np.clip(distance, TINY, np.maximum(self.offset, TINY))
 
     def _measure(self, corners: Floats) -> tuple[Floats, Floats]:
         """Return distances (m,) of corners (m, 4, 3), and their derivatives by these (m, 4, 3)."""
@@ -109,7 +110,7 @@ class Distances(NodalEnergy):
 def _share_of_parallel(corners: Floats, between: np.ndarray) -> tuple[Floats, Floats]:
     """Return the share of its energy that each pair has, (m,), and its derivative by corners (m, 4, 3)."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
-    a, b = (np.linalg.norm(each, axis=1)[:, None] for each in (u, v))
+    a, b = (np.maximum(np.linalg.norm(each, axis=1), TINY)[:, None] for each in (u, v))
     cosine = np.sum(u / a * v / b, axis=1)[:, None]
     square = np.where(between[:, None], np.clip(1.0 - cosine**2, 0.0, PARALLEL), PARALLEL) / PARALLEL
     slope = (2.0 - 2.0 * square) * -2.0 * cosine / PARALLEL
