@@ -72,7 +72,13 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "held": ([terms.Strain(5.0), PULL, terms.Fixed([3, 4], components=1), terms.Fixed([7, 8])], 0.3, ("projective",)),
     "all but bending": ([*PD, SOFT, MEMBRANE, PULL, SPREAD, EVERYWHERE, *LOADS], 0.02, SOLVERS[1:]),
 }
-QUADRATIC = ("all of projective dynamics, overlapping", "laws on the same tets", "bodies", "all but bending")
+QUADRATIC = (
+    "all of projective dynamics, overlapping",
+    "laws on the same tets",
+    "bodies",
+    "all but bending",
+    "Bending of another rest",
+)
 CASES = [
     (name, *way)
     for name, (_, _, solvers) in ENERGIES.items()

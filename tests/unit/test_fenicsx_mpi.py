@@ -97,7 +97,7 @@ def boxes():
         ),
         "body": (replace(plain, terms=body), {}),
         "quadratic skin": (
-            replace(few, terms=(*few.terms, SurfaceStrain(side, 3.0), Pressure(side, 0.2))),
+            replace(few, terms=(*few.terms, SurfaceStrain(side, 3.0), Bending(side, 0.05), Pressure(side, 0.2))),
             {"element": "P2"},
         ),
         "Taylor-Hood by GMRES": (

@@ -55,10 +55,11 @@ def sum_stiffness(scene):
 
 def test_a_refined_scene_is_the_same_problem(spheres):
     pytest.importorskip("dolfinx")
+    from softdeca.reference.fenicsx.energy.bending import Rings
     from softdeca.reference.fenicsx.mesh.numbering import Numbering
 
-    head = spheres(1)
-    p = Parameters(soft_stiffness=np.linspace(2.0, 3.0, len(head.skin_wrap.triangles)))
+    head, count = spheres(1), len(spheres(1).vertices)
+    p = Parameters(soft_stiffness=np.linspace(2.0, 3.0, len(head.skin_wrap.triangles)), skin_bending=3.0)
     scene = facial_scene(head, p, head.skin.vertices * [1.05, 1.0, 1.0], bones="prescribed", cells="tets")
     finer, ends = refine_scene(scene)
     assert len(finer.tets) == 8 * len(scene.tets) and finer.volumes.sum() == pytest.approx(scene.volumes.sum())
@@ -66,6 +67,15 @@ def test_a_refined_scene_is_the_same_problem(spheres):
     assert len(quadratic.X) == len(finer.vertices) == len(scene.vertices) + len(ends)
     assert quadratic.held(scene.dirichlet()[0]).sum() == finer.dirichlet()[0].sum()
     assert sum_stiffness(finer) == pytest.approx(sum_stiffness(scene))
+    places = finer.vertices + np.random.default_rng(0).normal(scale=0.3, size=finer.vertices.shape)
+    by_ends = {tuple(pair): count + k for k, pair in enumerate(ends)} | {(k, k): k for k in range(count)}
+    linear = Numbering(finer, 1)
+    at_nodes = places[[by_ends[tuple(pair)] for pair in quadratic.ends]]
+    bends = [
+        sum(rings.energy(x) for rings in Rings.from_scene(each, numbering))
+        for each, numbering, x in ((scene, quadratic, at_nodes), (finer, linear, places[linear.vertex]))
+    ]
+    assert bends[0] == pytest.approx(bends[1])
 
 
 def mesh_row(case, tets, prisms, left=None):

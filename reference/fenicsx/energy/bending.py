@@ -1,4 +1,6 @@
-"""Bending at the rings of a surface's inner vertices: energy, gradient and Hessian blocks, all exact.
+"""Bending at the rings of a surface's inner nodes: energy, gradient and Hessian blocks, all exact.
+
+Quadratic triangles are split into four: between vertices that alone resist, skin would wrinkle.
 
 At a vertex with edges e_j (at rest E_j), l = Σ a_j e_j and b = Σ a_j E_j are its Laplacians, and R = S Y⁻¹ is the
 rotation nearest to S = Σ w_j e_j E_jᵀ. With s the vertex' stiffness times its area, s/2 |l - R b|² is
@@ -25,12 +27,14 @@ from ..mesh.numbering import Numbering
 from .assembly import add_forces, skew
 from .nodal import NodalEnergy
 
+PARTS = {1: [[0, 1, 2]], 2: [[0, 5, 4], [1, 3, 5], [2, 4, 3], [3, 4, 5]]}
+"""Triangles of an element's nodes, by degree."""
 FLAT = 1e-9  # of the largest singular value: below it a ring does not determine its rotation
 
 
 @dataclass(frozen=True, eq=False)
 class Rings(NodalEnergy):
-    """Inner vertices (m,) with k neighbours each, in the solver's numbering.
+    """Inner nodes (m,) with k neighbours each, in the solver's numbering.
 
     `nodes` (m, k+1) has the vertex first; a (m, k) [1/mm²], w (m, k) and E (m, k, 3) [mm] are the module's; `stiffness`
     [mN mm³] is s.
@@ -49,21 +53,23 @@ class Rings(NodalEnergy):
 
     @classmethod
     def _from_term(cls, scene: Scene, term: Bending, numbering: Numbering) -> Iterator[Rings]:
-        numbering.dofs_of(term.name, term.triangles)
-        X = scene.vertices if term.rest is None else term.rest
-        cotangents, area, stiffness = _weights(term, X)
-        edges, triangles = np.unique(
-            np.sort(term.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
+        there, nodes = numbering.known_faces(term.name, term.triangles)
+        triangles = nodes[:, PARTS[numbering.degree]].reshape(-1, 3)
+        stiffness = np.broadcast_to(term.stiffness, len(term.triangles))[there]
+        X = numbering.to_dofs(scene.vertices if term.rest is None else term.rest)
+        cotangents, area, stiffness = _weights(triangles, np.repeat(stiffness, len(triangles) // max(len(nodes), 1)), X)
+        edges, sides = np.unique(
+            np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
         )
-        inner = np.setdiff1d(term.triangles, edges[triangles == 1])
-        inner = inner[(numbering.dof[inner] >= 0) & (numbering.dof[inner] < numbering.nodes.owned)]
+        inner = np.setdiff1d(triangles, edges[sides == 1])
+        inner = inner[inner < numbering.nodes.owned]
         count = np.diff(cotangents.indptr)
         for k in np.unique(count[inner]):
             centre = inner[count[inner] == k]
             slots = cotangents.indptr[centre][:, None] + np.arange(k)
             ring, w = cotangents.indices[slots], cotangents.data[slots]
             s = stiffness[centre] * area[centre]
-            nodes = numbering.dof[np.column_stack([centre, ring])]
+            nodes = np.column_stack([centre, ring])
             yield cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s)
 
     def _turn(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -131,9 +137,9 @@ def _differentiate_turn(Y: Floats) -> Floats:
     return (V / divisors[:, None, :]) @ V.transpose(0, 2, 1)
 
 
-def _weights(term: Bending, X: Floats) -> tuple[csr_matrix, Floats, Floats]:
-    """Per edge (cot a + cot b)/2, (n, n); per vertex a third of the area around, (n,), and the mean stiffness, (n,)."""
-    n, triangles = len(X), term.triangles
+def _weights(triangles: Ints, stiffness: Floats, X: Floats) -> tuple[csr_matrix, Floats, Floats]:
+    """Per edge (cot a + cot b)/2, (n, n); per node a third of the area around, (n,), and the mean stiffness, (n,)."""
+    n = len(X)
     rows, columns, values = [], [], []
     for c in range(3):
         i, j, k = (triangles[:, (c + step) % 3] for step in range(3))
@@ -146,6 +152,5 @@ def _weights(term: Bending, X: Floats) -> tuple[csr_matrix, Floats, Floats]:
     cotangents = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (n, n)).tocsr()
     third = np.repeat(twice / 6.0, 3)
     area = np.bincount(triangles.ravel(), third, minlength=n).astype(np.float64, copy=False)
-    stiffness = np.repeat(np.broadcast_to(term.stiffness, len(triangles)), 3)
-    weighted = np.bincount(triangles.ravel(), third * stiffness, minlength=n)
+    weighted = np.bincount(triangles.ravel(), third * np.repeat(stiffness, 3), minlength=n)
     return cotangents, area, weighted / np.where(area > 0.0, area, 1.0)

@@ -14,7 +14,7 @@ import numpy as np
 from ....lhm.base.errors import SceneError
 from ....lhm.base.mesh import FACES, Floats, Ints
 from ...scene import Scene
-from ...terms import OnTriangles
+from ...terms import Bending, OnTriangles
 from .. import dolfinx_version as seam
 from ..dolfinx_version import ALL, ALONE, MPI
 from .parallel import IndexMap, gather
@@ -90,23 +90,31 @@ class Numbering:
         self._keys = keys[self._by_key]
 
     def _with_distant(self, scene: Scene, ids: Ints, owned: int) -> Ints:
-        """Take vertices of triangles and rings that no cell here has; the numbers over all ranks, theirs too."""
+        """Take nodes of triangles and rings that no cell here has; the numbers over all ranks, theirs too."""
+        n = len(self.dof)
         vertices = gather(self.comm, self.own_vertices)
-        owner = np.full(len(self.dof), -1)
+        owner = np.full(n, -1)
         owner[vertices] = np.repeat(np.arange(self.comm.size), self.comm.allgather(len(self.own_vertices)))
-        number = np.full(len(self.dof), -1, dtype=np.int64)
-        number[vertices] = gather(self.comm, ids[self.dof[self.own_vertices]])
         self._owner = owner
+        keys = gather(self.comm, self.ends[:owned] @ [n, 1])
+        order = np.argsort(keys)
+        keys, number = keys[order], gather(self.comm, ids[:owned])[order]
+        rank = np.repeat(np.arange(self.comm.size), self.comm.allgather(owned))[order]
         needed = [scene.prism_cells.vertices[self.prisms].ravel()]
         for term in scene.of(OnTriangles):  # a ring of vertices needs all triangles around one that is owned here
             triangles = term.triangles
             if self._in_tets[triangles].all():
                 mine = (owner[triangles] == self.comm.rank).any(axis=1)
                 needed += [triangles[self._here(triangles)].ravel(), triangles[mine].ravel()]
-        needed_vertices = np.unique(np.concatenate(needed))
-        distant = needed_vertices[self.dof[needed_vertices] < 0]
-        self._number(np.concatenate([self.ends, np.column_stack([distant, distant])]))
-        return np.concatenate([ids, number[distant]])
+        wanted = [np.concatenate(needed) * (n + 1)]
+        for term in scene.of(Bending) if self.degree == 2 else ():  # and of quadratic rings all their nodes
+            triangles = term.triangles[self._in_tets[term.triangles].all(axis=1)]
+            nodes = np.column_stack([triangles * (n + 1), _sides(triangles) @ [n, 1]])
+            slots = np.minimum(np.searchsorted(keys, nodes), len(keys) - 1)
+            wanted.append(nodes[((keys[slots] == nodes) & (rank[slots] == self.comm.rank)).any(axis=1)].ravel())
+        distant = np.setdiff1d(np.intersect1d(np.concatenate(wanted), keys), self._keys)
+        self._number(np.concatenate([self.ends, np.column_stack([distant // n, distant % n])]))
+        return np.concatenate([ids, number[np.searchsorted(keys, distant)]])
 
     def _here(self, triangles: Ints) -> Ints:
         """Those of triangles (k, 3) that this rank integrates over; every rank asks at once."""
@@ -120,7 +128,8 @@ class Numbering:
         dofs = self.dof[triangles]
         known = ((dofs >= 0) & (dofs < self.function_nodes)).all(axis=1)
         if self.degree == 2:
-            known &= self._slots(triangles)[1].all(axis=1)
+            slots, there = self._slots(triangles)
+            known &= (there & (self._by_key[slots] < self.function_nodes)).all(axis=1)
         first = np.where(known, self.comm.rank, self.comm.size)
         self.comm.Allreduce(MPI.IN_PLACE, first, op=MPI.MIN)
         return first
@@ -148,8 +157,7 @@ class Numbering:
 
     def _slots(self, triangles: Ints) -> tuple[Ints, np.ndarray]:
         """Where the nodes on the sides of triangles (k, 3) are in the order of keys, and which of them there are."""
-        sides = np.sort(triangles[:, [[1, 2], [0, 2], [0, 1]]], axis=2)
-        keys = sides @ [len(self.dof), 1]
+        keys = _sides(triangles) @ [len(self.dof), 1]
         slots = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return slots, self._keys[slots] == keys
 
@@ -164,6 +172,13 @@ class Numbering:
         slots, there = self._slots(triangles)
         self._check_faces(name, there.all(axis=1))
         return np.concatenate([corners, self._by_key[slots]], axis=1)
+
+    def known_faces(self, name: str, triangles: Ints) -> tuple[Ints, Ints]:
+        """Those of a term's triangles (k, 3) of which this rank knows all nodes, and these; see `face_dofs`."""
+        there = (self.dofs_of(name, triangles) >= 0).all(axis=1)
+        if self.degree == 2 and self.comm.size > 1:
+            there &= self._slots(triangles)[1].all(axis=1)
+        return np.flatnonzero(there), self.face_dofs(name, triangles[there])
 
     def _check_faces(self, name: str, there: np.ndarray):
         if not there.all():
@@ -215,3 +230,9 @@ class Numbering:
         """The ends (n, 2) and values (n, 3) of the scene's nodes, from those that each rank owns."""
         mine = self.nodes.owned
         return gather(self.comm, self.ends[:mine]), gather(self.comm, values[:mine])
+
+
+def _sides(triangles: Ints) -> Ints:
+    """The ends of the sides of triangles (k, 3), shape (k, 3, 2), lower ones first; each is opposite to its corner."""
+    ends: Ints = np.sort(triangles[:, [[1, 2], [0, 2], [0, 1]]], axis=2)
+    return ends
