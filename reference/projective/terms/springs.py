@@ -111,14 +111,22 @@ def _matrix(term: Target, scene: Scene) -> csr_matrix:
 @njit(**COMPILED)
 def _add_springs(vertices, displacements, starts, others, stiffness, u, gradient):
     """Add the springs' gradient in place; return their energy."""
-    energy = 0.0
+    away = np.empty_like(displacements)
     for k in range(len(vertices)):
         for r in range(3):
-            force = 0.0
-            for j in range(starts[k], starts[k + 1]):
-                force += stiffness[j] * (u[vertices[others[j]], r] - displacements[others[j], r])
-            gradient[vertices[k], r] += force
-            energy += 0.5 * force * (u[vertices[k], r] - displacements[k, r])
+            away[k, r] = u[vertices[k], r] - displacements[k, r]
+    energy = 0.0
+    for k in range(len(vertices)):
+        f0, f1, f2 = 0.0, 0.0, 0.0
+        for j in range(starts[k], starts[k + 1]):
+            weight, other = stiffness[j], others[j]
+            f0 += weight * away[other, 0]
+            f1 += weight * away[other, 1]
+            f2 += weight * away[other, 2]
+        gradient[vertices[k], 0] += f0
+        gradient[vertices[k], 1] += f1
+        gradient[vertices[k], 2] += f2
+        energy += 0.5 * (f0 * away[k, 0] + f1 * away[k, 1] + f2 * away[k, 2])
     return energy
 
 
