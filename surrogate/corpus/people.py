@@ -52,7 +52,7 @@ def people_from_text(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnPr
     """Return the people of "anny", "ict:FILE", "flame:FILE" or "folder:DIR", with heads of the template at a level.
 
     "external:SPACE" are those of another space in the default's triangles, with shapes of their own: see `external`.
-    "spheres:N" are layered spheres of N subdivisions, 1 to 4, which cost nothing: see `sphere`.
+    "spheres:N" are layered spheres of N subdivisions, 1 to 4, which cost nothing: see `Spheres`.
 
     InputError for another text.
     """
