@@ -14,10 +14,10 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ..harness import run
 from ..harness.study import Results
-from ..studies.measures import rms
 from ..studies.mesh.face import CONVERGED, LEAST_BAND, LINEAR, METHODS, QUADRATIC, SAFETY, FaceBenchmark, extrapolate
 from .archive import write_archive
 from .problems import MESHES, PROBLEMS, Body
+from .score import rms
 
 
 def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgress = silent) -> tuple[Results, int]:

@@ -260,8 +260,8 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
     count, largest = len(limit), _norms(limit).max()
     way = limit - linear[:count]
     converged = linear + mesh.interpolate(way)
-    ends, by_mesh = moved[:count], _rms(way)
-    off = _rms(ends - limit)
+    ends, by_mesh = moved[:count], rms(way)
+    off = rms(ends - limit)
     reason = (
         f"{off:.3g} mm RMS from the converged answer, whose band is {asked['band_mm']:.2g} mm; "
         f"skin {_skin(ends, limit, skin)}"
@@ -271,7 +271,7 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
     if slip > max(HELD * largest, SAME_PLACE):
         faults.append(f"held points are up to {slip:.3g} mm from where they are held")
     between = moved - linear - mesh.interpolate(ends - linear[:count])  # zero at the coarse mesh's points
-    strayed = _rms(between) > BETWEEN[0] * by_mesh or _norms(between).max() > BETWEEN[1] * _norms(way).max()
+    strayed = rms(between) > BETWEEN[0] * by_mesh or _norms(between).max() > BETWEEN[1] * _norms(way).max()
     if strayed:
         faults.append(
             f"points that refinement added are up to {_norms(between).max():.3g} mm from where "
@@ -285,21 +285,21 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
             return "right on this mesh", f"linear tets' answer on it to {apart:.1g} mm; {reason}"
         share = np.clip(np.sum((ends - linear[:count]) * way) / max(np.sum(way**2), 1e-300), 0.0, 1.0)
         residual = ends - linear[:count] - share * way
-        if _rms(residual) <= EXPLAINED * by_mesh and _norms(residual).max() <= 0.5 * _norms(way).max():
+        if rms(residual) <= EXPLAINED * by_mesh and _norms(residual).max() <= 0.5 * _norms(way).max():
             return (
                 "right on this mesh",
                 f"{100 * share:.0f} % of the way from linear tets' answer on it to the limit; {reason}",
             )
     for truth in (linear, converged):
         for factor, unit in ((1e3, "metres"), (10.0, "centimetres")):
-            if _rms(factor * moved - truth) <= EXPLAINED * _rms(truth):
+            if rms(factor * moved - truth) <= EXPLAINED * rms(truth):
                 return "wrong", f"displacements are in {unit}; expected mm"
     for truth in (linear, converged):
         still, shift, angle = _without_rigid_motion(mesh.points + moved, mesh.points + truth)
-        if not strayed and _rms(still - mesh.points - truth) <= EXPLAINED * _rms(moved - truth):
+        if not strayed and rms(still - mesh.points - truth) <= EXPLAINED * rms(moved - truth):
             motion = f"by ({', '.join(f'{each:.3g}' for each in shift)}) mm"
             motion += f" and {angle:.2g} degrees" if angle > 0.05 else ""
-            rest = _rms((still - mesh.points)[:count] - limit)
+            rest = rms((still - mesh.points)[:count] - limit)
             return "shifted", f"as a whole {motion}; without that {rest:.3g} mm RMS from the converged answer"
     return "wrong", "; ".join([reason, f"linear tets on this mesh are {by_mesh:.3g} mm off", *faults])
 
@@ -442,7 +442,8 @@ def _norms(vectors: Floats) -> Floats:
     return lengths
 
 
-def _rms(vectors: Floats) -> float:
+def rms(vectors: Floats) -> float:
+    """Give the root mean square of the lengths of vectors (n, 3)."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 

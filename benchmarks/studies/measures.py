@@ -18,35 +18,25 @@ from ...reference.solve import Prepared
 from ..harness.study import Column, Values
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Vertex distances [mm]: mean, root mean square, 95th percentile, max; and max over the largest displacement."""
-
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    relative: float
-
-
 def distances(a: Floats, b: Floats) -> Floats:
     """Measure the distance of each vertex [mm], shape (n,), of positions (n, 3)."""
     return np.linalg.norm(a - b, axis=1)
 
 
-def difference(a: Floats, b: Floats, rest: Floats, mask: np.ndarray | None = None) -> Difference:
-    """Compare positions `a` with `b`, both (n, 3) [mm]; displacement is counted from `rest`; over mask (n,)."""
-    if mask is not None:
-        a, b, rest = a[mask], b[mask], rest[mask]
+def difference(a: Floats, b: Floats, rest: Floats) -> dict[str, float]:
+    """Measure vertices' distances [mm] of positions `a` to `b`, both (n, 3): mean, rms, 95th percentile and max.
+
+    relative: max over the largest displacement of `b`, which is counted from `rest`.
+    """
     d = distances(a, b)
-    largest = distances(b, rest).max()
-    return Difference(
-        mean=float(d.mean()),
-        rms=float(np.sqrt(np.mean(d**2))),
-        p95=float(np.percentile(d, 95)),
-        max=float(d.max()),
-        relative=float(d.max() / largest) if largest > 0 else float(d.max() > 0),
-    )
+    largest = largest_distance(b, rest)
+    return {
+        "mean": float(d.mean()),
+        "rms": float(np.sqrt(np.mean(d**2))),
+        "p95": float(np.percentile(d, 95)),
+        "max": float(d.max()),
+        "relative": float(d.max() / largest) if largest > 0 else float(d.max() > 0),
+    }
 
 
 TIGHT = 1e-10
@@ -212,11 +202,6 @@ def count_unfinished(rows: Sequence[Values]) -> int:
     return sum(not values["converged"] for values in rows)
 
 
-def fit_slope(sizes: Sequence[float], values: Sequence[float]) -> float:
-    """Fit the exponent of a figure over two sizes or more, by least squares of logarithms."""
-    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
-
-
 def load_kernels(law: FaceLaw = PD_ENERGY, **how) -> None:
     """Solve a scene of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
     vertices = np.vstack([np.zeros(3), np.eye(3)])
@@ -228,26 +213,3 @@ def load_kernels(law: FaceLaw = PD_ENERGY, **how) -> None:
         terms.Target(ids, 1.1 * vertices, 1.0),
     )
     prepare(apply_law(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), law), **how).solve()
-
-
-@dataclass(frozen=True, eq=False)
-class Limit:
-    """The limit of two answers: `positions` [mm], shape (n, 3), and `index` [mm], the GCI.
-
-    That bounds the finer answer's RMS error.
-    """
-
-    positions: Floats
-    index: float
-
-
-def rms(difference: Floats) -> float:
-    """Give root mean square of the lengths of vectors (n, 3)."""
-    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
-
-
-def limit_of_two(coarse: Floats, fine: Floats, order: float) -> Limit:
-    """Extrapolate answers (n, 3) [mm] on a mesh and one of half its size, by an order that is assumed."""
-    step = (fine - coarse) / (2.0**order - 1.0)
-    # Roache's factor of safety: three meshes show their order, with two it is taken on trust.
-    return Limit(fine + step, 3.0 * rms(step))

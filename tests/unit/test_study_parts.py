@@ -12,7 +12,6 @@ from softdeca.benchmarks.studies.arena.runs import run as run_solver
 from softdeca.benchmarks.studies.heads.fit import Heads, collect_values
 from softdeca.benchmarks.studies.measures import (
     largest_distance,
-    limit_of_two,
     time_solve,
     trace_solve,
     trace_to_itself,
@@ -34,17 +33,6 @@ def test_a_cut_box_has_the_area_of_its_side():
     polygons = cut_tets(X - [1.3, 0.0, 0.0], tets)
     areas = [0.5 * abs(np.sum(p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1])) for p in polygons]
     assert sum(areas) == pytest.approx(10.0) and cut_tets(X + [1.0, 0.0, 0.0], tets) == []
-
-
-@pytest.mark.parametrize("order", [0.8, 1.0, 1.7, 2.0])
-def test_the_limit_of_an_answer_of_one_order_is_exact(order):
-    rng = np.random.default_rng(0)
-    exact, slope = rng.normal(size=(2, 50, 3))
-    coarse, fine = (exact + slope * size**order for size in (1.0, 0.5))
-    limit = limit_of_two(coarse, fine, order)
-    assert limit.positions == pytest.approx(exact, abs=1e-12)
-    # Roache: 3 times the true error of the finer one, here the slope's RMS times its size to the order.
-    assert limit.index == pytest.approx(3.0 * np.sqrt((slope**2).sum(axis=1).mean()) * 0.5**order)
 
 
 def sum_stiffness(scene):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ def compare_insides(head: LayeredHead, own: Made, true: Made) -> dict[str, Any]:
         return {}
     solution = own.rig.last.solution
     return {
-        "inside": asdict(difference(own.positions, true.positions, head.vertices)),
+        "inside": difference(own.positions, true.positions, head.vertices),
         "mandible": mandible_apart(head, own.positions, true.positions),
         "stress": None if solution is None else stress_by_layer(head, solution),
     }

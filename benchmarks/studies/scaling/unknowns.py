@@ -29,7 +29,6 @@ from ..measures import (
     TIMES,
     Stopwatch,
     count_unfinished,
-    fit_slope,
     load_kernels,
     time_solve,
 )
@@ -179,7 +178,8 @@ class Unknowns(OfPerson):
         sentences = []
         for (method, element), solves in _group_solves(rows).items():
             if len(solves) > 1:
-                slope = fit_slope([values["unknowns"] for values in solves], [values["cpu_s"] for values in solves])
+                sizes, seconds = ([values[key] for values in solves] for key in ("unknowns", "cpu_s"))
+                slope = np.polyfit(np.log(sizes), np.log(seconds), 1)[0]
                 sentences.append(f"{method}, {element}: unknowns^{slope:.2f}")
         return f"Processor time grows as {'; '.join(sentences)}." if sentences else ""
 
