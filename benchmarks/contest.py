@@ -244,17 +244,6 @@ def _middle(rows: Sequence[Mapping], key: str) -> float:
     return np.nan if None in values else float(np.median(values))
 
 
-def keep_shared(rows: Sequence[Mapping], methods: Iterable[str], truth: str) -> list[Mapping]:
-    """Select the rows of frames that all of some methods made, and the truth with them."""
-    frames = [
-        {(row["case"], row["frame"]) for row in rows if row["method"] == name and truth in row["to"]}
-        for name in methods
-        if name != truth
-    ]
-    shared = set.intersection(*frames) if frames else set()
-    return [row for row in rows if (row["case"], row["frame"]) in shared]
-
-
 def collect_rows(rows: Iterable[Row]) -> list[Mapping]:
     """Collect the long rows of a study's tasks."""
     return [line for row in rows if row.done for line in row.values["rows"]]

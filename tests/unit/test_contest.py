@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.contest import Case, keep_shared, run_contest, summarise
+from softdeca.benchmarks.contest import Case, run_contest, summarise
 from softdeca.benchmarks.harness import first_screen
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Face, Parameters
@@ -82,4 +82,3 @@ def test_advice_names_the_front_of_error_and_time_whoever_is_on_it():
     found = first_screen.summarise_own(lines)
     assert first_screen.find_front(found, "frame") == [m.DERIVATIVES, m.PD_FIRST_ORDER]
     assert f"For many frames of a face pick {m.DERIVATIVES}" in " ".join(first_screen.write_sentences(lines))
-    assert len(keep_shared([*lines, make_line(m.PD, "b", 0, seconds=1.0, error=None)], found, m.PD)) == 4

@@ -13,22 +13,22 @@ from ....surrogate.corpus.reading import Faces
 from ....surrogate.corpus.shard import FEM_LAWS
 from ....surrogate.methods import FENICSX, NETWORK, SETTLED, Method
 from ....surrogate.ruler import kind_of_coefficients, measure
-from .methods import Contest
+from .methods import NetworkExam
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""
 SIZE = 230
 
 
-def draw_worst_frames(contest: Contest, progress: OnProgress) -> list[bytes]:
+def draw_worst_frames(exam: NetworkExam, progress: OnProgress) -> list[bytes]:
     """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each.
 
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
-    faces, network, settled = contest.tested.faces, contest.methods[NETWORK], contest.methods[SETTLED]
+    faces, network, settled = exam.tested.faces, exam.methods[NETWORK], exam.methods[SETTLED]
     solved: dict[tuple[int, bytes], Floats32] = {}
     try:
-        for known in contest.tested.read_references():
+        for known in exam.tested.read_references():
             if known.law == FEM_LAWS[0]:
                 solved[known.face, known.weights.tobytes()] = known.fenicsx
     except InputError:

@@ -35,7 +35,7 @@ def parse_people(people: str) -> Split | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
+class NetworkExam:
     """The people on whom a network is tested, and its rivals.
 
     InputError for weights of another mesh, and for people that they learned from.
@@ -75,9 +75,9 @@ class Contest:
 
 
 @lru_cache(maxsize=2)
-def open_contest(corpus: Path, split: Split | None, weights: Path | None, partial: bool) -> Contest:
-    """Open a contest; the same object for the same arguments, so that tasks of one process share what it has read."""
-    return Contest(CorpusTrials(corpus, split, partial), load_network(weights))
+def open_exam(corpus: Path, split: Split | None, weights: Path | None, partial: bool) -> NetworkExam:
+    """Open a exam; the same object for the same arguments, so that tasks of one process share what it has read."""
+    return NetworkExam(CorpusTrials(corpus, split, partial), load_network(weights))
 
 
 @lru_cache(maxsize=2)

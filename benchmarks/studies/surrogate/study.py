@@ -25,7 +25,7 @@ from ....surrogate.trials import SIMULATED, SIMULATOR
 from ...harness.study import Column, Row, Study, Table, Task, Values
 from .frames import draw_worst_frames
 from .gates import describe_defeats, make_gates
-from .methods import Contest, list_learners, open_contest, parse_people
+from .methods import NetworkExam, list_learners, open_exam, parse_people
 from .table_1 import NOTE, TRIVIAL, describe_table, list_trained, tabulate, tabulate_shares, train_and_score
 
 EXTERNAL = "external"
@@ -86,26 +86,26 @@ class SurrogateOnCorpus(Study):
     def measure(self, task: Task) -> Values:
         """Measure a method's scores on the frames of a question, and what is told once of the corpus."""
         question = self._ask()[task.case]
-        contest = self._open(self.corpus, self.people)
+        exam = self._open(self.corpus, self.people)
         if task.case == self._name_table():
             others = self._open(self.external, "all").tested if self.external else None
-            scored = train_and_score(contest, task.method, self.hours, others)
+            scored = train_and_score(exam, task.method, self.hours, others)
         else:
-            scored = {"rows": [asdict(score) for score in question.score(question.contest, task.method)]}
+            scored = {"rows": [asdict(score) for score in question.score(question.exam, task.method)]}
         values: Values = {
             **scored,
-            "people": len(np.unique(contest.tested.faces.groups[:, 0])),
-            "trained_on": asdict(contest.network.weights.note),
-            "learned_from": len(contest.network.weights.people),
+            "people": len(np.unique(exam.tested.faces.groups[:, 0])),
+            "trained_on": asdict(exam.network.weights.note),
+            "learned_from": len(exam.network.weights.people),
         }
         if task == Task(self._name_corpus(), NETWORK):
-            return {**values, **self._describe(contest)}
+            return {**values, **self._describe(exam)}
         return values
 
-    def _describe(self, contest: Contest) -> Values:
+    def _describe(self, exam: NetworkExam) -> Values:
         """Tell what the corpus is, and draw the worst frames."""
-        corpus = contest.tested.corpus
-        strips = enumerate(draw_worst_frames(contest, silent), start=1)
+        corpus = exam.tested.corpus
+        strips = enumerate(draw_worst_frames(exam, silent), start=1)
         return {
             "corpus": {name: corpus.said[name] for name in OWNER}
             | {"seed": corpus.plan.seed, "made_with": dict(corpus.made_with)},
@@ -132,7 +132,7 @@ class SurrogateOnCorpus(Study):
         if not sentences:
             return table
         people, trainings = rows[0].values["people"], _read_note(rows[0]).trainings
-        # An open contest has refused people that the weights name.
+        # An open exam has refused people that the weights name.
         unseen = "that" if rows[0].values.get("learned_from") else "of whom nobody says that"
         frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
         known = f"{frames:,} static frames and the derivatives of {faces:,} faces"
@@ -163,9 +163,9 @@ class SurrogateOnCorpus(Study):
         name = Path(self.corpus).name
         return "unseen people" if re.fullmatch(r"corpus-[0-9a-f]+-[0-9a-f]+", name) else name
 
-    def _open(self, corpus: str, people: str) -> Contest:
+    def _open(self, corpus: str, people: str) -> NetworkExam:
         weights = Path(self.weights) if self.weights else None
-        return open_contest(Path(corpus), parse_people(people), weights, self.partial)
+        return open_exam(Path(corpus), parse_people(people), weights, self.partial)
 
     def _ask(self) -> dict[str, Question]:
         """Questions by case: static frames, sequences and FEniCSx' answers of the corpus, another corpus."""
@@ -173,17 +173,17 @@ class SurrogateOnCorpus(Study):
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
         if not 0.0 <= self.hours <= 1000.0:
             raise InputError(f"--train: expected 0 to 1000 hours, got {self.hours:g}")
-        contest, corpus = self._open(self.corpus, self.people), self._name_corpus()
+        exam, corpus = self._open(self.corpus, self.people), self._name_corpus()
         learners = tuple(list_learners()) if self.rivals else ()
-        asked = {corpus: Question(contest, score_static, (*contest.methods, *learners))}
-        if contest.has_motion:
+        asked = {corpus: Question(exam, score_static, (*exam.methods, *learners))}
+        if exam.has_motion:
             also = (SNP,) if self.rivals else ()
-            asked[f"{corpus}, in motion"] = Question(contest, score_moving, (*contest.methods, *also))
-        if contest.tested.corpus.plan.references:
-            asked[f"{corpus}, against FEniCSx"] = Question(contest, score_referenced, (SIMULATOR, *contest.methods))
+            asked[f"{corpus}, in motion"] = Question(exam, score_moving, (*exam.methods, *also))
+        if exam.tested.corpus.plan.references:
+            asked[f"{corpus}, against FEniCSx"] = Question(exam, score_referenced, (SIMULATOR, *exam.methods))
         if self.hours:
-            names = (*TRIVIAL, NETWORK, *list_trained(contest.tested))
-            asked[self._name_table()] = Question(contest, score_referenced, names)
+            names = (*TRIVIAL, NETWORK, *list_trained(exam.tested))
+            asked[self._name_table()] = Question(exam, score_referenced, names)
         if self.external:
             other = self._open(self.external, "all")
             case = f"{EXTERNAL}, {other.tested.folder.name}"
@@ -195,51 +195,51 @@ class SurrogateOnCorpus(Study):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A question to a contest: how one of the methods is scored, by its name."""
+    """A question to a exam: how one of the methods is scored, by its name."""
 
-    contest: Contest
-    score: Callable[[Contest, str], list[Score]]
+    exam: NetworkExam
+    score: Callable[[NetworkExam, str], list[Score]]
     methods: tuple[str, ...]
 
 
-def score_static(contest: Contest, name: str) -> list[Score]:
+def score_static(exam: NetworkExam, name: str) -> list[Score]:
     """Score a method on static frames; one that learns is fitted to the corpus' training people first."""
-    ready = contest.methods.get(name)
+    ready = exam.methods.get(name)
     if ready is not None:
-        return evaluate([ready], contest.tested.static(), contest.measure_cost(ready))
+        return evaluate([ready], exam.tested.static(), exam.measure_cost(ready))
     learner, begin = list_learners()[name](None), time.process_time()
-    learner.fit(contest.tested.training)
+    learner.fit(exam.tested.training)
     fitted = time.process_time() - begin
     method = Method(name, learner.bind, learner.needs)
-    scores = evaluate([method], contest.tested.static(), contest.measure_cost(method))
+    scores = evaluate([method], exam.tested.static(), exam.measure_cost(method))
     return [replace(score, fit_seconds=fitted) for score in scores]
 
 
-def score_moving(contest: Contest, name: str) -> list[Score]:
+def score_moving(exam: NetworkExam, name: str) -> list[Score]:
     """Score a method on sequences."""
     if name == SNP:
         from ....surrogate.networks.snp import SubspacePhysics
 
-        return [evaluate_played(SNP, SubspacePhysics(), contest.tested)]
-    assert contest.looseness is not None
-    return evaluate_motion([contest.methods[name]], contest.tested, contest.looseness)
+        return [evaluate_played(SNP, SubspacePhysics(), exam.tested)]
+    assert exam.looseness is not None
+    return evaluate_motion([exam.methods[name]], exam.tested, exam.looseness)
 
 
-def score_referenced(contest: Contest, name: str) -> list[Score]:
+def score_referenced(exam: NetworkExam, name: str) -> list[Score]:
     """Score a method, or projective dynamics, against FEniCSx, by law."""
-    contender = SIMULATED if name == SIMULATOR else by_frame(contest.methods[name])
-    table = measure_frames([contender], contest.tested.by_fenicsx())
+    contender = SIMULATED if name == SIMULATOR else by_frame(exam.methods[name])
+    table = measure_frames([contender], exam.tested.by_fenicsx())
     return table.scores(table.parts())
 
 
-def score_external(contest: Contest, name: str) -> list[Score]:
+def score_external(exam: NetworkExam, name: str) -> list[Score]:
     """Score a method on all static frames of another corpus."""
-    return [replace(score, kind=EXTERNAL) for score in score_static(contest, name) if score.kind == ALL]
+    return [replace(score, kind=EXTERNAL) for score in score_static(exam, name) if score.kind == ALL]
 
 
-def score_external_motion(contest: Contest, name: str) -> list[Score]:
+def score_external_motion(exam: NetworkExam, name: str) -> list[Score]:
     """Score a method on the sequences of another corpus."""
-    return [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in score_moving(contest, name)]
+    return [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in score_moving(exam, name)]
 
 
 def _read_scores(rows: Sequence[Row]) -> list[Score]:

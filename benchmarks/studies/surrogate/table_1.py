@@ -40,7 +40,7 @@ from ....surrogate.rigs.bound import BoundSurrogate
 from ....surrogate.ruler import KINDS
 from ....surrogate.trials import AGAINST, DYNAMIC, CorpusTrials
 from ...harness.study import Row, Table, Values
-from .methods import Contest, list_learners
+from .methods import NetworkExam, list_learners
 
 GRADIENTS = {
     SOFTDECA: "paper",
@@ -85,19 +85,19 @@ def list_trained(tested: CorpusTrials) -> list[str]:
     return [TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
 
 
-def train_and_score(contest: Contest, name: str, hours: float, others: CorpusTrials | None = None) -> Values:
+def train_and_score(exam: NetworkExam, name: str, hours: float, others: CorpusTrials | None = None) -> Values:
     """Train a method of `list_trained` for some processor hours, and for a quarter of them, and score it.
 
     Methods that are ready are scored. Hours count all that a training does: solving for tables, steps, validation.
     others: those of another corpus, on whom it is scored, too.
     """
-    tested = contest.tested
+    tested = exam.tested
     about: dict[str, Any] = {"taught": len(np.unique(tested.training.groups[:, 0]))}
     if name in SEPARATE:
         about["floor"] = measure_floor(tested.training, tested.faces, count_latent(name))
-    ready = contest.methods | {TABLES: Method(TABLES, use_tables(contest.network))}
+    ready = exam.methods | {TABLES: Method(TABLES, use_tables(exam.network))}
     if name in ready:
-        return {**about, "rows": [asdict(score) for score in _score(ready[name], contest, others)]}
+        return {**about, "rows": [asdict(score) for score in _score(ready[name], exam, others)]}
     if name in (SOFTSMPL_GRU, SNP):
         early, _ = play(name, tested, 0.25 * hours)
         score, steps = play(name, tested, hours)
@@ -106,24 +106,24 @@ def train_and_score(contest: Contest, name: str, hours: float, others: CorpusTri
     rows: list[dict[str, Any]] = []
     for share in (1.0, 0.25):
         begin = time.process_time()
-        method, told = learner(name, contest, share * hours)
+        method, told = learner(name, exam, share * hours)
         seconds = time.process_time() - begin
-        scores = _score(method, contest, others) if share == 1.0 else score_uniform(method, tested)[:1]
+        scores = _score(method, exam, others) if share == 1.0 else score_uniform(method, tested)[:1]
         kinds = {} if share == 1.0 else {"kind": EARLY}
         rows += [asdict(replace(score, fit_seconds=seconds, **kinds)) for score in scores]
         about = {**told, **about}
     return {**about, "rows": rows}
 
 
-def _score(method: Method, contest: Contest, others: CorpusTrials | None) -> Iterator[Score]:
+def _score(method: Method, exam: NetworkExam, others: CorpusTrials | None) -> Iterator[Score]:
     """Score a method on all kinds of frames that it can answer."""
-    tested = contest.tested
+    tested = exam.tested
     yield from score_uniform(method, tested)
     if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
         yield from score_uniform(method, tested, varying=True)
-    if contest.has_motion:
-        assert contest.looseness is not None
-        moving = evaluate_motion([method], tested, contest.looseness)
+    if exam.has_motion:
+        assert exam.looseness is not None
+        moving = evaluate_motion([method], tested, exam.looseness)
         yield from (score for score in moving if score.kind == DYNAMIC)
     if tested.corpus.plan.references:
         table = measure_frames([by_frame(method)], tested.by_fenicsx())
@@ -165,20 +165,20 @@ Trained = tuple[Method, dict[str, Any]]
 """A method, ready, and what is said of its training."""
 
 
-def train_alike(name: str, contest: Contest, hours: float) -> Trained:
+def train_alike(name: str, exam: NetworkExam, hours: float) -> Trained:
     """Train the network itself on the corpus' training people."""
     from ....surrogate.networks.modal_training import ModalTraining, train_modal
 
-    weights = train_modal(contest.tested.training, ModalTraining(hours=hours))
+    weights = train_modal(exam.tested.training, ModalTraining(hours=hours))
     return Method(name, use_network(Surrogate(weights))), {"steps": weights.note.steps}
 
 
-def train_form(name: str, contest: Contest, hours: float) -> Trained:
+def train_form(name: str, exam: NetworkExam, hours: float) -> Trained:
     """Train a network of GRADIENTS for some hours, and where it learns Eq. 21, that in a tenth of them."""
     from ....surrogate.networks.gradient_training import NETWORKS, train_gradients
     from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
-    tested, start = contest.tested, contest.network.weights if name == SOFTDECA_BEGUN else None
+    tested, start = exam.tested, exam.network.weights if name == SOFTDECA_BEGUN else None
     swings = name in LEARNED_MOTION and bool(tested.corpus.plan.sequences)
     still = (1.0 - FOR_MOTION) * hours if swings else hours
     weights = train_gradients(tested.training, replace(NETWORKS[GRADIENTS[name]], hours=still), start=start)
@@ -191,15 +191,15 @@ def train_form(name: str, contest: Contest, hours: float) -> Trained:
     return Method(name, use_network(trained), trained.needs), {"steps": weights.note.steps, "numbers": numbers}
 
 
-def train_rival(name: str, contest: Contest, hours: float) -> Trained:
+def train_rival(name: str, exam: NetworkExam, hours: float) -> Trained:
     """Train one of `list_learners`."""
     learner = list_learners()[name](hours)
-    learner.fit(contest.tested.training)
+    learner.fit(exam.tested.training)
     said = {"steps": learner.steps} if hasattr(learner, "steps") else {}
     return Method(name, learner.bind, learner.needs), said
 
 
-LEARNERS: Mapping[str, Callable[[str, Contest, float], Trained]] = {
+LEARNERS: Mapping[str, Callable[[str, NetworkExam, float], Trained]] = {
     NETWORK_ALIKE: train_alike,
     **dict.fromkeys(GRADIENTS, train_form),
 }
