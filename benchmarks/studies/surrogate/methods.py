@@ -76,7 +76,7 @@ class NetworkExam:
 
 @lru_cache(maxsize=2)
 def open_exam(corpus: Path, split: Split | None, weights: Path | None, partial: bool) -> NetworkExam:
-    """Open a exam; the same object for the same arguments, so that tasks of one process share what it has read."""
+    """Open an exam; the same object for the same arguments, so that tasks of one process share what it has read."""
     return NetworkExam(CorpusTrials(corpus, split, partial), load_network(weights))
 
 

@@ -195,7 +195,7 @@ class SurrogateOnCorpus(Study):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A question to a exam: how one of the methods is scored, by its name."""
+    """A question of an exam: how one of the methods is scored, by its name."""
 
     exam: NetworkExam
     score: Callable[[NetworkExam, str], list[Score]]
