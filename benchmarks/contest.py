@@ -223,9 +223,7 @@ def summarise(rows: Iterable[Mapping], by: str, truth: str = "") -> dict[Any, Su
 def _summarise(rows: Sequence[Mapping], truth: str) -> Summary:
     to = [row["to"][truth] for row in rows] if truth else []
     moving = [each for each in to if each["vertices"]]
-    errors, motion, vertices = (
-        sum(each[key] * each["vertices"] for each in moving) for key in ("mean", "moved", "vertices")
-    )
+    errors, motion = (sum(each[key] * each["vertices"] for each in moving) for key in ("mean", "moved"))
     vertices = sum(each["vertices"] for each in moving)
     return Summary(
         frames=frozenset((row["case"], row["frame"]) for row in rows),

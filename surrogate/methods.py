@@ -147,7 +147,7 @@ class SolvedRig:
         return surface
 
 
-def use_solver(solver: Solver, cells: CellKind | None = None) -> Binder:
+def use_solver(solver: Solver, cells: CellKind | None = None) -> Callable[[Any], SolvedRig]:
     """Return what binds a face to a solver, prepared at bind; the face settles by the same solver, law and tolerance.
 
     Each frame begins at the settled face, or at PD's answer where the solver is near it. One that does not converge
@@ -163,7 +163,8 @@ def use_solver(solver: Solver, cells: CellKind | None = None) -> Binder:
         by_pd = use_solver(Solver({"solver": "projective"}, tolerance=ROUGH))(live) if solver.near else None
         if by_pd is not None and by_pd.settled is not None and law == PD_ENERGY:
             settling["start"] = by_pd.settled.positions
-        own = replace(on_cells(live, cells), settling=settling)
+        choices = {**live.choices, "cells": cells or get_cells(live)}
+        own = replace(live, choices=choices, settling=settling)
         settled = own.settled(law)
         if not settled.converged:
             raise InputError(f"the neutral face does not settle ({settled.reason})")

@@ -68,7 +68,7 @@ def run_together(
     *,
     workers: int | None = None,
     progress: OnProgress = silent,
-    on_results: Callable[[Sequence[Results]], None] | None = None,
+    on_results: Callable[[Sequence[Results]], object] | None = None,
 ) -> list[Results | SoftdecaError]:
     """Run several studies, as `run`; they share their processes, so that none waits for the end of one before the next.
 

@@ -109,8 +109,9 @@ def train_and_score(exam: NetworkExam, name: str, hours: float, others: CorpusTr
         method, told = learner(name, exam, share * hours)
         seconds = time.process_time() - begin
         scores = _score(method, exam, others) if share == 1.0 else score_uniform(method, tested)[:1]
-        kinds = {} if share == 1.0 else {"kind": EARLY}
-        rows += [asdict(replace(score, fit_seconds=seconds, **kinds)) for score in scores]
+        for score in scores:
+            kind = score.kind if share == 1.0 else EARLY
+            rows.append(asdict(replace(score, kind=kind, fit_seconds=seconds)))
         about = {**told, **about}
     return {**about, "rows": rows}
 
