@@ -73,9 +73,9 @@ class Material(Study):
         material = LAWS[task.method](1.0, float(ratio))
         law = ByRotation(material) if isinstance(material, Corotated) else ByInvariants(material)
         pd = Strain(np.array([2.0 * mu]), np.ones(1)), Volume(np.array([3.0 * lmbda]), np.ones(1))
+        energies: tuple[Sequence[Law], Sequence[Law]] = pd, [law]
         ours, theirs = (
-            np.array([find_stress(energies, stretch, *MODES[mode]) for stretch in STRETCHES])
-            for energies in (pd, (law,))
+            np.array([find_stress(each, stretch, *MODES[mode]) for stretch in STRETCHES]) for each in energies
         )
         off = 100.0 * np.abs(ours - theirs) / np.abs(theirs)
         strain = np.abs(np.array(STRETCHES) - 1.0)

@@ -41,9 +41,9 @@ def draw_case(face: Face, case: Case, frames: Frames) -> dict[str, bytes]:
     if WITHOUT in frames:
         pictures |= draw_effect(face, frames)
         if case.contact:
-            answers = {"without contact": WITHOUT, "with contact": PD}
-            positions = {caption: frames[name].positions for caption, name in answers.items()}
-            pictures["the lips, cut"] = draw_lips(face.head, positions)
+            before, after = frames[WITHOUT].positions, frames[PD].positions
+            assert before is not None and after is not None
+            pictures["the lips, cut"] = draw_lips(face.head, {"without contact": before, "with contact": after})
     return pictures
 
 

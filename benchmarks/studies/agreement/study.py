@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ....animation.page import Pose, Rig, render_face_page
 from ....animation.pictures import draw_cut_away
 from ....lhm import check_head, identities
@@ -111,8 +113,8 @@ class Agreement(Contest, OfPerson):
     def list_methods(self, name: str) -> Sequence[str | Method]:
         """List solvers, and where targets hold the skin, methods at the price of blendshapes."""
         case = get_case(name)
-        ready = [] if case.scene is not None else m.ready_methods(self.network(), beyond="clamp").values()
-        return [*list_solvers(case), *ready]
+        ready = {} if case.scene is not None else m.ready_methods(self.network(), beyond="clamp")
+        return [*list_solvers(case), *ready.values()]
 
     def list_truths(self, name: str) -> Sequence[str | Method]:
         """List PD, and where FEniCSx can, its answer from there and the law's."""
@@ -150,7 +152,7 @@ class Agreement(Contest, OfPerson):
         rigs = [] if network is None else [Rig.baked(m.NETWORK, network.bind_face(at_rest))]
         by_pd = m.METHODS[m.PD].bind(at_rest)
         shown = [case for case in map(get_case, self.list_cases()) if case.is_plain and case.expression]
-        poses = [Pose(case.name, case.weights, {m.PD: by_pd.frame(case.weights)}) for case in shown]
+        poses = [Pose(case.name, case.weights, {m.PD: by_pd.frame(case.weights).astype(np.float64)}) for case in shown]
         return render_face_page(f"the head ({self.person().space.name})", VIEW_WORDS, at_rest, rigs, poses).encode()
 
     @staticmethod

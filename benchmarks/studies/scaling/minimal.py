@@ -125,7 +125,7 @@ class Minimal(Contest, OfPerson):
         """List each piece that may be left out, or added."""
         heavy = EFFECTS.get(name, Parameters()).added_gravity.any()
         changes = {piece: change for piece, change in LEFT_OUT.items() if piece != ADDED_GRAVITY or heavy}
-        return [solve_changed(piece, change) for piece, change in (changes | ADDED).items()]
+        return [solve_changed(piece, change) for piece, change in {**changes, **ADDED}.items()]
 
     def list_truths(self, name: str) -> Sequence[Method]:
         """List the whole scene."""
