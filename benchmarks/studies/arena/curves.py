@@ -49,10 +49,7 @@ class Panel:
 
 
 def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
-    """Draw largest errors [mm] of solves from rest, none below `floor`; settings after a solver's first are dotted.
-
-    A rig, which has one error, is a filled mark at a frame's seconds, and a hollow one with the bind.
-    """
+    """Draw largest errors [mm] of solves from rest, none below `floor`; settings after a solver's first are dotted."""
     wide = min(WIDE, len(panels))
     deep = -(-len(panels) // wide)
     figure, axes = subplots(deep, wide, figsize=(13 / 3 * wide, 3.8 * deep + 0.8), squeeze=False)
@@ -77,14 +74,9 @@ def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
 
 
 def _plot_row(axis, values: Mapping[str, Any], over: Over, floor: float, dotted: bool):
-    """One solver's line or a rig's marks, for the legend; None where all errors are above TOP."""
+    """One solver's line, for the legend; None where all errors are above TOP."""
     title, ready = values["solver"], float(np.median(values["set_up_s"])) if over == "seconds" else 0.0
     colour = COLOURS.get(title) or get_method(title).colour
-    if "seconds_to" not in values:
-        (frame,), (error,) = values["seconds"], values["error_mm"]
-        axis.plot([frame, ready + frame], [error, error], color=colour, lw=0.5, ls=":")
-        axis.plot(ready + frame, error, "o", color=colour, mfc="none")
-        return axis.plot(frame, error, "o", color=colour)[0]
     curve = zip(values[over], values["error_mm"], strict=True)
     points = [(ready + x, max(error, floor)) for x, error in curve if error <= TOP]
     if not points:

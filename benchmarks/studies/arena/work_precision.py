@@ -1,24 +1,21 @@
-"""The arena's list of one face: every solver on its energy and on ARAP's, over time and iterations, and its rigs."""
+"""The arena's list of one face: every solver on its energy and on ARAP's, over time and iterations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
 
 from ....animation.plots import to_svg
-from ....lhm import expressions
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import NotModelledError, added_laws, added_solvers
 from ....surrogate import methods as m
-from ....surrogate.ruler import DEFAULT
-from ... import contest
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, largest_distance
 from ..person import OfPerson, Person
@@ -82,10 +79,8 @@ class Posed:
         return np.arange(len(self.own_scene.vertices))
 
     @property
-    def warm(self) -> Posed | Problem:
-        """A coarser head's other expression, or the problem's own where there are handles."""
-        if self.handles is not None:
-            return self.handles.warm
+    def warm(self) -> Posed:
+        """Another expression of the coarser head."""
         assert self.small is not None
         return Posed(OTHER, self.energy, self.small, None)
 
@@ -107,14 +102,13 @@ class WorkPrecision(OfPerson):
     name = "work-precision"
     heading = "How long does each method take to be right?"
     question = "How near to the answer is each method after a given time, and after a given number of iterations?"
-    needs = ("people", "heads", "network")
-    cheap = "mouthPucker, the face's energy (Eq. 15), network"
+    cheap = "mouthPucker, ARAP's energy, same tets, FEniCSx"
     columns = (
         Column("settings", "settings"),
         Column("budget_s", "budget [s]"),
         Column("warm_up_s", "uncounted run before [s]", cost=True),
-        Column("set_up_s", "prepare or bind [s]", cost=True),
-        Column("solve_s", "solve or frame [s]", cost=True),
+        Column("set_up_s", "prepare [s]", cost=True),
+        Column("solve_s", "solve [s]", cost=True),
         Column("to_tenth_s", "to 0.1 mm [s]", cost=True),
         Column("to_hundredth_s", "to 0.01 mm [s]", cost=True),
         Column("iterations", "iterations", cost=True),
@@ -129,10 +123,9 @@ class WorkPrecision(OfPerson):
         "Each has run a coarser head's other expression before, which is not counted. The error is the largest "
         "distance of a vertex to a tight run. FEniCSx' linear tets share PD's tight run, which starts at their answer "
         "where they found another minimum. Quadratic tets have their own, and a law from a file has FEniCSx'. One "
-        "iteration of PD is one solve with its factor; one of Newton is a linear system. Rigs are rows of the contest, "
-        "judged on the skin, under default parameters, where bones carry nothing. A bind is given the head. libigl "
-        "fits its rotations in float32, hence its own floor. Its handles are what the facial scene holds and every "
-        "16th vertex of the skin wrap. It and plain PD end after the arena's budget."
+        "iteration of PD is one solve with its factor; one of Newton is a linear system. libigl fits its rotations in "
+        "float32, hence its own floor. Its handles are what the facial scene holds and every 16th vertex of the skin "
+        "wrap. It and plain PD end after the arena's budget."
     )
     version = 3
     timed = True
@@ -150,17 +143,15 @@ class WorkPrecision(OfPerson):
             Task(name_case(text, energy), label)
             for text in self.expressions
             for energy in _list_energies()
-            for label in (*self._list_entrants(energy), *(m.READY if energy == FACE else ()))
+            for label in self._list_entrants(energy)
         ]
 
     def measure(self, task: Task) -> Values:
-        """Measure the curve of a solver, or the one point of a rig."""
+        """Measure the curve of a solver."""
         cases = {
             name_case(text, energy): (text, energy) for text, energy in product(self.expressions, _list_energies())
         }
         text, energy = cases[task.case]
-        if task.method in m.READY:
-            return self._bind(text, task.method)
         posed, entrant = _pose(self, text, energy), self._list_entrants(energy)[task.method]
         answer, apart = _find_answer(posed, entrant)
         budget = find_budget(len(posed.own_scene.tets)) if entrant.solver in ENDLESS else np.inf
@@ -176,35 +167,11 @@ class WorkPrecision(OfPerson):
         quick = [each for each in chosen if self.slow or (each.element == LINEAR and each.solver != m.SKFEM)]
         return {each.solver: each for each in (*quick, *(each for each in every if each.solver in added))}
 
-    def _bind(self, text: str, label: str) -> Values:
-        """Bind a rig and move it, beside PD; NotModelledError for a face that it refuses, as a network strangers'."""
-        person, weights = self.person(), np.array([expressions.parse_weights(text)])
-        face = contest.Case(text, DEFAULT, lambda: person.face(Parameters()), weights)
-        rows = contest.run_contest(face, [label], [m.PD_TETS], warm=_find_other(self))
-        (row,) = (row for row in rows if row["method"] == label)
-        if row["status"] != "done":
-            raise NotModelledError(f"{label}: {row['reason']}")
-        to = row["to"][m.PD_TETS]
-        return {
-            "solver": label,
-            "setting": "default",
-            "start": REST,
-            "law": FACE,
-            "warm_up_s": row["compile_s"],
-            "set_up_s": [0.0 if label == m.BLENDSHAPES else row["bind_s"]],
-            "solve_s": [row["frame_s"]],
-            "seconds": [row["frame_s"]],
-            "error_mm": [to["farthest"]],
-            "max_mm": to["farthest"],
-            "mean_mm": to["everywhere"],
-        }
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that L-BFGS is ahead of others on the same energy, and ends where Newton does."""
         gates = []
         for energy, rival in RIVALS:
-            runs = _select(rows, energy)
-            if not any(row.values["solver"] == rival for row in runs):
+            if not any((row.values["solver"], row.values["law"]) == (rival, energy) for row in rows):
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
                 name = f"time of {m.PD} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
@@ -217,43 +184,22 @@ class WorkPrecision(OfPerson):
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell how long each takes to 0.01 mm, and what rigs reach: medians over expressions."""
-        solved: dict[str, list[float | None]] = {}
-        rigs: dict[str, list[Values]] = {}
-        for row in _select(rows, FACE):
-            if row.values["solver"] in m.READY:
-                rigs.setdefault(row.values["solver"], []).append(row.values)
-            else:
-                times = solved.setdefault(row.values["solver"], [])
-                times.append(find_time(row, HUNDREDTH, prepared=True))
-        sentences = []
-        reached = {label: [time for time in times if time is not None] for label, times in solved.items()}
-        phrases = [f"{label} {np.median(reached[label]):.2f} s" for label in solved if None not in solved[label]]
-        if phrases:
-            sentences.append(f"To 0.01 mm from prepared scenes: {', '.join(phrases)}.")
-        frames = []
-        for label, records in rigs.items():
-            time, bind, mean = (
-                np.median([values[key] for values in records]) for key in ("solve_s", "set_up_s", "mean_mm")
-            )
-            frames.append(f"{label} {1e3 * time:.3f} ms after {bind:.2f} s, and {mean:.3f} mm")
-        if frames:
-            sentences.append(f"A frame, the bind before the first, and its mean error: {', '.join(frames)}.")
-        return " ".join(sentences)
+        """Tell how long each takes to 0.01 mm on the face's energy: medians over expressions."""
+        times: dict[str, list[float | None]] = {}
+        for row in rows:
+            if row.values["law"] == FACE:
+                times.setdefault(row.values["solver"], []).append(find_time(row, HUNDREDTH, prepared=True))
+        reached = [f"{label} {np.median(each):.2f} s" for label, each in times.items() if None not in each]
+        return f"To 0.01 mm from prepared scenes: {', '.join(reached)}." if reached else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate times and iterations to accuracies."""
-        solved = [row for row in rows if row.values["solver"] not in m.READY]
-        return [tabulate_times(solved), tabulate_work(solved)] if solved else []
+        return [tabulate_times(rows), tabulate_work(rows)] if rows else []
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against seconds with preparation and iterations, a line per solver and expression."""
-        panels = []
-        for energy in dict.fromkeys(row.values["law"] for row in rows):
-            records = [row.values for row in _select(rows, energy)]
-            panels.append(Panel(energy, records))
-            if energy == FACE:
-                panels.append(Panel(energy, [values for values in records if values["solver"] not in m.READY], "work"))
+        by_energy = Panel.by_case([(row.values["law"], row.values) for row in rows])
+        panels = [replace(panel, over=over) for panel in by_energy for over in ("seconds", "work")]
         if not panels:
             return {}
         figure = plot_curves(panels, floor=1e-7)  # [mm], below which the tight runs' own error shows
@@ -284,10 +230,6 @@ def name_law_energy(law: str) -> str:
     return f"the face of {law}"
 
 
-def _select(rows: Sequence[Row], energy: str) -> list[Row]:
-    return [row for row in rows if row.values["law"] == energy]
-
-
 def _list_energies() -> list[str]:
     return [FACE, ARAP, *map(name_law_energy, added_laws())]
 
@@ -295,13 +237,6 @@ def _list_energies() -> list[str]:
 @lru_cache(maxsize=2)
 def _pose(study: WorkPrecision, text: str, energy: str) -> Posed:
     return Posed(text, energy, study.person(), study.person(level=1))
-
-
-@lru_cache(maxsize=1)
-def _find_other(study: WorkPrecision) -> contest.Case:
-    """Make the contest's uncounted case: another expression of a coarser head."""
-    small, weights = study.person(level=1), np.array([expressions.parse_weights(OTHER)])
-    return contest.Case(OTHER, DEFAULT, lambda: small.face(Parameters()), weights)
 
 
 def _find_answer(posed: Posed, entrant: Entrant) -> tuple[Floats, dict[str, float]]:
