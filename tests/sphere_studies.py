@@ -9,6 +9,7 @@ from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person
@@ -66,6 +67,11 @@ class SphereMinimal(OfSphere, Minimal):
 
 @dataclass(frozen=True)
 class SphereThroughput(OfSphere, Throughput):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereWorkPrecision(OfSphere, WorkPrecision):
     pass
 
 
