@@ -271,13 +271,16 @@ class _Document:
         tint = tuple(finite("baseColorFactor", factor, (4,))[:3].tolist())
         image = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
         places = np.column_stack([places[:, 0], 1.0 - places[:, 1]])
+        if image is not None:
+            self._item("images", image)
         return image, lambda: self._image(image), places, (wraps[0], wraps[1]), tint
 
     def _image(self, image: int | None) -> bytes:
         if image is None:
             raise InputError("its texture is of Basis Universal, which is not read; export it as PNG or JPEG")
-        entry = self._item("images", image)
-        return bytes(self._view(entry["bufferView"]) if "bufferView" in entry else self._resource(entry["uri"]))
+        with _naming_damage():
+            entry = self._item("images", image)
+            return bytes(self._view(entry["bufferView"]) if "bufferView" in entry else self._resource(entry["uri"]))
 
     def _texture_places(self, part: _Part, attribute: str) -> Floats:
         """Return texture coordinates (n, 2) of a part's vertices, right and down."""
