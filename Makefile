@@ -27,7 +27,7 @@ check: setup
 	rm -rf build/lib build/typecheck && $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --target build/typecheck .
 	cd build/typecheck && ../../.venv/bin/mypy --config-file ../../pyproject.toml --namespace-packages --explicit-package-bases softdeca
 	.venv/bin/lint-imports
-	.venv/bin/cog --check -I docs README.md docs/*.md docs/first-hour/*.md
+	.venv/bin/cog --check -I docs README.md animation/live/face.py docs/*.md docs/first-hour/*.md
 	@tools/set-up docs
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=$(PAGES) -D suppress_warnings=myst-nb.lexer docs build/docs
 

@@ -11,7 +11,7 @@ import click
 
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .options import FILE, LEVEL, argument, make_command, option
+from .options import FILE, LEVEL, argument, make_command, option, refuse_unread
 from .take_options import DETAIL, HeadChoice, load_take
 from .terminal import show_progress
 from .written_file import FOLDER
@@ -108,14 +108,11 @@ class Animate:
         return 1 if result.failed or result.neutral != "CONVERGED" else 0
 
     def _check(self) -> None:
-        """UsageError for options that contradict."""
-        if self.accuracy is None and self.bones != "rigid":
-            self._refuse(f"--bones are the simulator's: they need --accuracy, not {NONE!r}")
-        if self.accuracy is None and self.crossing:
-            self._refuse(f"a rig alone knows no contact: --crossing needs --accuracy, not {NONE!r}")
-
-    def _refuse(self, words: str) -> None:
-        raise click.UsageError(words, click.get_current_context())
+        """UsageError for options that nothing would read."""
+        if self.accuracy is None:
+            refuse_unread(self, f"with --accuracy {NONE}, which simulates nothing", "bones", "crossing")
+        elif self.dynamic or self.bones != "rigid":
+            refuse_unread(self, "where --bones and --dynamic have every frame simulated", "surrogate")
 
     def _say(self, result: AnimateResult) -> None:
         if self.json:

@@ -13,7 +13,7 @@ import click
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import PEOPLE, WORKERS
 from ..lhm.base.progress import OnProgress, describe_duration
-from .options import LEVEL, argument, as_command, count_range, option
+from .options import LEVEL, argument, as_command, count_range, option, refuse_unread
 from .terminal import show_progress
 from .written_file import FOLDER, PNG
 
@@ -94,6 +94,7 @@ class Generate:
         from ..surrogate.corpus.schedule import check_scheduler, make_schedule
 
         plan, made_with = self._plan()
+        self._check(made_with["identities"])
         with show_progress() as progress:
             if not self.dry_run:
                 on = make_schedule(self.workers, self.scheduler)
@@ -107,6 +108,15 @@ class Generate:
             write_card(corpus, machine=describe_machine())
         print_status(status, self.out, self.json)
         return 0 if status.rejected_share <= 0.05 and not status.damaged else 1
+
+    def _check(self, identities: str) -> None:
+        """UsageError for options that contradict, or that nothing would read."""
+        if identities.startswith("spheres:"):
+            refuse_unread(self, "for spheres, whose fineness is their number", "level")
+        if self.dry_run:
+            refuse_unread(self, "in a dry run", "workers", "scheduler")
+        if self.scheduler is not None:
+            refuse_unread(self, "with --scheduler, which has its own", "workers")
 
     def _plan(self) -> tuple[CorpusPlan, dict]:
         """The plan, and with what people are made: of the file or preset, or of the corpus that lies in `out`."""

@@ -21,7 +21,7 @@ from ..lhm.template.depths.depths import DepthRegressor
 from ..lhm.template.file import read_template, save_template
 from ..lhm.template.registration import landmark_ids, read_landmarks
 from ..lhm.template.template import DEFAULT_LEVEL
-from .options import FILE, LEVEL, argument, as_command, option
+from .options import FILE, LEVEL, argument, as_command, option, refuse_unread
 from .terminal import show_progress
 from .written_file import ANY, NPZ
 
@@ -113,12 +113,16 @@ class Fit:
         return 0
 
     def _check(self) -> None:
-        """Refuse options that contradict one another by a UsageError."""
+        """UsageError for options that contradict one another, or that nothing would read."""
         context = click.get_current_context()
         if self.skin is not None and self.seed is not None:
             raise click.UsageError("--skin and --seed both say which skin; give one", context)
         if self.template is not None and self.level is not None:
             raise click.UsageError("--template has a level; --level is of the space's own", context)
+        if self.skin is None:
+            refuse_unread(self, "without --skin", "unit", "up", "front", "no_repair", "landmarks")
+        if self.find_landmarks is not None:
+            refuse_unread(self, "with --find-landmarks, which fits nothing", "regressor", "seed", "out", "json")
 
     def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:
         """Write the landmarks of the scan, or of the template, and their picture."""

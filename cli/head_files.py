@@ -15,7 +15,7 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import write_arrays
 from ..lhm.head.file import load_head
 from .head import head
-from .options import FILE, argument, as_command, option
+from .options import FILE, argument, as_command, option, refuse_unread
 from .take_options import DETAIL
 from .terminal import show_progress
 from .written_file import ANY, FOLDER, NPZ
@@ -41,6 +41,8 @@ class Show:
         from ..animation.head_pictures import draw_head, expression_deltas, pose_head
         from ..lhm import expressions
 
+        if self.expression is None:
+            refuse_unread(self, "without --expression", "identities")
         weights = None if self.expression is None else expressions.parse_weights(self.expression)
         shown = load_head(self.file)
         for note in shown.notes:

@@ -15,6 +15,7 @@ from ..lhm.base.option import argument, option
 __all__ = [
     "FILE",
     "LEVEL",
+    "FloatRange",
     "argument",
     "as_command",
     "count_range",
@@ -22,6 +23,7 @@ __all__ = [
     "make_command",
     "make_option",
     "option",
+    "refuse_unread",
 ]
 
 FILE = click.Path(path_type=Path)
@@ -83,6 +85,25 @@ def make_option(field: Field, **more: Any) -> click.Parameter:
     if isinstance(field.default, tuple):
         return click.Option(names, multiple=True, **words)
     return click.Option(names, **words | {"type": type_option(field)})
+
+
+def refuse_unread(options: Any, because: str, *names: str) -> None:
+    """Raise click's usage error for the first of a command's options that is given though nothing would read it."""
+    for field in list_options(type(options)):
+        if field.name in names and getattr(options, field.name) != field.default:
+            words = f"{name_option(field)}: nothing reads it {because}; leave it out"
+            raise click.UsageError(words, click.get_current_context())
+
+
+class FloatRange(click.FloatRange):
+    """Numbers within a range; click's own takes NaN for one."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number = super().convert(value, param, ctx)
+        if number != number:
+            self.fail(f"{value!r} is no number", param, ctx)
+        return float(number)
 
 
 def name_option(field: Field) -> str:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.limits import TRAINING_STEPS
 from ..lhm.base.progress import OnProgress
-from .options import FILE, argument, make_command, option
+from .options import FILE, FloatRange, argument, make_command, option, refuse_unread
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -52,7 +51,7 @@ class Train:
     more: Path | None = option(None, "second corpus, of faces without frames (preset faces)", type=FILE)
     start: Path | None = option(None, "weights to start from; what the corpora cannot teach stays theirs", type=FILE)
     share: float = option(
-        1.0, "share of the people to learn from, the first ones", type=click.FloatRange(0.0, 1.0, min_open=True)
+        1.0, "share of the people to learn from, the first ones", type=FloatRange(0.0, 1.0, min_open=True)
     )
     partial: bool = option(False, "accept an incomplete corpus")
 
@@ -63,9 +62,9 @@ class Train:
         from ..surrogate.networks.weights import Weights
 
         if self.network == "modal":
-            self._refuse("batch", "recurrence_steps")
+            refuse_unread(self, "for --network modal", "batch", "recurrence_steps")
         elif self.network != "hyper":
-            self._refuse("more", "start")
+            refuse_unread(self, f"for --network {self.network}", "more", "start")
         with show_progress() as progress:
             teachers = {
                 "more": None if self.more is None else self._read(self.more),
@@ -89,12 +88,6 @@ class Train:
         from ..surrogate.corpus.reading import Faces
 
         return Faces(corpus, "train", partial=self.partial, share=self.share)
-
-    def _refuse(self, *names: str) -> None:
-        """Raise InputError for an option that the network cannot honour."""
-        given = [name for name in names if getattr(self, name) is not None]
-        if given:
-            raise InputError(f"--network {self.network} cannot honour --{given[0].replace('_', '-')}; leave it out")
 
     @property
     def _options(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ..lhm.template.depths.depths import SKULL_PLACES, DepthRegressor, leave_one
 from ..lhm.template.depths.pairs import PairReport, read_pairs
 from ..lhm.template.depths.prior import PAIRS, SEED, prior_pairs
 from .head import head
-from .options import FILE, argument, as_command, option
+from .options import FILE, argument, as_command, option, refuse_unread
 from .terminal import show_progress
 from .written_file import NPZ
 
@@ -40,6 +40,8 @@ class TrainRegressor:
         """Learn, test, write and report."""
         if self.folder is not None and self.prior is not None:
             raise click.UsageError("DIR and --prior both say which pairs; give one", click.get_current_context())
+        if self.folder is None:
+            refuse_unread(self, "without DIR", "unit")
         with show_progress() as progress:
             progress("depth regressor: identity space", 0.0)
             space = identities.from_text(self.identities)

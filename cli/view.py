@@ -43,6 +43,8 @@ def view(
     With --out it writes one file, which opens in any browser with WebGL and needs no network. Its sliders move
     expressions alone: by blendshapes, derivatives, and the network if the head has the triangles of its people.
     """
+    if port is not None and out is not None:
+        raise click.UsageError("--port: nothing reads it with --out, which serves no page", click.get_current_context())
     which = HeadChoice(head_file, space_name)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     title = which.space.name if head_file is None else head_file.stem

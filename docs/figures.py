@@ -20,7 +20,12 @@ import cog
 from softdeca.benchmarks.harness.page import to_markdown
 from softdeca.benchmarks.harness.report import read_part
 from softdeca.benchmarks.studies import load_study
-from softdeca.surrogate.methods import READY
+from softdeca.surrogate.methods import (
+    DERIVATIVES,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    READY,
+)
 
 RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 Line = Mapping[str, Any]
@@ -138,6 +143,20 @@ def show_costs(name: str) -> None:
             )
         )
     tabulate(("method", ">left", ">mean error", ">wait", ">each frame"), rows)
+
+
+def show_typical_errors(constant: str, name: str, kind: str) -> None:
+    """Write a constant of code: the share of the motion that each answer of the live page leaves."""
+    methods = {
+        "NETWORK": NETWORK,
+        "NETWORK_AND_DERIVATIVES": NETWORK_AND_DERIVATIVES,
+        "DERIVATIVES": DERIVATIVES,
+    }
+    shares = (
+        f"{word}: {one_score(name, method, kind)['share']:.3f}"
+        for word, method in methods.items()
+    )
+    cog.outl(f"{constant} = {{{', '.join(shares)}}}")
 
 
 def one_score(name: str, method: str, kind: str) -> Line:

@@ -17,10 +17,15 @@ from ...surrogate.rigs.rig import FaceModes, Rig
 from ...surrogate.ruler import MOVES
 from .messages import Change, DerivativesFound, Frame
 
-NETWORK_SHARE, DERIVATIVES_SHARE = 0.21, 0.04
-"""Typical errors of network and derivatives, as shares of the motion beyond scaled bones: see the model card."""
-ELSEWHERE_SHARE = 0.45
-"""The network's on heads that are none of its people, as ICT-FaceKit's in their triangles: see the model card."""
+# [[[cog
+# from figures import *
+# show_typical_errors("TYPICAL", "surrogate/fresh", "all")
+# show_typical_errors("ELSEWHERE", "surrogate/moving", "external")
+# ]]]
+TYPICAL = {NETWORK: 0.193, NETWORK_AND_DERIVATIVES: 0.042, DERIVATIVES: 0.052}
+ELSEWHERE = {NETWORK: 0.471, NETWORK_AND_DERIVATIVES: 0.050, DERIVATIVES: 0.055}
+# [[[end]]]
+"""Shares of the motion beyond scaled bones that methods leave: on its people, and on heads of their triangles alone."""
 KEPT = 4
 """Parameter sets whose rigs are kept, of some 15 MB each."""
 
@@ -51,7 +56,7 @@ class FirstAnswer:
         self._network = Surrogate.load()
         nearest = self._network.find_nearest(face.skin)
         self._face = face if nearest is None else replace(face, code=nearest.code)
-        self._share = None if nearest is None else NETWORK_SHARE if nearest.is_same else ELSEWHERE_SHARE
+        self._shares = TYPICAL if nearest is not None and nearest.is_same else ELSEWHERE
         self._methods = list_methods(face)
         self._known: OrderedDict[Parameters, _Answering] = OrderedDict()
 
@@ -73,18 +78,19 @@ class FirstAnswer:
     def learn(self, found: DerivativesFound) -> None:
         """Answer by these derivatives from now on, under their p."""
         face = replace(self._face, parameters=found.parameters)
-        rig = self._bind_network(face) if self._network.has_derivatives and self._share is not None else None
+        knows = self._network.has_derivatives and self._methods[0] == NETWORK
+        rig = self._bind_network(face) if knows else None
         if isinstance(rig, BoundSurrogate):
             rig = rig.with_derivatives(found.offset, found.responses)
         else:
             modes = FaceModes.linear(found.offset, found.responses)
             rig = BoundSurrogate(face.skin, modes, face.shapes.astype(np.float32))
-        self._keep(face, _Answering(self._methods[1], rig, DERIVATIVES_SHARE, face.carried))
+        self._keep(face, rig, self._methods[1])
 
     def _bind(self, parameters: Parameters) -> _Answering:
         face = replace(self._face, parameters=parameters)
-        rig = METHODS[BLENDSHAPES].bind(face) if self._share is None else self._bind_network(face)
-        return self._keep(face, _Answering(self._methods[0], rig, self._share, face.carried))
+        rig = self._bind_network(face) if self._methods[0] == NETWORK else METHODS[BLENDSHAPES].bind(face)
+        return self._keep(face, rig, self._methods[0])
 
     def _bind_network(self, face: Face) -> BoundRig:
         """Bind the network, in some 20 ms."""
@@ -92,7 +98,8 @@ class FirstAnswer:
             warnings.simplefilter("ignore")  # of p a little beyond what it has seen: the nearest will do at first
             return self._network.bind_face(face, beyond="clamp")
 
-    def _keep(self, face: Face, answering: _Answering) -> _Answering:
+    def _keep(self, face: Face, rig: Rig, method: str) -> _Answering:
+        answering = _Answering(method, rig, self._shares.get(method), face.carried)
         self._known[face.parameters] = answering
         while len(self._known) > KEPT:
             self._known.popitem(last=False)

@@ -139,7 +139,7 @@ class _Server:
         return response
 
     async def _handle(self, socket: ServerConnection) -> None:
-        if len(self._tabs) >= TABS.most:
+        if sum(tab.is_open for tab in self._tabs) >= TABS.most:
             await socket.close(TRY_LATER, f"{TABS.most} tabs are open, which is the most; close one")
             return
         tab = _Tab(self, socket)
@@ -164,6 +164,13 @@ class _Tab:
         self._notes: deque[Note] = deque(maxlen=8)  # that wait for a slow browser
         self._worker = self._make_worker()
         self._starting: asyncio.Task[None] | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its socket is; a tab that was closed may still wait for its process to end."""
+        from websockets.protocol import State
+
+        return self._socket.state is State.OPEN
 
     async def run(self) -> None:
         """Serve the tab until it closes; then its process has ended."""

@@ -71,6 +71,8 @@ def array_of_kind(name: str, values: Any, kinds: str, words: str, *, error: Erro
         array = np.asarray(values)
     except (ValueError, TypeError, OverflowError):
         raise error(f"{name}: expected {words}, got rows of several lengths") from None
+    except Exception as trouble:  # of another package's array, such as a tensor that wants a gradient
+        raise error(f"{name}: expected {words}, got {type(values).__name__} ({quote(trouble)})") from None
     if array.dtype.kind not in kinds:
         raise error(f"{name}: expected {words}, got {array.dtype}")
     return array

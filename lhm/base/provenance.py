@@ -32,7 +32,6 @@ def describe_machine() -> dict:
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
         "commit": read_commit(),
-        "dtype": "float64",
         "threads": int(threads) if threads.isdecimal() and int(threads) else "default",
     }
 

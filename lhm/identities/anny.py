@@ -73,13 +73,14 @@ class TransferredSpace(LinearSpace):
         if np.array_equal(skin.vertices, self.mean.vertices):
             return self.expressions
         key = skin.vertices.tobytes()
-        if self._last.get("key") != key:
+        known, shapes = self._last.get("person", (None, None))
+        if known != key:
             shapes = self._transfer.transfer(skin)
             for closing in self._closings:
                 closing.close(shapes, skin, self._transfer.scale(skin))
             shapes.flags.writeable = False
-            self._last.update(key=key, shapes=shapes)
-        return self._last["shapes"]
+            self._last["person"] = key, shapes  # in one step: other threads have people of their own
+        return shapes
 
     def transfer_to(self, skin: Surface) -> Floats:
         """Transfer as to everybody: `shapes_on`."""

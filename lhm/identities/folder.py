@@ -14,7 +14,7 @@ from ..base.files.surface_file import SUFFIXES, read_surface
 from ..base.files.text import list_files, naming_file, read_json
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Ints, Surface
-from .arkit import ARKIT
+from .arkit import ARKIT, arkit_name
 from .space import CAP, OUTSIDE, LinearSpace, check_extent
 
 CODE_SIZE = 50
@@ -25,8 +25,8 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
 
     The skins are moved rigidly onto the first by name; codes are standard normal, none for a single skin. Optional:
     `expressions/NAME.obj` and so on with ARKit's names, each a shape of the same topology, beside the
-    `expressions/neutral.obj` that they depart from, those that are not there are in `missing`; `parts.npy` or
-    `parts.json`, a number 0 to 3 per vertex (OUTSIDE, MOUTH, EYES, CAP), all OUTSIDE without.
+    `expressions/neutral.obj` that they depart from and stand like; those that are not there are in `missing`;
+    `parts.npy` or `parts.json`, a number 0 to 3 per vertex (OUTSIDE, MOUTH, EYES, CAP), all OUTSIDE without.
     Raises InputError that names the folder if it holds no mesh or its mean is no head in mm, and the file whose
     topology differs or that is bad.
     """
@@ -77,14 +77,19 @@ def _expressions(folder: Path, first: Surface, first_file: Path, unit: str) -> t
     files = {file.stem: file for file in _meshes(folder)} if folder.is_dir() else {}
     if files and "neutral" not in files:
         raise InputError(f"{folder}: 'neutral' is missing, the face that the expressions depart from")
-    for name, file in files.items():
-        if name not in (*ARKIT, "neutral"):
-            raise InputError(f"{file}: {name!r} is none of ARKit's expressions, nor 'neutral'")
-    if files:
-        neutral = _alike(files.pop("neutral"), first, first_file, unit).vertices
-        for name, file in files.items():
-            deltas[ARKIT.index(name)] = _alike(file, first, first_file, unit).vertices - neutral
-    return deltas, tuple(name for name in ARKIT if name not in files)
+    named: dict[str, Path] = {}
+    for stem, file in files.items():
+        name = "neutral" if stem == "neutral" else arkit_name(stem)
+        if name is None or name in named:
+            words = "is none of ARKit's expressions, nor 'neutral'" if name is None else f"is {name} a second time"
+            raise InputError(f"{file}: {stem!r} {words}")
+        named[name] = file
+    if named:
+        neutral = _alike(named.pop("neutral"), first, first_file, unit).vertices
+        rotation, _ = rigid_motion(neutral, first.vertices)
+        for name, file in named.items():
+            deltas[ARKIT.index(name)] = (_alike(file, first, first_file, unit).vertices - neutral) @ rotation.T
+    return deltas, tuple(name for name in ARKIT if name not in named)
 
 
 def _parts(folder: Path, n: int) -> Ints:

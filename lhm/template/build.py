@@ -95,7 +95,9 @@ def load_template(
 
     name = f"template-{people.name}-{people.fingerprint()}-{level}-{FORMAT}"
     template = load_or_make(name, make, lambda arrays: unpack(Template, arrays))
-    return replace(template, regressor=default_regressor(template, people), space=people)
+    # Depths are published by places of the face; without one they are the template's, stretched.
+    regressor = default_regressor(template, people) if "mouth" in template.regions else None
+    return replace(template, regressor=regressor, space=people)
 
 
 def build_template(

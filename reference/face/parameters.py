@@ -187,7 +187,7 @@ class Parameters:
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
     def __hash__(self) -> int:
-        return hash(tuple(np.asarray(getattr(self, f.name)).tobytes() for f in fields(self)))
+        return hash(tuple((np.asarray(getattr(self, f.name)) + 0.0).tobytes() for f in fields(self)))  # no -0.0
 
     @property
     def gravity_vector(self) -> Floats:
@@ -197,7 +197,7 @@ class Parameters:
     @property
     def added_gravity(self) -> Floats:
         """The acceleration [mm/s²], shape (3,), beyond the 1 g downward that the scan hangs under."""
-        direction = self.gravity_vector
+        direction = self.gravity_vector / np.abs(self.gravity_vector).max()  # squares of tiny numbers are zero
         return STANDARD_GRAVITY * (self.gravity * direction / np.linalg.norm(direction) - np.array([0.0, -1.0, 0.0]))
 
     def scale(self, bone: str) -> Floats:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import MissingDependencyError
+from ...lhm.base.errors import MissingDependencyError, SceneError
 from ...lhm.base.files import cache
 from ...lhm.base.mesh import Floats, Ints
 from ..clock import count_compilation
@@ -43,7 +43,7 @@ try:
         from dolfinx.fem import petsc
         from mpi4py import MPI
         from petsc4py import PETSc
-except ImportError as error:
+except (ImportError, OSError) as error:  # pkg_resources, which ufl asks, needs a working folder
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
 
 
@@ -81,6 +81,8 @@ def _serialise_compilation(comm) -> Iterator[None]:
             if comm.rank == 0:
                 fcntl.flock(lock, fcntl.LOCK_EX)
             yield
+    except OSError as error:  # the cache, or ffcx's settings in the home folder
+        raise SceneError(f"solver 'fenicsx': forms cannot be compiled ({error})") from None
     finally:
         logging.disable(before)
 

@@ -136,6 +136,11 @@ class PreparedFenicsx:
         self._in_use = InUse()
         self._spent = clock.read()
 
+    def __reduce__(self):
+        raise SceneError(
+            "a scene prepared by solver 'fenicsx' cannot be copied or pickled; prepare it where it is solved"
+        )
+
     def solve(
         self,
         scene: Scene | None = None,

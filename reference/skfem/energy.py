@@ -116,6 +116,8 @@ class DeadLoads:
         return csr_matrix((len(x), len(x)))
 
 
+FARTHEST = 1e70
+"""[mm] Largest coordinate of which the fourth power is finite."""
 PARTS: dict[type[terms.Term], type[Part]] = {
     terms.Hyperelastic: Tissue,
     terms.Strain: Tissue,
@@ -149,8 +151,8 @@ class Energy:
         return wide
 
     def value(self, x: Floats) -> float:
-        """The energy [µJ]; infinite where a law does not hold."""
-        return sum(part.value(x) for part in self._parts)
+        """The energy [µJ]; infinite where a law does not hold, and beyond FARTHEST."""
+        return sum(part.value(x) for part in self._parts) if np.abs(x).max() <= FARTHEST else np.inf
 
     def value_ahead(self, x: Floats, ahead: Floats) -> float:
         """The energy [µJ] ahead of positions x; infinite, too, where surfaces meet on the straight way there."""

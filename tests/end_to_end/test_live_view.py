@@ -248,6 +248,15 @@ def test_a_fifth_tab_is_refused(served, tab):
         with pytest.raises(ConnectionClosed):
             fifth.recv(timeout=10)
         assert (fifth.close_code, fifth.close_reason) == (1013, "4 tabs are open, which is the most; close one")
+    for _ in range(3):  # a page that is loaded again is let in at once, while the process of the last still ends
+        for socket in opened:
+            socket.send(CHANGE)
+            socket.recv(timeout=LONGEST)
+            socket.close()
+        opened = [served.connect() for _ in range(3)]
+        for socket in opened:
+            with pytest.raises(TimeoutError):
+                socket.recv(timeout=0.2)
     for socket in opened:
         socket.close()
     wait_until(lambda: len(served.refining()) == 1, "three processes to end")

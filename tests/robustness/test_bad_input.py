@@ -46,6 +46,17 @@ WRONG = [
     ("animate /dev/zero", "expected"),
     (f"animate {SPEECH}", "expected"),
     ("corpus generate plan.toml --preset tiny", "both say which plan"),
+    ("train corpus --share nan", "--share': 'nan' is no number"),
+    ("animate conversation:1 --surrogate w --bones soft", "--surrogate: nothing reads it"),
+    ("animate conversation:1 --surrogate w --dynamic", "--surrogate: nothing reads it"),
+    ("animate conversation:1 --accuracy none --crossing", "--crossing: nothing reads it"),
+    ("corpus generate --identities spheres:1 --level 3", "--level: nothing reads it for spheres"),
+    ("corpus generate --dry-run --workers 2", "--workers: nothing reads it in a dry run"),
+    ("head fit --unit cm", "--unit: nothing reads it without --skin"),
+    ("head fit --find-landmarks l.json --seed 1", "--seed: nothing reads it with --find-landmarks"),
+    ("head show head.npz --identities anny", "--identities: nothing reads it without --expression"),
+    ("head train-regressor --unit m", "--unit: nothing reads it without DIR"),
+    ("view --port 8000 --out page.html", "--port: nothing reads it with --out"),
     ("corpus generate --people 100000", "--people': 100000 is not in the range 2<=x<=99999"),
     ("head template --anatomy a.npz --level 4", "--level': 4 is not in the range 1<=x<=3"),
 ]  # fmt: skip
@@ -167,3 +178,11 @@ def test_a_link_to_a_file_is_replaced_and_leaves_what_it_leads_to(tmp_path):
     (tmp_path / "out.msh").symlink_to(tmp_path / "precious")
     write_whole(tmp_path / "out.msh", b"new")
     assert (tmp_path / "precious").read_text() == "precious" and (tmp_path / "out.msh").read_bytes() == b"new"
+
+
+def test_a_private_file_stays_private(tmp_path):
+    file = tmp_path / "head.npz"
+    file.write_bytes(b"old")
+    file.chmod(0o600)
+    write_whole(file, b"new")
+    assert file.read_bytes() == b"new" and file.stat().st_mode & 0o777 == 0o600

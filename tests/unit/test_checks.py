@@ -55,3 +55,11 @@ def test_texts_of_a_file_cannot_steer_the_terminal():
     assert escape("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
     assert escape("Köpfe, 頭") == "Köpfe, 頭"
     assert quote("x" * 100) == "x" * 40 + "..." and quote("\a") == "\\x07"
+
+
+def test_an_array_that_another_package_will_not_give_is_refused_by_its_words():
+    class Wants:
+        def __array__(self, *_, **__):
+            raise RuntimeError("it wants a gradient")
+
+    refused("x: expected real numbers, got Wants .*it wants a gradient", checks.real, "x", Wants())

@@ -171,6 +171,8 @@ def test_gravity_acts_as_the_difference_to_the_scans_own():
     # Lying on the back: 1 g along -z in place of 1 g along -y, whatever the direction's length.
     lying = Parameters(gravity_y=0.0, gravity_z=-0.5)
     assert lying.added_gravity == pytest.approx([0, 9810, -9810])
+    assert Parameters(gravity_y=0.0, gravity_z=-5e-324).added_gravity == pytest.approx([0, 9810, -9810])
+    assert len({Parameters(gravity_x=0.0), Parameters(gravity_x=-0.0)}) == 1
 
 
 def test_a_region_keeps_its_tets_and_holds_the_rest(sphere_head):

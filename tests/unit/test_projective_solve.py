@@ -1,5 +1,6 @@
 """What solving a prepared scene promises: options, warm starts, nothing factored twice, a falling energy, speed."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -143,7 +144,9 @@ def scene_of(head, stiffness=5.0, scale=1.0, shift=0.0):
 def test_every_linear_solver_solves(name):
     right = np.random.default_rng(1).normal(size=(200, 5))
     expected = np.linalg.solve(matrix().toarray(), right)
-    np.testing.assert_allclose(cholesky.factorise(matrix(), linear_solver=name)(right), expected, rtol=1e-8, atol=1e-8)
+    solve = cholesky.factorise(matrix(), linear_solver=name)
+    np.testing.assert_allclose(solve(right), expected, rtol=1e-8, atol=1e-8)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(solve))(right), solve(right))
 
 
 @cholmod_is_there

@@ -1,5 +1,7 @@
 """What every solver promises of a solve: its history, why it stopped, a sequence prepared once, what is refused."""
 
+import copy
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -11,6 +13,7 @@ from softdeca.reference import Reason, Scene, SceneError, materials, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.solution import least_quadratic_ratio
 
+from ..refusals import refused
 from .by_solver import ELEMENTS, SOLVERS, WAYS, element_options, prepare_by, solve_by
 
 X, TETS = meshes.unstructured(2)
@@ -71,12 +74,22 @@ def test_a_solve_says_why_it_stops(solver, element):
         assert len(bounded.history.energy) == limit + 1
     stopped = prepared.solve(on_iteration=lambda i, x, energy, norm: i == 2)
     assert (stopped.reason, stopped.iterations) == (Reason.INTERRUPTED, 2)
-    if solver == "projective":  # whose energies are finite wherever floating point is
-        refused = prepared.solve(start=X * 1e200)
-    else:
+    lost = [prepared.solve(start=X * 1e200)]
+    if solver != "projective":  # whose energies are finite wherever floating point is
         scene = Scene(X, TETS, [SOFT, terms.Fixed(LOW)])
-        refused = prepare_by(solver, scene, element=element).solve(start=X * [1.0, 1.0, -1.0])
-    assert refused.reason is Reason.NOT_FINITE and not refused.converged
+        lost += [prepare_by(solver, scene, element=element).solve(start=X * [1.0, 1.0, -1.0])]
+    assert all(answer.reason is Reason.NOT_FINITE and not answer.converged for answer in lost)
+
+
+@each_solver
+def test_what_is_prepared_can_be_pickled_or_says_that_it_cannot(solver):
+    prepared = prepare_by(solver, pulled_block())
+    if solver == "fenicsx":
+        for copied in (pickle.dumps, copy.deepcopy):
+            refused("cannot be copied or pickled", copied, prepared, error=SceneError)
+        return
+    again = pickle.loads(pickle.dumps(prepared)).solve()
+    np.testing.assert_allclose(again.positions, prepared.solve().positions, atol=1e-12)
 
 
 @each_way

@@ -27,6 +27,8 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             temporary.touch(exist_ok=False)
+            if path.exists():  # a private file stays private
+                temporary.chmod(path.stat().st_mode & 0o777)
             yield temporary
             os.replace(temporary, path)
         finally:

@@ -14,6 +14,7 @@ CHOLMOD: Chen, Davis, Hager and Rajamanickam 2008, Algorithm 887.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -54,22 +55,8 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
             raise MissingDependencyError("linear solver 'cholmod' needs scikit-sparse: pip install 'softdeca[cholmod]'")
         return CholmodFactor(matrix, like)
     if linear_solver == "superlu":
-        return _superlu(matrix).solve
-    kind = CholeskySolverF if matrix.dtype == np.float32 else CholeskySolverD
-    if not matrix.has_sorted_indices:
-        matrix = matrix.sorted_indices()  # of others it solves another system, without a word
-    indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-    solver = kind(matrix.shape[0], indptr, indices, matrix.data, MatrixType.CSC)
-
-    def solve(right: NDArray) -> NDArray:
-        if right.ndim == 2 and right.shape[1] > WIDEST:
-            return np.hstack([solve(right[:, k : k + WIDEST]) for k in range(0, right.shape[1], WIDEST)])
-        right = np.ascontiguousarray(right)
-        solution = np.zeros_like(right)
-        solver.solve(right, solution)
-        return solution
-
-    return solve
+        return SuperluFactor(matrix)
+    return CholespyFactor(matrix)
 
 
 def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
@@ -82,23 +69,60 @@ def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None
         return CholmodFactor(matrix, like, definite=True)
     if linear_solver == "superlu":
         # LU without pivoting meets the signs of LDLᵀ.
-        lu = _superlu(matrix)
-        if not (lu.U.diagonal() > 0.0).all():
+        factor = SuperluFactor(matrix)
+        if not (factor.lu.U.diagonal() > 0.0).all():
             raise np.linalg.LinAlgError("the matrix is not positive definite")
-        return lu.solve
+        return factor
     try:
         return factorise(matrix, linear_solver=linear_solver)
     except ValueError:
         raise np.linalg.LinAlgError("the matrix is not positive definite") from None
 
 
-def _superlu(matrix: csc_matrix) -> Any:
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-
 def has_cholmod() -> bool:
     """Return whether the system's CHOLMOD can be called."""
     return analyze is not None
+
+
+class CholespyFactor:
+    """A factor by cholespy, of the matrix's dtype; calling it solves for right-hand sides. A copy is factored anew."""
+
+    def __init__(self, matrix: csc_matrix):
+        kind = CholeskySolverF if matrix.dtype == np.float32 else CholeskySolverD
+        if not matrix.has_sorted_indices:
+            matrix = matrix.sorted_indices()  # of others it solves another system, without a word
+        self._matrix = matrix
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        data = matrix.data.copy()  # cholespy 2.2 aborts on memory that is not numpy's own, as an unpickled array's
+        self._solver = kind(matrix.shape[0], indptr, indices, data, MatrixType.CSC)
+
+    def __reduce__(self):
+        return CholespyFactor, (self._matrix,)
+
+    def __call__(self, right: NDArray) -> NDArray:
+        """Return the solutions, shape (n,) or (n, columns)."""
+        if right.ndim == 2 and right.shape[1] > WIDEST:
+            return np.hstack([self(right[:, k : k + WIDEST]) for k in range(0, right.shape[1], WIDEST)])
+        right = np.ascontiguousarray(right)
+        solution = np.zeros_like(right)
+        self._solver.solve(right, solution)
+        return solution
+
+
+class SuperluFactor:
+    """A factor by SuperLU; calling it solves for right-hand sides (n, columns). A copy is factored anew."""
+
+    def __init__(self, matrix: csc_matrix):
+        self._matrix = matrix
+        options = {"SymmetricMode": True}
+        self.lu: Any = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+    def __reduce__(self):
+        return SuperluFactor, (self._matrix,)
+
+    def __call__(self, right: NDArray) -> NDArray:
+        """Return the solutions, shape (n,) or (n, columns)."""
+        return self.lu.solve(right)
 
 
 class CholmodAnalysis:
@@ -110,6 +134,7 @@ class CholmodAnalysis:
 
     def __init__(self, matrix: csc_matrix, *, definite: bool = False):
         self.indptr, self.indices = matrix.indptr.copy(), matrix.indices.copy()
+        self.definite = definite
         self.symbolic = analyze(matrix, mode="supernodal" if definite else "auto")
 
     def fits(self, matrix: csc_matrix) -> bool:
@@ -121,7 +146,7 @@ class CholmodFactor:
     """A numeric factor, float64; calling it solves for right-hand sides (n, columns).
 
     `like` is a factor or an analysis, used again if the pattern is the same. Raises LinAlgError for a matrix of which
-    there is no factor: with `definite`, for each that is not positive definite.
+    there is no factor: with `definite`, for each that is not positive definite. A copy is factored anew.
     """
 
     def __init__(self, matrix: csc_matrix, like: Like = None, *, definite: bool = False):
@@ -129,10 +154,14 @@ class CholmodFactor:
         if not isinstance(analysis, CholmodAnalysis) or not analysis.fits(matrix):
             analysis = CholmodAnalysis(matrix, definite=definite)
         self.analysis: CholmodAnalysis = analysis
+        self._matrix = matrix
         try:
             self._factor = analysis.symbolic.cholesky(matrix.astype(np.float64, copy=False))
         except CholmodNotPositiveDefiniteError:
             raise np.linalg.LinAlgError("the matrix is not positive definite") from None
+
+    def __reduce__(self):
+        return partial(CholmodFactor, definite=self.analysis.definite), (self._matrix,)
 
     def __call__(self, right: NDArray) -> NDArray:
         """Return the solutions (n, columns)."""

@@ -44,12 +44,12 @@ def fit_similarity(rest: Floats, moved: Floats, weight: Floats | None = None) ->
 
 
 def farthest_points(points: Floats, count: int, first: Ints) -> Ints:
-    """Return indices of `first` and of points farthest from all chosen before, `count` in all."""
+    """Return indices of `first` and of points farthest from all chosen before, `count` in all or every point."""
     chosen = list(first)
     distance = np.full(len(points), np.inf)
     for index in chosen:
         distance = np.minimum(distance, np.linalg.norm(points - points[index], axis=1))
-    while len(chosen) < count:
+    while len(chosen) < min(count, len(points)):
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return np.array(chosen)
