@@ -22,7 +22,7 @@ from ..lhm.base.files.morphs import MorphRig, morph_take, reduce_to_morphs
 from ..lhm.base.files.moving_surface import write_vtkhdf
 from ..lhm.base.files.usd import check_usd
 from ..lhm.base.mesh import Floats, Floats32, Surface
-from ..lhm.base.progress import OnProgress
+from ..lhm.base.progress import OnProgress, describe_left
 from ..lhm.expressions import Take, rotations
 from ..lhm.head.detail import FineSkin
 from ..reference import Face, Reason, Sequence
@@ -137,7 +137,7 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
 
     def make_skins() -> Iterator[Floats | Floats32]:
         """Make and log the frames; keep those of the preview."""
-        begin = time.perf_counter()
+        first = begin = time.perf_counter()
         for number, (skin, record) in enumerate(frames):
             seconds = round(time.perf_counter() - begin, 6)
             row = {"frame": number, "time": float(take.times[number]), **record, "seconds": seconds}
@@ -145,7 +145,8 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
             skin = in_room(skin, number)
             if number in shown:
                 kept[number] = skin.astype(np.float32)
-            progress(f"frame {number + 1} of {count}", (number + 1) / count)
+            done = (number + 1) / count
+            progress(f"frames: {number + 1} of {count}{describe_left(time.perf_counter() - first, done)}", done)
             yield skin
             begin = time.perf_counter()
 

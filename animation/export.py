@@ -28,12 +28,14 @@ from ..surrogate import BoundSurrogate, CertifiedFace
 from ..surrogate.certified import find_counted
 from ..surrogate.methods import BLENDSHAPES, DERIVATIVES, differentiate
 from .eyes_and_teeth import TURN, EyesAndTeeth, find_eyes_and_teeth
-from .pictures import to_linear_light
+from .pictures import shade_skin, to_linear_light
 
 RigFormat = Literal["glb", "usd"]
 WRITERS: Mapping[str, Callable[[Path, MorphRig], None]] = {"glb": write_glb, "usd": write_usd}
 EXPRESSIONS, ACCURACY = 8, 1e-3
 """Mixed expressions that the error is measured on, and the accuracy [mm] of the simulator's answers there."""
+STRONGEST = 4
+"""Shapes that name an expression."""
 ORGANS = ("left_eye", "right_eye", "upper_teeth", "lower_teeth", "upper_gums", "lower_gums")
 
 
@@ -54,27 +56,31 @@ def simulated_rig(face: Face, progress: OnProgress) -> MorphRig:
     return named_rig(rest, targets, {"method": DERIVATIVES, **measure_error(face, progress)})
 
 
-def measure_error(face: Face, progress: OnProgress) -> dict[str, float]:
+def measure_error(face: Face, progress: OnProgress) -> dict[str, float | str]:
     """Measure how far the simulator's derivatives are from it, on EXPRESSIONS random expressions.
 
-    The mean is over those of the mean distance [mm] of the vertices that physics moves, the largest of any vertex.
+    The mean is over those of the mean distance [mm] of the vertices that physics moves, the largest of any vertex; its
+    expression is named by its strongest shapes.
     """
     certified = CertifiedFace(face, differentiate(face), DERIVATIVES)
-    rng, means, largest = np.random.default_rng(0), [], 0.0
+    rng, means, largest, worst = np.random.default_rng(0), [], 0.0, ""
     for number in range(EXPRESSIONS):
         progress("error", number / EXPRESSIONS)
         weights = sample_weights(rng)
         skin = certified.frame(weights, ACCURACY).skin.astype(np.float64)
         distance = np.linalg.norm(certified.rig.frame(weights) - skin, axis=1)
         means.append(distance[find_counted(skin, face.blend(weights) + face.carried)].mean())
-        largest = max(largest, float(distance.max()))
+        if distance.max() > largest:
+            largest, strongest = float(distance.max()), np.argsort(-weights)[:STRONGEST]
+            worst = " + ".join(f"{ARKIT[k]}*{weights[k]:.2g}" for k in strongest if weights[k] > 0.0)
     progress("error", 1.0)
-    return {"expressions": EXPRESSIONS, "mean_error_mm": float(np.mean(means)), "largest_error_mm": largest}
+    error = {"mean_error_mm": float(np.mean(means)), "largest_error_mm": largest, "largest_error_in": worst}
+    return {"expressions": EXPRESSIONS, **error}
 
 
 def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:
     """Make a rig of a skin at rest and 52 targets (52, n, 3) [mm], with eyes and teeth where the skin's are known."""
-    surfaces = [MorphedSurface.from_targets("skin", rest, targets)]
+    surfaces = [MorphedSurface.from_targets("skin", rest, targets, colour=to_linear_light(shade_skin(rest)))]
     organs = find_eyes_and_teeth(rest)
     if organs is None:
         return MorphRig(surfaces, ARKIT, notes)
@@ -86,7 +92,7 @@ def refine_rig(rig: MorphRig, fine: FineSkin) -> MorphRig:
     """Make the rig's first surface, its skin, as it is drawn finer. The others stay."""
     skin, *others = rig.surfaces
     rest, targets = _refine(skin, fine)
-    colour = skin.colour if fine.colours is None else to_linear_light(fine.colours)
+    colour = to_linear_light(shade_skin(skin.rest, fine))
     finer = MorphedSurface.from_targets(skin.name, rest, targets.astype(np.float32), colour=colour)
     return replace(rig, surfaces=[finer, *others])
 
@@ -115,7 +121,7 @@ def carry_rig(rig: MorphRig, head: LayeredHead, own: OwnMesh) -> MorphRig:
     if shut := [name for name in ("eyeBlinkLeft", "eyeBlinkRight") if own.has_shut_lids(targets[name])]:
         notes["lids"] = f"shut in the scan, or one surface with the eyes: it has no {' and no '.join(shut)}"
         targets |= {name: np.zeros_like(moved.vertices) for name in shut}
-    colour = skin.colour if own.colours is None else to_linear_light(own.colours)
+    colour = to_linear_light(shade_skin(moved) if own.colours is None else own.colours)
     values = np.stack(list(targets.values())).astype(np.float32)
     carried = MorphedSurface.from_targets(skin.name, moved, values, colour=colour)
     return replace(rig, surfaces=[carried, *others], notes=notes)

@@ -185,7 +185,7 @@ def _sheet(plotter, panels: Sequence[Panel], legend: str = "") -> bytes:
     font = ImageFont.load_default(size)
     lines = [_wrap(panel.caption, font.getlength, 0.94 * width) for panel in panels]
     above = max(len(each) for each in lines) * round(1.3 * size) + size // 2
-    below = 3 * size if any(panel.values is not None for panel in panels) else 0
+    below = round(4.3 * size) if any(panel.values is not None for panel in panels) else 0
     listed = legend.splitlines()
     last = (len(listed) + 1) * round(1.3 * size) if listed else 0
     sheet = Image.new("RGB", (drawn.width, above + drawn.height + below + last), "white")
@@ -204,8 +204,8 @@ def _sheet(plotter, panels: Sequence[Panel], legend: str = "") -> bytes:
             sheet.paste(_gradient(_colour_map(panel), round(0.8 * width), round(0.8 * size)), (left, top))
             under = top + size
             write(f"{panel.low:.3g}", left, under, "lt")
-            write(panel.title, left + 0.4 * width, under)
             write(f"{panel.top:.3g}", left + 0.8 * width, under, "rt")
+            write(panel.title, left + 0.4 * width, under + round(1.3 * size))  # beside the numbers it may not fit
     for k, line in enumerate(listed):
         write(line, size, above + drawn.height + below + k * round(1.3 * size), "lt")
     buffer, notes = io.BytesIO(), PngInfo()

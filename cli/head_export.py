@@ -90,7 +90,8 @@ class Export:
         if "mean_error_mm" in notes:
             click.echo(
                 f"error to the simulator on {notes['expressions']} mixed expressions: mean "
-                f"{notes['mean_error_mm']:.2g} mm, at most {notes['largest_error_mm']:.2g} mm"
+                f"{notes['mean_error_mm']:.2g} mm, at most {notes['largest_error_mm']:.2g} mm, in "
+                f"{notes['largest_error_in']}"
             )
         click.echo(f"wrote {out}")
         return 0

@@ -38,6 +38,12 @@ class Train:
         type=click.Choice(["modal", "hyper", "paper", "softsmpl-small", "softsmpl-large", "face-wise"]),
     )
     steps: int | None = option(None, "training steps; default: the network's own number", bound=TRAINING_STEPS)
+    minutes: float | None = option(
+        None,
+        "minutes of a processor for the steps, in place of their number; validation, and the looseness of 96 heads by "
+        "which a first modal network of anny ends, come on top",
+        type=FloatRange(0.0, 100_000.0, min_open=True),
+    )
     batch: int | None = option(
         None, "frames a step, not of modal; default: the network's own", type=click.IntRange(1, 4096)
     )
@@ -61,6 +67,8 @@ class Train:
         from ..surrogate.networks import trainer  # noqa: F401  says what to install, before a corpus is read
         from ..surrogate.networks.weights import Weights
 
+        if self.minutes is not None:
+            refuse_unread(self, "with --minutes", "steps")
         if self.network == "modal":
             refuse_unread(self, "for --network modal", "batch", "recurrence_steps")
         elif self.network != "hyper":
@@ -92,7 +100,8 @@ class Train:
     @property
     def _options(self) -> dict[str, Any]:
         """Options that replace the network's own."""
-        return {"device": self.device} | ({} if self.steps is None else {"steps": self.steps})
+        asked = {"steps": self.steps, "hours": None if self.minutes is None else self.minutes / 60.0}
+        return {"device": self.device} | {name: value for name, value in asked.items() if value is not None}
 
     def _train_modal(self, faces: Faces, teachers: dict[str, Any], progress: OnProgress) -> Weights:
         from ..surrogate.corpus.people import people_from_text

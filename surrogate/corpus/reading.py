@@ -90,9 +90,9 @@ class Table:
         self._people = {k: self._open(k) for k in chosen}
         rows = [(k, row) for k, person in self._people.items() for row in _find_accepted(person.small)]
         if not rows:
-            raise InputError(
-                f"corpus {folder}: nothing of {table} in the {split or 'whole'} split was accepted; see its status"
-            )
+            planned = any(len(next(iter(person.small.values()))) for person in self._people.values())
+            why = "was accepted; see its status" if planned else "was planned"
+            raise InputError(f"corpus {folder}: nothing of {table} in the {split or 'whole'} split {why}")
         self.rows = np.array(rows)
 
     def _open(self, identity: int) -> _Person:

@@ -11,6 +11,8 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats32, Ints
 from ..corpus.reading import Faces
 
+MORE_UNIFORM = "a corpus planned with a smaller `varying`, as varying = 0, has more"
+"""Advice where too few frames are under uniform parameters."""
 PEOPLE = 32
 """People whose skins and shapes are kept between two batches: 1.4 MB each on the default head."""
 
@@ -50,7 +52,9 @@ class FrameSource:
         rows = [(k, faces.coefficients(k)) for k in numbers if len(faces.frames_of[k])]
         rows = [(k, coefficients) for k, coefficients in rows if fields or not coefficients[:, 1:].any()]
         if not rows:
-            raise InputError(f"corpus {faces.folder}: no static frame of it is under uniform parameters")
+            raise InputError(
+                f"corpus {faces.folder}: no static frame of it is under uniform parameters; {MORE_UNIFORM}"
+            )
         self.face = np.array([k for k, _ in rows])
         self.coefficients = np.array([coefficients for _, coefficients in rows], dtype=np.float32)
         self.codes = np.array([faces.code(k) for k in self.face], dtype=np.float32)

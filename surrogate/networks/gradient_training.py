@@ -30,7 +30,7 @@ from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
 from .components import find_components
 from .features import Features, Inputs, seen_ranges
-from .frames import FrameBatch, FrameSource
+from .frames import MORE_UNIFORM, FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
 from .modal_faces import LessonFaces
 from .softsmpl import LARGE, SMALL
@@ -177,9 +177,10 @@ class GradientLesson(Lesson):
         if config.frames < 1 or config.batch % config.frames:
             raise InputError(f"training batch {config.batch}: expected a multiple of {config.frames} frames of a face")
         self.faces, self.config, self.form = faces, config, FORMS[config.form]
-        people = faces.people
+        people = faces.people if config.fields else FrameSource(faces).people
         if len(people) < 2:
-            raise InputError(f"training needs frames of at least two people, there are {len(people)}")
+            uniform = "" if config.fields else f" under uniform parameters; {MORE_UNIFORM}"
+            raise InputError(f"training needs frames of at least two people, there are {len(people)}{uniform}")
         if data is None:
             self.held = hold_out_people(people, config.validation, np.random.default_rng([config.seed, 0]))
         else:

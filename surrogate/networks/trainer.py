@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from ...lhm.base.errors import InputError, MissingDependencyError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.mesh import Floats, Floats32
-from ...lhm.base.progress import OnProgress, silent
+from ...lhm.base.progress import OnProgress, describe_left, silent
 
 try:
     import torch
@@ -117,9 +117,15 @@ class Trainer:
         config = self.config
         if state is not None and Path(state).is_file():
             self.restore(state)
+        begin, first = time.perf_counter(), self.step
+
+        def tell() -> None:
+            left = describe_left(time.perf_counter() - begin, (self.step - first) / (self.steps - first))
+            on_progress(f"training: step {self.step} of {self.steps}{left}", self.step / self.steps)
+
         while self.step < self.steps:
             steps = min(config.validate_every - self.step % config.validate_every, self.steps - self.step)
-            self.run(steps if config.hours is None else min(steps, max(1, self.steps // CHECKS)))
+            self.run(steps if config.hours is None else min(steps, max(1, self.steps // CHECKS)), tell)
             if config.hours is not None:
                 self._fit_into(config.hours)
             if state is not None:
@@ -137,7 +143,7 @@ class Trainer:
         most = self.steps if self.config.one_cycle else np.inf  # whose rates are fixed for so many
         self.steps = int(min(self.step + max(left / each, 0.0), most))
 
-    def run(self, steps: int) -> None:
+    def run(self, steps: int, on_step: Callable[[], None] = lambda: None) -> None:
         """Make some steps, then add a point to the curve; InputError for a loss that is not finite."""
         begin, total = time.perf_counter(), 0.0
         first = self.step
@@ -154,6 +160,7 @@ class Trainer:
             total += float(loss.detach())
             if not np.isfinite(total):
                 raise InputError(f"training: the loss is not finite at step {self.step}; take a lower learning rate")
+            on_step()
         self.seconds += time.perf_counter() - begin
         errors = {name: float(value) for name, value in self.lesson.errors().items()}
         if self.config.best_by and errors[self.config.best_by] < self.least:
