@@ -106,8 +106,9 @@ class Fit:
                     template, self.skin, hints, repair=not self.no_repair, regressor=regressor, progress=progress
                 )
             progress("head", 1.0)
+        source = f"the mean of {self.identities}" if self.seed is None else f"seed {self.seed}"
         for note in fitted.notes:
-            click.echo(f"softdeca: {self.skin}: {note}", err=True)
+            click.echo(f"softdeca: {self.skin or source}: {note}", err=True)
         save_head(self.out, fitted)
         report_gates(check_head(fitted), self.json, [self.out], notes=fitted.notes, posed=check_posed(fitted))
         return 0

@@ -329,7 +329,7 @@ def _measure_sideways(
         shifts = [_side(name) * float(motions[name][lower, 0].mean()) for name in SIDEWAYS if name in motions]
         values["sideways"] = min(shifts, default=None)
     shares = []
-    for name in motions.keys() & set(SIDED):
+    for name in (name for name in SIDED if name in motions):
         length = np.linalg.norm(motions[name], axis=1)
         shares.append(length[_side(name) * x[:, 0] > 0].sum() / max(length.sum(), 1e-30))
     values["own_side"] = float(np.mean(shares)) if shares else None

@@ -1,4 +1,4 @@
-"""Gates of a head as it moves: `lhm.check.check_posed` with the fast simulator."""
+"""Gates of a head as it moves: `lhm.head.gates.check_posed` with the fast simulator."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ How to read it, from what is asked to what is solved:
   integrate laws that `law_code` writes as C; `hyperelastic` has those with a pressure as UFL's forms), and
   what is `nodal`: `surface_strain`, `bending`, springs and following pressure of `loads`. `bodies` makes parts rigid.
 - Where it lives: `numbering` is the scene's mesh and its nodes, `parallel` how ranks divide them, `assembly` the
-  matrix. `linear_solvers` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
+  matrix. `linear.solvers` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
   that knows which dolfinx there is.
 
 Every rank makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package without dolfinx

@@ -88,7 +88,7 @@ class SaddlePolicy:
 
 @dataclass(frozen=True)
 class LinearPolicy:
-    """Conjugate gradients and factors; see `linear_solvers`."""
+    """Conjugate gradients and factors; see `linear.solvers`."""
 
     max_iterations: int = 1000  # of CG
     setup: int = 16  # iterations that a set-up of multigrid costs
