@@ -40,8 +40,8 @@ class Train:
     steps: int | None = option(None, "training steps; default: the network's own number", bound=TRAINING_STEPS)
     minutes: float | None = option(
         None,
-        "minutes of a processor for the steps, in place of their number; validation, and the looseness of 96 heads by "
-        "which a first modal network of anny ends, come on top",
+        "minutes of a processor for the training, in place of --steps; the looseness of 96 heads, by which a first "
+        "modal network of anny ends, comes on top",
         type=FloatRange(0.0, 100_000.0, min_open=True),
     )
     batch: int | None = option(

@@ -117,6 +117,8 @@ class Trainer:
         config = self.config
         if state is not None and Path(state).is_file():
             self.restore(state)
+            self._first -= self.seconds  # of the runs before
+            self.lesson.begun -= self.seconds
         begin, first = time.perf_counter(), self.step
 
         def tell() -> None:
