@@ -184,6 +184,7 @@ class _Tab:
                 if not isinstance(error, ConnectionClosed):  # a defect: this tab ends, others go on
                     self._server.on_trouble(f"a tab ended: {type(error).__name__}: {error}")
         finally:
+            self._worker.is_over = True  # at once; `end` may wait for a thread
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

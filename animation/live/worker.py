@@ -113,14 +113,16 @@ class Worker:
     def __init__(self, face: Face, on_message: OnMessage, on_end: Callable[[], None]):
         self._face, self._on_message, self._on_end = face, on_message, on_end
         self._starting, self._sending = threading.Lock(), threading.Lock()
-        self._is_over = False
+        self.is_over = False
+        """Set where no process is to be started any more."""
         self._process: multiprocessing.process.BaseProcess | None = None
-        self._connection: Connection | None = None
+        self._pipe: Connection | None = None
+        self._connection: Connection | None = None  # once the face is sent
 
     def start(self) -> None:
-        """Start the process, which takes a second; nothing if `end` came first."""
+        """Start the process and send it the face, which takes seconds; nothing if it is over before."""
         with self._starting:
-            if self._is_over:
+            if self.is_over:
                 return
             context = multiprocessing.get_context("spawn")
             mine, its = context.Pipe()
@@ -132,25 +134,28 @@ class Worker:
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
             its.close()
-            with suppress(OSError):  # as an argument it would block forever if the process died meanwhile
-                mine.send(self._face)
-            self._process, self._connection = process, mine
-            threading.Thread(target=self._receive, args=(mine,), daemon=True).start()
+            self._process, self._pipe = process, mine
+        with self._sending, suppress(OSError):  # as an argument it would block forever if the process died meanwhile
+            mine.send(self._face)
+            self._connection = mine
+        threading.Thread(target=self._receive, args=(mine,), daemon=True).start()
 
     def ask(self, change: Change) -> None:
         """Refine this change from now on; nothing if the process has not started or is over."""
-        with self._sending, suppress(OSError):  # it may be over, which `on_end` tells
-            if self._connection is not None:
+        if self._connection is not None:
+            with self._sending, suppress(OSError):  # it may be over, which `on_end` tells
                 self._connection.send(change)
 
     def end(self) -> None:
         """End the process, whatever it is doing, and wait until it is gone."""
-        self._is_over = True
+        self.is_over = True
         with self._starting:
-            if self._process is not None and self._connection is not None:
-                self._process.kill()
-                self._process.join()
-                self._connection.close()
+            if self._process is None or self._pipe is None:
+                return
+            self._process.kill()
+            self._process.join()
+            with self._sending:
+                self._pipe.close()
 
     def _receive(self, connection: Connection) -> None:
         try:
@@ -159,6 +164,6 @@ class Worker:
         except (EOFError, OSError):
             pass
         finally:
-            if not self._is_over:
+            if not self.is_over:
                 self.end()
                 self._on_end()

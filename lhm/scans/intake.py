@@ -169,6 +169,8 @@ def _place(template: Template, scan: Scan, hints: Hints, repair: bool, progress:
     pairs = None
     if same := has_triangles_of(template, scan):
         where = _place_same(template, scan, hints)
+        if hints.landmarks is not None:
+            notes.append("landmarks: not read, since the scan has the template's own triangles")
     else:
         refused: list[InputError | FitError] = []
         for done in repair_pieces(scan) if repair else [Repaired(scan)]:

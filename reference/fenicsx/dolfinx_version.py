@@ -43,8 +43,11 @@ try:
         from dolfinx.fem import petsc
         from mpi4py import MPI
         from petsc4py import PETSc
-except (ImportError, OSError) as error:  # pkg_resources, which ufl asks, needs a working folder
+except ImportError as error:
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
+except OSError as error:  # of pkg_resources, which ufl asks
+    said = f"dolfinx cannot be imported ({error}); is there a working folder?"
+    raise MissingDependencyError(f"solver 'fenicsx': {said}") from None
 
 
 def parse_version(text: str) -> tuple[int, int]:
