@@ -169,7 +169,8 @@ class MeshError(OfPerson, Contest):
         """Solve one case by its meshes, or an effect on refined ones; each is one of `rows`."""
         if task.method == REFINED:
             return _refine(self.person(COARSE, self.seed), task.case)
-        case, skins = self.make_case(task.case), {}
+        case = self.make_case(task.case)
+        skins: dict[str, Floats] = {}
         methods = [_remember(method, skins) for method in self.list_methods(task.case)]
         truths = [_remember(method, skins) for method in self.list_truths(task.case)]
         rows = run_contest(case, methods, truths, compare=self.compare, warm=self.warm())
@@ -278,17 +279,24 @@ def _on_mesh(name: str, head: LayeredHead, layers: tuple[int, int]) -> Method:
     base = METHODS[m.PD]
 
     def bind(face: Face) -> SolvedRig:
-        rig: SolvedRig = base.bind(replace(face, head=head, choices={**face.choices, "layers": layers}))
-        return rig
+        return _bind(base, replace(face, head=head, choices={**face.choices, "layers": layers}))
 
     return replace(base, name=name, bind=bind)
+
+
+def _bind(method: Method, face: Face) -> SolvedRig:
+    """Bind a solver."""
+    rig = method.bind(face)
+    assert isinstance(rig, SolvedRig)
+    return rig
 
 
 def _at_rest(method: Method) -> Method:
     """Take the settled neutral face of a solver for its frame, in place of that drawn to it again by targets."""
 
     def bind(face: Face) -> SolvedRig:
-        settled = method.bind(face).settled
+        settled = _bind(method, face).settled
+        assert settled is not None
         told = {} if settled.solution is None else {"iterations": settled.solution.iterations}
         return SolvedRig(face.skin, lambda weights: Solved(settled.skin, settled.positions, told), settled)
 
@@ -306,11 +314,11 @@ def _remember(method: Method, skins: dict[str, Floats]) -> Method:
     """Put a method's frame [mm] into `skins`, by its name."""
 
     def bind(face: Face) -> SolvedRig:
-        rig = method.bind(face)
+        rig = _bind(method, face)
 
         def solve(weights: Floats) -> Solved:
             frame = rig.solve(weights)
-            skins[method.name] = frame.skin
+            skins[method.name] = frame.skin.astype(np.float64)
             return frame
 
         return replace(rig, solve=solve)
@@ -329,7 +337,9 @@ def _refine(person: Person, effect: str) -> Values:
     scene, used = keep_used(neutral_scene(head, p, cells="tets", region=_left_cheek(head)))
     skin = used[used < len(head.bone)]
     carried = carry_by_bones(head, p)
-    rows, answers, start = [], [], carried[used]
+    start = carried[used]
+    rows: list[dict[str, Any]] = []
+    answers: list[tuple[Floats, int]] = []
     for name in ("its own mesh", "split into eight", "split into 64"):
         if answers:
             scene, ends = refine_scene(scene)
