@@ -72,8 +72,10 @@ def environments() -> Path:
 class Solvable(Protocol):
     """What solvers are given: a problem of `problems`, or an expression of a face."""
 
-    skin: Ints
-    """Vertices (s,) whose errors count."""
+    @property
+    def skin(self) -> Ints:
+        """Vertices (s,) whose errors count."""
+        ...
 
     @property
     def warm(self) -> Solvable:
@@ -106,8 +108,8 @@ def run(
 
     def run_once() -> Lines:
         if not entrant.file:
-            scene, warm = problem.scene(law), problem.warm.scene(law)
-            return run_own(scene, warm, problem.skin, answers, budget, start=start, **entrant.options)
+            scene, small = problem.scene(law), problem.warm.scene(law)
+            return run_own(scene, small, problem.skin, answers, budget, start=start, **entrant.options)
         arrays, warm = problem.arrays(start), problem.warm.arrays()
         lines = run_outside(entrant.file, arrays, warm, answers, entrant.options, budget)
         _check(lines, entrant)

@@ -185,11 +185,12 @@ class WorkPrecision(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how long each takes to 0.01 mm on the face's energy: medians over expressions."""
-        times: dict[str, list[float | None]] = {}
+        times: dict[str, list[float]] = {}
         for row in rows:
             if row.values["law"] == FACE:
-                times.setdefault(row.values["solver"], []).append(find_time(row, HUNDREDTH, prepared=True))
-        reached = [f"{label} {np.median(each):.2f} s" for label, each in times.items() if None not in each]
+                seconds = find_time(row, HUNDREDTH, prepared=True)
+                times.setdefault(row.values["solver"], []).append(np.inf if seconds is None else seconds)
+        reached = [f"{label} {np.median(each):.2f} s" for label, each in times.items() if max(each) < np.inf]
         return f"To 0.01 mm from prepared scenes: {', '.join(reached)}." if reached else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
@@ -199,7 +200,7 @@ class WorkPrecision(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against seconds with preparation and iterations, a line per solver and expression."""
         by_energy = Panel.by_case([(row.values["law"], row.values) for row in rows])
-        panels = [replace(panel, over=over) for panel in by_energy for over in ("seconds", "work")]
+        panels = [each for panel in by_energy for each in (panel, replace(panel, over="work"))]
         if not panels:
             return {}
         figure = plot_curves(panels, floor=1e-7)  # [mm], below which the tight runs' own error shows
