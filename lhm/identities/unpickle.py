@@ -19,7 +19,7 @@ def _frombuffer(content: Any, dtype: np.dtype, shape: tuple[int, ...], order: An
     return np.frombuffer(content, dtype).reshape(shape, order=order)
 
 
-ARRAYS = {"ndarray": np.ndarray, "dtype": np.dtype, "_frombuffer": _frombuffer}
+ARRAYS: dict[str, Any] = {"ndarray": np.ndarray, "dtype": np.dtype, "_frombuffer": _frombuffer}
 ARRAYS |= {"_reconstruct": np.zeros(0).__reduce__()[0], "scalar": np.float64().__reduce__()[0]}
 """Whatever the module is named: numpy 2 has other names than numpy 1."""
 SPARSE = {f"{form}_{kind}" for form in ("csc", "csr", "coo") for kind in ("matrix", "array")}

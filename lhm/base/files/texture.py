@@ -25,6 +25,8 @@ from .text import naming_file
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+Look = tuple[Hashable, tuple[str, str], tuple[float, ...]]
+"""Name, wraps and factor of `Painted`."""
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "MPO")
 READERS = {".obj": read_obj_pictures, ".glb": read_gltf_pictures, ".gltf": read_gltf_pictures}
 
@@ -91,7 +93,7 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
     if read is None:
         return None
     with naming_file(path):
-        by_look: dict[Hashable, list[Painted]] = {}
+        by_look: dict[Look, list[Painted]] = {}
         for part in read(path):
             by_look.setdefault((part.name, part.wraps, part.factor), []).append(part)
         if not by_look:
@@ -107,7 +109,7 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
             np.concatenate([part.places for part in parts]),
             one.wraps,
             one.factor,
-            len({name for name, *_ in by_look}) - 1,  # type: ignore[misc]
+            len({name for name, _, _ in by_look}) - 1,
         )
 
 
