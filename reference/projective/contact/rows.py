@@ -103,14 +103,10 @@ class Rows:
 
 def find_shares(corners: Floats, between_edges: np.ndarray) -> tuple[Floats, Floats]:
     """Find the shares (r,) of pairs with corners (r, 4, 3) [mm], and their derivatives by these, (r, 4, 3)."""
-    share, turns = np.ones(len(corners)), np.zeros(corners.shape)
     u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
     uu, vv, uv = (np.einsum("rc,rc->r", a, b) for a, b in ((u, u), (v, v), (u, v)))
-    sine = np.maximum(1.0 - uv**2 / np.where(between_edges, uu * vv, 1.0), 0.0)
-    for r in np.flatnonzero(between_edges & (sine < PARALLEL)):
-        part = sine[r] / PARALLEL
-        share[r] = part * (2.0 - part)
-        slope = -4.0 * (1.0 - part) / PARALLEL * uv[r] / (uu[r] * vv[r])
-        by_u, by_v = slope * (v[r] - uv[r] / uu[r] * u[r]), slope * (u[r] - uv[r] / vv[r] * v[r])
-        turns[r] = -by_u, by_u, -by_v, by_v
-    return share, turns
+    uu, vv, uv = (np.where(between_edges, each, other) for each, other in ((uu, 1.0), (vv, 1.0), (uv, 0.0)))
+    part = np.minimum(np.maximum(1.0 - uv**2 / (uu * vv), 0.0) / PARALLEL, 1.0)
+    slope = (-4.0 / PARALLEL * (1.0 - part) * uv / (uu * vv))[:, None]
+    by_u, by_v = slope * (v - (uv / uu)[:, None] * u), slope * (u - (uv / vv)[:, None] * v)
+    return part * (2.0 - part), np.stack([-by_u, by_u, -by_v, by_v], axis=1)
