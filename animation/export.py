@@ -74,8 +74,13 @@ def measure_error(face: Face, progress: OnProgress) -> dict[str, float | str]:
             largest, strongest = float(distance.max()), np.argsort(-weights)[:STRONGEST]
             worst = " + ".join(f"{ARKIT[k]}*{weights[k]:.2g}" for k in strongest if weights[k] > 0.0)
     progress("error", 1.0)
-    error = {"mean_error_mm": float(np.mean(means)), "largest_error_mm": largest, "largest_error_in": worst}
-    return {"expressions": EXPRESSIONS, **error}
+    mean = float(np.mean(means))
+    return {
+        "expressions": EXPRESSIONS,
+        "mean_error_mm": mean,
+        "largest_error_mm": largest,
+        "largest_error_in": worst,
+    }
 
 
 def named_rig(rest: Surface, targets: Floats | Floats32, notes: Mapping[str, Any]) -> MorphRig:

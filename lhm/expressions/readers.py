@@ -60,9 +60,11 @@ def read_take(path: str | os.PathLike[str]) -> Take:
 
 def _decode(path: Path, content: bytes) -> str:
     """Return a file's text, of UTF-8 or, as Windows' shell and Excel write it, UTF-16."""
-    utf_16 = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    encoding = "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig"
+    if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        encoding = "utf-16"
     try:
-        return content.decode("utf-16" if utf_16 else "utf-8-sig")
+        return content.decode(encoding)
     except UnicodeDecodeError:
         raise InputError(f"{path}: cannot be read (it is no text)") from None
 

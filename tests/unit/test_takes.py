@@ -105,6 +105,7 @@ def test_names_are_known_to_all_readers_however_they_are_written(write, form, sp
         lambda text: "\ufeffsep=;\n" + text.replace(",", ";").replace(".", ","),
         lambda text: text.replace(",", "\t").replace(".", ",").encode("utf-16"),
         lambda text: codecs.BOM_UTF16_BE + text.encode("utf-16-be"),
+        lambda text: text.encode("utf-16-le"),
     ],
 )
 def test_tables_may_come_from_excel_or_windows(write, save):
