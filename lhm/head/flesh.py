@@ -21,7 +21,7 @@ class FleshPolicy:
 
     fade: float = 12.0  # along the skin wrap, over which the share of flesh rises from 0 to 1
     brow: float = 10.0  # above the lids' highest point, up to which a face is fleshy
-    throat: tuple[float, float] = (20.0, 35.0)  # from the lips inward, between which the lining ends to follow muscles
+    throat: tuple[float, float] = (30.0, 45.0)  # from the lips inward, between which the lining ends to follow muscles
     cheek: float = 15.0  # radius of a cheek's middle, seen from the front; its share falls to 0 over as much again
 
 
