@@ -11,7 +11,6 @@ import numpy as np
 from ...lhm import identities
 from ...lhm.base.errors import InputError
 from ...lhm.base.limits import LEVEL, SEED, STUDIED_PEOPLE
-from ...lhm.base.mesh import Floats
 from ...lhm.base.option import option
 from ...lhm.expressions import parse_weights
 from ...lhm.template.template import DEFAULT_LEVEL
@@ -19,10 +18,9 @@ from ...reference import Face, Parameters
 from ...surrogate import Surrogate
 from ...surrogate import methods as m
 from ...surrogate.methods import Method
-from ..contest import KINDS, Case, Contest, Made, collect_rows, compare_skins, draw_case, list_columns, list_failures
+from ..contest import KINDS, Case, Contest, collect_rows, draw_case, list_columns, list_failures
 from ..harness import first_screen
 from ..harness.study import Row, Table, at_most
-from .measures import largest_distance
 from .person import WHOSE, person
 
 MEAN, QUADRATIC = "the mean face", ", beside quadratic tets"
@@ -98,28 +96,20 @@ class Faces(Contest):
         ready = m.ready_methods(self.find_network(), beyond="clamp")
         methods: list[str | Method] = [m.PD_FIRST_ORDER, *ready.values(), m.SETTLED_TETS]
         if name.startswith(MEAN) or name == "person 1":
-            methods.append(m.FENICSX)
+            methods += first_screen.SAME_ENERGY
         return [*methods, m.FENICSX_NEO_HOOKEAN] if name.startswith(MEAN) else methods
 
     def list_truths(self, name: str) -> Sequence[str]:
         """List the simulator, the one that the network learned, and on two cases quadratic elements."""
         return (m.PD, m.PD_TETS, m.FENICSX_P2) if name.endswith(QUADRATIC) else (m.PD, m.PD_TETS)
 
-    def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, object]:
-        """Measure skins, and the largest distance of all vertices where both have the same."""
-        measured = compare_skins(face, weights, own, true)
-        if own.positions is None or true.positions is None or own.positions.shape != true.positions.shape:
-            return measured
-        return {**measured, "apart": largest_distance(own.positions, true.positions)}
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that solvers made every frame, and that two of one energy agree; `words` tell what else failed."""
         lines = collect_rows(rows)
         failed = list_failures(line for line in lines if line["method"] in first_screen.SOLVERS)
         gates = [at_most("frames that a solver could not make", len(failed), 0)]
-        apart = [line["to"][m.PD]["apart"] for line in lines if line["method"] == m.FENICSX and m.PD in line["to"]]
-        if apart:
-            gates.append(at_most("FEniCSx to PD, same energy, largest distance of a vertex [mm]", max(apart), SAME))
+        if apart := first_screen.measure_apart(lines):
+            gates.append(at_most("FEniCSx to PD, same energy, largest distance of the skin [mm]", max(apart), SAME))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
