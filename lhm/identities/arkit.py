@@ -48,8 +48,8 @@ def arkit_name(name: str) -> str | None:
 def _name_and_half(name: str) -> tuple[str | None, str]:
     """Find the expression that a name stands for, or None, and "left" or "right" where it is half of one."""
     text = name.strip()
-    if side := _SIDE.search(text):
-        text = text[: side.start()] + _SIDES[text[-1].lower()]
+    if ending := _SIDE.search(text):
+        text = text[: ending.start()] + _SIDES[text[-1].lower()]
     last = re.split(r"[.:|]", text)[-1]
     for spelling in (text, last, _PREFIX.sub("", last, count=1)):
         known = re.sub(r"[\s_.-]", "", spelling).lower()
