@@ -34,7 +34,7 @@ from .runtime import Beyond, BoundRig, Surrogate
 
 PD, PD_TETS, PD_PLAIN, PD_ANDERSON = "PD", "PD, tets", "PD, plain", "PD, Anderson"
 PD_FIRST_ORDER, PD_AS_TRAINED = "PD, from first order", "PD, to the corpus' tolerance"
-FENICSX, FENICSX_TETS, FENICSX_FROM_PD = "FEniCSx", "FEniCSx, tets", "FEniCSx, from PD's answer"
+FENICSX, FENICSX_TETS = "FEniCSx", "FEniCSx, tets"
 FENICSX_P2, FENICSX_P2P1 = "FEniCSx, P2", "FEniCSx, P2-P1"
 FENICSX_NEO_HOOKEAN = "FEniCSx, neo-Hookean"
 SKFEM, SKFEM_P2, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, P2", "scikit-fem, neo-Hookean"
@@ -313,7 +313,6 @@ METHODS: Mapping[str, Method] = {
         simulate(PD_AS_TRAINED, solve_as_corpora, "#9a8fd1"),
         solve_by(FENICSX, "fenicsx", "#d62728"),
         solve_by(FENICSX_TETS, "fenicsx", "#f0908f", cells="tets"),
-        solve_by(FENICSX_FROM_PD, "fenicsx", "#f4b6b5", tolerance=1e-4, near=True),
         solve_by(FENICSX_P2, "fenicsx", "#8c1a1a", tolerance=1e-6, near=True, cells="tets", element="P2"),
         solve_by(
             FENICSX_P2P1, "fenicsx", "#a0522d", law=NEO_HOOKEAN, tolerance=1e-6, near=True, cells="tets", element="P2P1"
