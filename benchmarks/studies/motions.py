@@ -37,7 +37,8 @@ def run_motion(name: str, head: LayeredHead) -> problems.Outcome:
     Bones are held. The mass per skin area is the one with which Eq. 9 of p's springs swings at p's frequency. Raises
     SoftdecaError for a march that stops early.
     """
-    face = Face(head, choices={"bones": "prescribed"})
+    # Eq. 9 is of springs at vertices, which faces of tets have.
+    face = Face(head, choices={"bones": "prescribed", "cells": "tets"})
     scene, p = face.neutral_scene(), face.parameters
     drawn = draw_cheek(head)
     start = None if name == SHAKEN else solve(scene.with_targets(drawn), solver="fenicsx", tolerance=TIGHT)
