@@ -129,7 +129,9 @@ def _pieces(scan: Scan) -> Iterator[tuple[Scan, str]]:
     a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if motion.any():
-        size: Floats = np.bincount(of_triangle, weights=area * motion[scan.triangles].mean(axis=1), minlength=count)
+        size = np.bincount(of_triangle, weights=area * motion[scan.triangles].mean(axis=1), minlength=count).astype(
+            np.float64
+        )
         order, how = [size.argmax()], "one that the morph targets move most"
     else:
         size = _enclosed(np.stack([a, b, c], axis=1), area, of_triangle, count)

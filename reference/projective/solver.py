@@ -170,7 +170,7 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(self.scene, positions),
             detail=work.counts() | contact,
-            recovery=partial(recover, scene, positions, self.contact and self.contact.find_pushes),
+            recovery=partial(recover, scene, positions, self.contact.find_pushes if self.contact else None),
             times=recorder.times(self.spent),
         )
 

@@ -97,7 +97,7 @@ class Depth(Study):
             regressor = default_regressor(template, space)
         skin, off = read_skin(Path(self.skin), space, unit=self.unit)
         about = {"trained_on": regressor.label, "pairs": regressor.pairs, "registered_off": off}
-        return about | compare_depths(template, regressor, skin, self._read_skull())
+        return {**about, **compare_depths(template, regressor, skin, self._read_skull())}
 
     def _read_skull(self) -> Surface:
         return read_skull([Path(path) for path in self.skulls], unit=self.unit)

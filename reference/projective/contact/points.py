@@ -42,8 +42,8 @@ class ContactPoints:
         parts = [(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4)))]
         for obstacle in obstacles:
             parts.append(_hang(obstacle, scene, bodies))
-        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return cls(vertices, *columns, np.zeros((len(vertices), 3)))
+        places, carriers, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(vertices, places, carriers, shares, np.zeros((len(vertices), 3)))
 
     def drawn_back(self, scene: Scene, points: Ints, way: float) -> ContactPoints:
         """Return the same, but some points (any) of vertices met `way` [mm] further within their tets at rest."""
