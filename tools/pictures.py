@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RECORD = DOCS / "pictures.toml"
-SCAN = ROOT / "tests" / "lee_perry_smith.glb"
+SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
 DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py", "lhm/identities/organs.py")
 HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
 NETWORK = ("surrogate/pretrained/anny.safetensors",)

@@ -4,7 +4,6 @@ import base64
 import json
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -237,9 +236,9 @@ def test_positions_of_a_gltf_may_be_sparse_alone(tmp_path):
     np.testing.assert_array_equal(mesh_of(written(tmp_path / "a.glb", made.glb()))[0], X)
 
 
-def test_a_draco_file_is_read():
+def test_a_draco_file_is_read(data):
     pytest.importorskip("DracoPy")
-    done = repair_scan(read_scan(Path(__file__).parents[1] / "lee_perry_smith.glb"))
+    done = repair_scan(read_scan(data / "heads" / "lee_perry_smith.glb"))
     assert len(done.scan.vertices) == 8844 and len(find_openings(done.scan.triangles)) == 4
     assert any("379 vertices" in note for note in done.notes)
 
