@@ -178,14 +178,20 @@ def _warm_up(method: Method, warm: Case) -> float:
     return _warmed[key]
 
 
-def compare_skins(face: Face, weights: Floats, own: Made, true: Made) -> dict[str, Any]:
+def compare_skins(
+    face: Face, weights: Floats, own: Made, true: Made, *, inside: np.ndarray | None = None
+) -> dict[str, Any]:
     """Measure a skin's distances [mm] to a true one, where that moves beyond scaled bones and everywhere.
+
+    inside: a mask (n,) of the vertices that count; None is all.
 
     mean, p95, largest, moved, share, vertices: see `surrogate.ruler`; None where nothing moves. everywhere, farthest:
     mean and largest distance over all vertices.
     """
-    error = np.linalg.norm(own.skin - true.skin, axis=1)
-    figures = asdict(measure(error, np.linalg.norm(true.skin - face.blend(weights) - face.carried, axis=1)))
+    counted = slice(None) if inside is None else inside
+    error = np.linalg.norm(own.skin - true.skin, axis=1)[counted]
+    motion = np.linalg.norm(true.skin - face.blend(weights) - face.carried, axis=1)[counted]
+    figures = asdict(measure(error, motion))
     figures = {key: value if np.isfinite(value) else None for key, value in figures.items()}
     return figures | {"everywhere": float(error.mean()), "farthest": float(error.max())}
 

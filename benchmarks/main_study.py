@@ -16,8 +16,8 @@ from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.corpus.schedule import count_processors, make_schedule
+from ..surrogate.methods import PD, PD_TETS
 from .harness import Results, RunRequest, Study, run_together
-from .harness.first_screen import PRISMS, TETS
 from .harness.processes import read_cpu_seconds
 from .harness.report import ReportPart, write_report
 from .studies.agreement.material import Material
@@ -59,7 +59,7 @@ def choose_studies(agreement: Agreement, out: Path, corpus: Path, *, small: bool
         (Verification(), "two layers" if small else ""),
         (Hard(solvers=("projective",)), "flattened" if small else ""),
         (Material(poisson=("0.45",)), ""),
-        (MeshError(identities=whose, level=level, refined=(), methods=(TETS, PRISMS)), MESH_CASE),
+        (MeshError(identities=whose, level=level, refined=(), methods=(PD_TETS, PD)), MESH_CASE),
     ]
     if learned and not agreement.weights:
         frames = ("mouthPucker",) if small else ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")

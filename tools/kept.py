@@ -95,7 +95,7 @@ KEPT: Mapping[str, Kept] = {
     "hard": Kept("hard"),
     "heads": Kept("heads", {"count": 200}),
     "material": Kept("material"),
-    "mesh": Kept("mesh"),
+    "mesh": Kept("mesh", {"people": 10, "expressions": ()}),
     "minimal": Kept("minimal"),
     "ranks": Kept("ranks", {"processes": (1, 2)}),
     "split": Kept("split"),

@@ -25,8 +25,6 @@ ACCURACY = 0.01
 FACE_ENERGY = "Eq. 15"
 """In the name of the energy whose faces every method makes."""
 OVERALL = "all"
-TETS, PRISMS = "PD, tets", "PD, prisms"
-"""Meshes of the study `mesh`."""
 ALL_VERTICES, SKIN = "all vertices", "skin"
 """What a comparison of `agreement` is over."""
 
@@ -107,16 +105,16 @@ def tell_distance(rows: Sequence[Row]) -> str:
     """Tell how far the simulator is from converged finite elements, by rows of `mesh`; nothing without them."""
     told = []
     for kind in ("effects", "expressions"):
-        prisms, tets = (mean_share(rows, name, kind) for name in (PRISMS, TETS))
+        prisms, tets = (mean_share(rows, name, kind) for name in (m.PD, m.PD_TETS))
         if prisms is not None and tets is not None:
             told.append(f"{100 * prisms:.0f} % of the motion over {kind} (by tets {100 * tets:.0f} %)")
     return f"The simulator misses converged finite elements by {' and '.join(told)}." if told else ""
 
 
-def mean_share(rows: Sequence[Row], mesh: str, kind: str) -> float | None:
-    """Give the mean share of the motion that a mesh misses, in rows of `mesh` of a kind or case."""
-    lines = (line for row in rows if kind in (row.values.get("kind"), row.case) for line in row.values["rows"])
-    shares = [line["share"] for line in lines if line["what"] == mesh]
+def mean_share(rows: Sequence[Row], method: str, kind: str) -> float | None:
+    """Average the share of the motion that a method misses to quadratic tets, over rows of a kind or effect."""
+    lines = (line for row in rows for line in row.values["rows"] if kind in (line["kind"], line["what"]))
+    shares = [line["to"][m.FENICSX_P2]["share"] for line in lines if line["method"] == method and line["to"]]
     return float(np.mean(shares)) if shares else None
 
 

@@ -24,7 +24,7 @@ CHEAP = {
         "effects": ("volume +40 %",),
         "expressions": (),
         "refined": ("volume +40 %",),
-        "methods": ("PD, tets", "PD, prisms"),
+        "methods": ("PD, tets", "PD"),
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.harness.first_screen import PRISMS, tell_distance
+from softdeca.benchmarks.harness.first_screen import tell_distance
 from softdeca.benchmarks.studies.agreement.pictures import cut_tets
 from softdeca.benchmarks.studies.arena.contest import run_outside, summarise
 from softdeca.benchmarks.studies.arena.laws import RIGID
@@ -25,6 +25,7 @@ from softdeca.lhm import check_head, fit_head, identities, load_template
 from softdeca.reference import Parameters, Scene, facial_scene, prepare, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.terms.term import triangle_areas
+from softdeca.surrogate.methods import FENICSX_P2, PD, PD_TETS
 
 pytestmark = pytest.mark.usefixtures("measured_here")
 
@@ -69,12 +70,11 @@ def test_a_refined_scene_is_the_same_problem(spheres):
 
 
 def mesh_row(case, tets, prisms, left=None):
-    lines = [
-        {"what": "PD, tets", "share": tets, "converged": True},
-        {"what": PRISMS, "share": prisms, "converged": True},
-    ]
-    kind = {"kind": "effects" if case in EFFECTS else "expressions"} if left is None else {"left": left}
-    return Row(case, "seed 900", "done", "", {"rows": lines, **kind}, 1.0, None, 0.0, "")
+    kind = "refined" if left is not None else "effects" if case in EFFECTS else "expressions"
+    about = {"case": case, "what": case, "kind": kind, "status": "done"}
+    shares = {PD_TETS: tets, PD: prisms}
+    lines = [about | {"method": name, "to": {FENICSX_P2: {"share": share}}} for name, share in shares.items()]
+    return Row(case, "", "done", "", {"rows": lines} | ({} if left is None else {"left": left}), 1.0, None, 0.0, "")
 
 
 def missed(*rows):

@@ -55,6 +55,26 @@ def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
     return Scene(finer.vertices, finer.tets, tuple(parts)), ends
 
 
+def keep_used(scene: Scene) -> tuple[Scene, Ints]:
+    """Leave out what no tet of a region's scene has; also the vertices (k,) that are left."""
+    used = np.unique(scene.tets)
+    number = np.full(len(scene.vertices), -1)
+    number[used] = np.arange(len(used))
+
+    def renumber(term: Any) -> terms.Term:
+        changes: dict[str, Any] = {}
+        if isinstance(term, terms.SurfaceStrain | terms.Bending | terms.Target):
+            changes["triangles"] = number[term.triangles]
+        if isinstance(term, terms.Target | terms.Fixed):
+            kept = number[term.vertices] >= 0
+            changes["vertices"] = number[term.vertices[kept]]
+            names = ("positions", "stiffness") if isinstance(term, terms.Target) else ("values",)
+            changes |= {name: getattr(term, name)[kept] for name in names}
+        return replace(term, **changes)
+
+    return Scene(scene.vertices[used], number[scene.tets], tuple(map(renumber, scene.terms))), used
+
+
 def carry(values: Floats, ends: Ints) -> Floats:
     """Append the means over edges (e, 2) to values of vertices."""
     return np.concatenate([values, values[ends].mean(axis=1)])

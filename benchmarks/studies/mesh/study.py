@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,19 +15,23 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.limits import SEED, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
-from ....lhm.expressions import parse_weights
+from ....lhm.expressions import ARKIT, parse_weights
+from ....lhm.head.flesh import cheek_share
 from ....lhm.head.head import LayeredHead
 from ....lhm.template.template import LEVELS
-from ....reference import Face, Parameters, Solution, solve
-from ....reference.face.settle import SettledFace, carry_by_bones, carry_skin, neutral_scene, settle
-from ....reference.face.tissue import CellKind
+from ....reference import Face, Parameters, solve
+from ....reference.face.settle import carry_by_bones, carry_skin, neutral_scene
+from ....surrogate import methods as m
 from ....surrogate.corpus.mixture import draw
-from ....surrogate.ruler import MOVES, measure
-from ...harness.first_screen import PRISMS, TETS, mean_share, tell_distance
+from ....surrogate.methods import METHODS, Method, Solved, SolvedRig, use_solver
+from ....surrogate.ruler import measure
+from ...contest import Case, Contest, Made, compare_skins, run_contest
+from ...harness.first_screen import mean_share, tell_distance
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
-from ..measures import count_work, distances, load_kernels
+from ..measures import distances
 from ..person import OfPerson, Person, check_known
-from .refine import carry, refine_scene
+from .face import extrapolate
+from .refine import carry, keep_used, refine_scene
 
 EFFECTS: Mapping[str, Parameters] = {
     "volume -20 %": Parameters(soft_volume=0.8),
@@ -51,70 +54,29 @@ RANDOM = 700
 DRAWN = "volume +40 %", "3 g, 2 kPa"
 """Effects that are drawn on the first person."""
 COARSE = 1
-"""Level of the head on which quadratic tets are refined."""
-ORDERS = 0.5, 3.0
-"""Bounds of the order of quadratic tets by which they are extrapolated; the highest is that of a smooth answer."""
-REFINED = ", refined"
-"""End of the method of rows that refine quadratic tets."""
+"""Level of the head whose cheek's quadratic tets are refined."""
+REFINED = "quadratic tets, refined twice"
+"""The method of rows that refine them."""
+TRUTH = m.FENICSX_P2
+COARSER, FINER, SUBLAYERS = "PD, coarser head", "PD, finer head", "PD, two sub-layers"
+TOLERANCE, LOOSE = 1e-6, 1e-4
+"""Of refined solves, and of expressions by quadratic tets: gradient norm relative to that at the start."""
+MESHES = (m.PD_TETS, m.PD, COARSER, FINER, SUBLAYERS)
+"""What is compared with the truth."""
 
 
 @dataclass(frozen=True)
-class Discretisation:
-    """Cells of a head of so many levels above the study's, sub-layers of its tissues, and how a scene is solved."""
-
-    cells: CellKind = "prisms"
-    finer: int = 0
-    layers: tuple[int, int] = (1, 1)
-    how: Mapping[str, Any] = field(
-        default_factory=lambda: {"solver": "projective", "tolerance": 1e-7, "max_iterations": 3000}
-    )
-
-
-TRUTH = "FEniCSx, quadratic tets"
-METHODS: Mapping[str, Discretisation] = {
-    TETS: Discretisation("tets"),
-    PRISMS: Discretisation(),
-    "PD, prisms, coarser head": Discretisation(finer=-1),
-    "PD, prisms, finer head": Discretisation(finer=1),
-    "PD, prisms, two sub-layers": Discretisation(layers=(2, 2)),
-    "FEniCSx, prisms": Discretisation(how={"solver": "fenicsx", "tolerance": 1e-6}),
-}
-QUADRATIC = Discretisation("tets", how={"solver": "fenicsx", "element": "P2", "tolerance": 1e-6})
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A face's skin [mm]; the neutral face and the expression that were solved for it; tets and processor time [s]."""
-
-    skin: Floats
-    settled: SettledFace
-    expressed: Solution | None
-    tets: int
-    seconds: float
-
-    @property
-    def solutions(self) -> Sequence[Solution]:
-        """The one or two solves that it took."""
-        return [each for each in (self.settled.solution, self.expressed) if each is not None]
-
-    def describe(self, what: str) -> dict[str, Any]:
-        """Give the line of a mesh; the work is that of the last solve."""
-        work = count_work(self.solutions[-1]) | {"converged": all(each.converged for each in self.solutions)}
-        return {"what": what, "tets": self.tets, "seconds": self.seconds, **work}
-
-
-@dataclass(frozen=True)
-class MeshError(OfPerson):
+class MeshError(OfPerson, Contest):
     """Effects that settle the neutral face of some people, and expressions, by several meshes and quadratic tets."""
 
     name = "mesh"
-    version = 2
+    version = 3
     heading = "How far is the simulator from converged finite elements?"
     question = "Which share of a face's motion do tets and prisms miss, of which size, and how exact is the truth?"
     needs = ("people", "heads")
+    timed = False
     columns = (
-        Column("what", "mesh"),
-        Column("tets", "tets"),
+        Column("method", "mesh"),
         Column("share", "missed, of the motion"),
         Column("mean", "distance, mean [mm]"),
         Column("p95", "95 % [mm]"),
@@ -125,13 +87,14 @@ class MeshError(OfPerson):
     )
     note = (
         "Distances of the face's skin to quadratic tets on the study's head, over the vertices that move by more than "
-        "0.05 mm beyond scaled bones, with prescribed bones. Effects settle the neutral face. Each expression is one "
-        "person's, under random materials and effects, and its neutral face settles first. Seconds count scene, "
-        "preparation and solve of both; quadratic tets start at PD's prisms, whose seconds are counted. Coarser and "
-        "finer heads have other wraps, whose difference is part of their error. Refined: linear and quadratic tets on "
-        f"a head of level {COARSE}, and on its tets split into eight, as long as those of the truth. The order of "
-        "quadratic tets is the one by which both elements' steps are extrapolated to the same limit, by least "
-        "squares; `left` is the finer quadratic answer's distance to it."
+        "0.05 mm beyond scaled bones, with prescribed bones. The first person settles by every effect, each other one "
+        "by one of them in turn. Each expression is one person's, under random materials and effects, and its neutral "
+        "face settles first. Seconds count what settles and solves, once code is compiled; quadratic tets start at "
+        f"PD's prisms, whose seconds are counted, and those of expressions end at {LOOSE:g} of the gradient there. "
+        "Coarser and finer heads have other wraps, whose difference is part of their error. Refined: the left cheek of "
+        f"a head of level {COARSE}, the rest of which is held, by quadratic "
+        "tets on its mesh, and on that split into eight and into 64. The order is the one that the three answers show; "
+        "`left` is the middle one's distance to their extrapolated limit: its elements have the size of the truth's."
     )
     limit = 7200.0
     bounds: ClassVar[Mapping[str, float]] = {"effects": 0.12, "expressions": 0.1, "truth": 0.05, "tets": 1.0}
@@ -142,59 +105,106 @@ class MeshError(OfPerson):
     effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
     expressions: tuple[str, ...] = option(EXPRESSIONS, "as jawOpen*0.5+cheekPuff; repeat for several")
     refined: tuple[str, ...] = option(DRAWN, "an effect by refined quadratic tets; repeat for several")
-    methods: tuple[str, ...] = option(tuple(METHODS), f"one of {', '.join(METHODS)}; repeat for several")
+    methods: tuple[str, ...] = option(MESHES, f"one of {', '.join(MESHES)}; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
         """List effects of people, expressions, and what is refined. Raises InputError for options out of range."""
         self.check(self.expressions)
         check_known("effect", (*self.effects, *self.refined), EFFECTS)
-        check_known("method", self.methods, METHODS)
+        check_known("method", self.methods, MESHES)
         if self.people < 1:
             raise InputError(f"people: must be at least 1, got {self.people}")
-        settling = [Task(name, f"seed {self.seed + k}") for k in range(self.people) for name in self.effects]
-        moving = [Task(text, f"seed {self.seed + k}") for k, text in enumerate(self.expressions)]
-        return settling + moving + [Task(name, f"seed {self.seed}{REFINED}") for name in self.refined]
+        return [*super().tasks(), *(Task(name, REFINED) for name in self.refined)]
+
+    def list_cases(self) -> Sequence[str]:
+        """Name effects and expressions with the seed of whom they move."""
+        return [*self._describe_cases()]
+
+    def _describe_cases(self) -> dict[str, tuple[str, int]]:
+        """Give an effect or expression, and the person's number, by case."""
+        effects = [(name, 0) for name in self.effects]
+        if self.effects:
+            effects += [(self.effects[k % len(self.effects)], k) for k in range(1, self.people)]
+        described = [*effects, *((text, k) for k, text in enumerate(self.expressions))]
+        return {f"{text}, seed {self.seed + k}": (text, k) for text, k in described}
+
+    def make_case(self, name: str) -> Case:
+        """Make a face under an effect, without an expression, or an expression's under random materials and effects."""
+        text, number = self._describe_cases()[name]
+        person = self.person(seed=self.seed + number)
+        if text in EFFECTS:
+            kind, p, weights = "effects", EFFECTS[text], np.zeros(len(ARKIT))
+        else:
+            kind, p, weights = "expressions", _draw_parameters(person, number), parse_weights(text)
+        return Case(name, kind, lambda: _make_face(person, p), weights[None], about={"what": text})
+
+    def list_methods(self, name: str) -> Sequence[Method]:
+        """List the meshes; see `MESHES`."""
+        text, number = self._describe_cases()[name]
+        levels = {COARSER: self.level - 1, FINER: self.level + 1}
+        methods = []
+        for mesh in self.methods:
+            if mesh in METHODS:
+                methods.append(METHODS[mesh])
+            elif levels.get(mesh, self.level) in LEVELS:
+                head = self.person(levels.get(mesh), self.seed + number).head
+                methods.append(_on_mesh(mesh, head, (2, 2) if mesh == SUBLAYERS else (1, 1)))
+        return [_at_rest(method) for method in methods] if text in EFFECTS else methods
+
+    def list_truths(self, name: str) -> Sequence[Method]:
+        """Give quadratic tets."""
+        text, _ = self._describe_cases()[name]
+        return [_at_rest(METHODS[TRUTH]) if text in EFFECTS else _loosen(METHODS[TRUTH])]
+
+    def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, Any]:
+        """Compare skins in the face."""
+        return compare_skins(face, weights, own, true, inside=_find_face(face.head))
+
+    def warm(self) -> Case | None:
+        """Settle a coarse head first, which compiles."""
+        person = self.person(min(LEVELS), self.seed)
+        weights = np.zeros((1, len(ARKIT)))
+        return Case("uncounted", "effects", lambda: _make_face(person, EFFECTS["volume -20 %"]), weights)
 
     def measure(self, task: Task) -> Values:
-        """Solve one case by its meshes; each is one of `rows`."""
-        _load_solvers()
-        seed = int(task.method.removesuffix(REFINED).split()[1])
-        if task.method.endswith(REFINED):
-            return _refine(self.person(COARSE, seed), EFFECTS[task.case])
-        person = self.person(seed=seed)
-        weights = None if task.case in EFFECTS else parse_weights(task.case)
-        p = _draw_parameters(person, seed - self.seed) if weights is not None else EFFECTS[task.case]
-        answers = {PRISMS: find_answer(person, p, weights, METHODS[PRISMS])}
-        truth = find_answer(person, p, weights, QUADRATIC, answers[PRISMS])
-        for name in self.methods:
-            level = self.level + METHODS[name].finer
-            if name not in answers and level in LEVELS:
-                answers[name] = find_answer(self.person(level, seed), p, weights, METHODS[name])
-        rest = person.head.skin.vertices if weights is None else person.blend(weights)
-        moved = truth.skin - rest - person.face(p).carried
-        answers[TRUTH] = truth
-        rows = [
-            answers[name].describe(name) | _compare(answers[name].skin, truth.skin, moved, person.head)
-            for name in (*METHODS, TRUTH)
-            if name in answers
-        ]
+        """Solve one case by its meshes, or an effect on refined ones; each is one of `rows`."""
+        if task.method == REFINED:
+            return _refine(self.person(COARSE, self.seed), task.case)
+        case, skins = self.make_case(task.case), {}
+        methods = [_remember(method, skins) for method in self.list_methods(task.case)]
+        truths = [_remember(method, skins) for method in self.list_truths(task.case)]
+        rows = run_contest(case, methods, truths, compare=self.compare, warm=self.warm())
         pictures = {}
-        if task.case in DRAWN and seed == self.seed and TETS in answers:
-            shown = {f"{row['what']}: misses {100 * row['share']:.0f} %": answers[row["what"]].skin for row in rows[:2]}
-            caption = f"{task.case}: how far tets and prisms are off, and how far quadratic tets move"
-            pictures[caption] = draw_errors(person.head, shown, truth.skin, moved)
-        return {"kind": "expressions" if weights is not None else "effects", "rows": rows, **pictures}
+        text, number = self._describe_cases()[task.case]
+        if text in DRAWN and number == 0 and {m.PD, m.PD_TETS, TRUTH} <= skins.keys():
+            face = case.make()
+            missed = {row["method"]: 100 * row["to"][TRUTH]["share"] for row in rows if row["to"]}
+            shown = {f"{name}: misses {missed[name]:.0f} %": skins[name] for name in (m.PD_TETS, m.PD)}
+            caption = f"{text}: how far tets and prisms are off, and how far quadratic tets move"
+            moved = skins[TRUTH] - face.blend(case.weights[0]) - face.carried
+            pictures[caption] = draw_errors(face.head, shown, skins[TRUTH], moved)
+        return {"rows": rows, **pictures}
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """Give the report's lines: rows with their distance to the truth and what they took."""
+        lines = []
+        for row in values["rows"]:
+            seconds = None if row["frame_s"] is None else row["bind_s"] + row["frame_s"]
+            told = {"iterations": row["told"].get("iterations"), "seconds": seconds}
+            lines.append(row | row["to"].get(TRUTH, {}) | told)
+        return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that prisms are near converged elements and nearer than tets, and that the truth is one."""
         lines = [line for row in rows for line in row.values["rows"]]
         if not lines:
             return []
-        unfinished = sum(not line["converged"] for line in lines)
+        unfinished = sum(line["status"] != "done" for line in lines)
         gates = [at_most("solves that did not reach what was asked", unfinished, 0)]
         what = "share of the motion that prisms miss, mean over"
         for kind in ("effects", "expressions"):
-            tets, prisms = (mean_share(rows, name, kind) for name in (TETS, PRISMS))
+            tets, prisms = (mean_share(rows, name, kind) for name in (m.PD_TETS, m.PD))
             if prisms is not None:
                 gates.append(at_most(f"{what} {kind}", prisms, self.bounds[kind]))
             if tets is not None and prisms:
@@ -212,40 +222,38 @@ class MeshError(OfPerson):
         for row in rows:
             if "left" in row.values:
                 sentences.append(
-                    f"{row.case}: refined once, quadratic tets on level {COARSE} change by "
-                    f"{100 * row.values['step']:.1f} % of the motion; {100 * row.values['left']:.1f} % are left by "
-                    f"their order {row.values['order']:.1f}."
+                    f"{row.case}, on a cheek: quadratic tets of the truth's size are {100 * row.values['left']:.1f} % "
+                    f"of the motion off the limit of three meshes, by their order {row.values['order']:.1f}."
                 )
         return " ".join(text for text in sentences if text)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate each mesh's mean share by effect and over expressions, with its time."""
-        compared = [row for row in rows if "kind" in row.values]
-        cases = dict.fromkeys(row.case for row in compared if row.case in EFFECTS)
-        lines = []
-        for name in (*METHODS, TRUTH):
-            own = [line for row in compared for line in row.values["rows"] if line["what"] == name]
-            if own:
+        compared = [row for row in rows if row.method != REFINED]
+        lines = [line for row in compared for line in self.lines(row.values) if line["status"] == "done"]
+        cases = dict.fromkeys(line["what"] for line in lines if line["kind"] == "effects")
+        table = []
+        for name in (*MESHES, TRUTH):
+            if own := [line for line in lines if line["method"] == name]:
                 shares = [mean_share(compared, name, kind) for kind in (*cases, "effects", "expressions")]
                 percent = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
-                seconds = float(np.median([line["seconds"] for line in own]))
-                lines.append((name, int(np.median([line["tets"] for line in own])), *percent, seconds))
-        titles = ["mesh", "tets", *cases, "effects, mean", "expressions, mean", "processor time, median [s]"]
-        refined = [(row.case, *(row.values[key] for key in ("step", "order", "left")))
-                   for row in rows if "left" in row.values]  # fmt: skip
-        head = ["effect", "step of quadratic tets, of the motion", "order", "left, of the motion"]
+                table.append((name, *percent, float(np.median([line["seconds"] for line in own]))))
+        titles = ["mesh", *cases, "effects, mean", "expressions, mean", "processor time, median [s]"]
+        keys = ("share", "order", "left", "tets")
+        refined = [(row.case, *(row.values[key] for key in keys)) for row in rows if row.method == REFINED]
+        head = ["effect", "middle mesh to the finest, of the motion", "order", "left, of the motion", "tets of all"]
         tables = [
-            Table("Share of the motion that a mesh misses", titles, lines),
-            Table(f"The truth refined, level {COARSE}", head, refined),
+            Table("Share of the motion that a mesh misses", titles, table),
+            Table(f"The truth refined: the left cheek of a head of level {COARSE}", head, refined),
         ]
         return [table for table in tables if table.rows]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw what each mesh misses against its time."""
-        compared = [row for row in rows if "kind" in row.values]
+        compared = [line for row in rows for line in self.lines(row.values) if "share" in line]
         figure, axis = subplots(figsize=(6.4, 3.8))
-        for name in METHODS:
-            own = [line for row in compared for line in row.values["rows"] if line["what"] == name]
+        for name in MESHES:
+            own = [line for line in compared if line["method"] == name and line["share"] is not None]
             if own:
                 seconds, shares = (np.array([line[key] for line in own]) for key in ("seconds", "share"))
                 (dots,) = axis.plot(seconds, 100 * shares, ".", alpha=0.35)
@@ -257,35 +265,8 @@ class MeshError(OfPerson):
         return {"What a mesh misses against its time; large: mean and median.": to_svg(figure)}
 
 
-def find_answer(
-    person: Person, p: Parameters, weights: Floats | None, mesh: Discretisation, near: Answer | None = None
-) -> Answer:
-    """Settle a neutral face by a mesh, from that of another answer; with weights (52,), solve their expression on it.
-
-    The time includes that of the answer where it starts.
-    """
-    shapes = person.shapes if weights is not None else np.zeros((0, 0, 3))
-    begin = time.process_time()
-    choices: dict[str, Any] = {"bones": "prescribed", "cells": mesh.cells, "layers": mesh.layers}
-    start = None if near is None else near.settled.positions
-    settled = settle(person.head, p, start=start, **mesh.how, **choices)
-    skin, expressed, tets = settled.skin, None, 0 if settled.solution is None else len(settled.solution.volume_ratio)
-    if weights is not None:
-        face = Face(person.head, shapes, p, per="wraps", choices=choices).settled_as(settled)
-        scene = face.scene(weights)
-        start = None if near is None or near.expressed is None else near.expressed.positions
-        expressed, tets = solve(scene, start=start, **mesh.how), len(scene.tets)
-        skin = face.skin_after(weights, expressed.positions)
-    seconds = time.process_time() - begin + (0.0 if near is None else near.seconds)
-    return Answer(skin, settled, expressed, tets, seconds)
-
-
-@lru_cache(maxsize=1)
-def _load_solvers() -> None:
-    """Do once per process what is in no answer's time."""
-    load_kernels()
-    for element in ("P1", "P2"):
-        load_kernels(solver="fenicsx", element=element)
+def _make_face(person: Person, p: Parameters) -> Face:
+    return replace(person.face(p), choices={"bones": "prescribed"})
 
 
 def _draw_parameters(person: Person, number: int) -> Parameters:
@@ -293,10 +274,49 @@ def _draw_parameters(person: Person, number: int) -> Parameters:
     return drawn.parameters(person.head, person.space.mean)
 
 
-def _compare(skin: Floats, truth: Floats, moved: Floats, head: LayeredHead) -> dict[str, Any]:
-    """Measure the face's distances to the truth (n, 3) [mm], and their share of how it has `moved` (n, 3)."""
-    face = _find_face(head)
-    return asdict(measure(distances(skin, truth)[face], np.linalg.norm(moved, axis=1)[face]))
+def _on_mesh(name: str, head: LayeredHead, layers: tuple[int, int]) -> Method:
+    """Make PD on another head of the same skin, with so many sub-layers of soft tissue and of muscle."""
+    base = METHODS[m.PD]
+
+    def bind(face: Face) -> SolvedRig:
+        rig: SolvedRig = base.bind(replace(face, head=head, choices={**face.choices, "layers": layers}))
+        return rig
+
+    return replace(base, name=name, bind=bind)
+
+
+def _at_rest(method: Method) -> Method:
+    """Take the settled neutral face of a solver for its frame, in place of that drawn to it again by targets."""
+
+    def bind(face: Face) -> SolvedRig:
+        settled = method.bind(face).settled
+        told = {} if settled.solution is None else {"iterations": settled.solution.iterations}
+        return SolvedRig(face.skin, lambda weights: Solved(settled.skin, settled.positions, told), settled)
+
+    return replace(method, bind=bind)
+
+
+def _loosen(method: Method) -> Method:
+    """Solve expressions to LOOSE."""
+    assert method.solver is not None
+    solver = replace(method.solver, tolerance=LOOSE)
+    return replace(method, solver=solver, bind=use_solver(solver, method.cells))
+
+
+def _remember(method: Method, skins: dict[str, Floats]) -> Method:
+    """Put a method's frame [mm] into `skins`, by its name."""
+
+    def bind(face: Face) -> SolvedRig:
+        rig = method.bind(face)
+
+        def solve(weights: Floats) -> Solved:
+            frame = rig.solve(weights)
+            skins[method.name] = frame.skin
+            return frame
+
+        return replace(rig, solve=solve)
+
+    return replace(method, bind=bind)
 
 
 def _find_face(head: LayeredHead) -> np.ndarray:
@@ -304,38 +324,40 @@ def _find_face(head: LayeredHead) -> np.ndarray:
     return head.on_skin(["face"]) if "face" in head.regions else np.ones(len(head.skin.vertices), dtype=bool)
 
 
-def _refine(person: Person, p: Parameters) -> Values:
-    """Solve an effect by linear and quadratic tets, on a head's tets and on each split into eight."""
-    head, count = person.head, len(person.head.bone)
-    coarse = neutral_scene(head, p, cells="tets")
-    finer, ends = refine_scene(coarse)
-    start = carry_by_bones(head, p)
-    solved: dict[str, tuple[Solution, float]] = {}
-    for end, scene in {"": coarse, REFINED: finer}.items():
-        for element, mesh in {"linear tets": METHODS[TETS], "quadratic tets": QUADRATIC}.items():
-            begin = time.process_time()
-            solution = solve(scene, start=start, **mesh.how)
-            solved[element + end] = solution, time.process_time() - begin
-            start = solution.positions
-        start = carry(solved["linear tets"][0].positions, ends)
-    skins = {
-        name: head.skin.vertices + head.skin_from_wrap @ (solution.positions[:count] - head.skin_wrap.vertices)
-        for name, (solution, _) in solved.items()
-    }
-    finest = skins[f"quadratic tets{REFINED}"]
-    moved = finest - head.skin.vertices - carry_skin(head, p)
-    rows = []
-    for name, (solution, seconds) in solved.items():
-        line = {"what": name, "tets": len(solution.volume_ratio), "seconds": seconds, **count_work(solution)}
-        rows.append(line | _compare(skins[name], finest, moved, head))
-    counts = _find_face(head) & (np.linalg.norm(moved, axis=1) > MOVES)
-    linear, quadratic, finer_linear, finer_quadratic = (skin[counts].ravel() for skin in skins.values())
-    steps = np.stack([finer_linear - linear, quadratic - finer_quadratic], axis=1)
-    # Both elements have one limit: P1' + a (P1' - P1) = P2' + b (P2' - P2), where b is 1 / (2^order - 1).
-    share = np.linalg.lstsq(steps, finer_quadratic - finer_linear, rcond=None)[0][1]
-    used = float(np.clip(share, *(1.0 / (2.0**order - 1.0) for order in reversed(ORDERS))))
-    step = rows[1]["share"]
-    return {"rows": rows, "step": step, "order": float(np.log2(1.0 + 1.0 / used)), "left": step * used}
+def _refine(person: Person, effect: str) -> Values:
+    """Solve an effect on the left cheek by quadratic tets on three nested meshes; see `MeshError.note`."""
+    head, p = person.head, EFFECTS[effect]
+    scene, used = keep_used(neutral_scene(head, p, cells="tets", region=_left_cheek(head)))
+    skin = used[used < len(head.bone)]
+    carried = carry_by_bones(head, p)
+    rows, answers, start = [], [], carried[used]
+    for name in ("its own mesh", "split into eight", "split into 64"):
+        if answers:
+            scene, ends = refine_scene(scene)
+            start = carry(start, ends)
+        begin = time.process_time()
+        solution = solve(scene, start=start, solver="fenicsx", element="P2", tolerance=TOLERANCE)
+        start = solution.positions
+        seconds = time.process_time() - begin
+        status, reason = ("done", "") if solution.converged else ("failed", solution.reason.name)
+        about = {"case": effect, "kind": "refined", "what": effect, "method": f"quadratic tets, {name}", "to": {}}
+        about |= {"status": status, "reason": reason, "told": {"iterations": solution.iterations}}
+        rows.append(about | {"bind_s": 0.0, "frame_s": seconds})
+        places = carried[: len(head.bone)].copy()
+        places[skin] = start[: len(skin)]
+        moved = head.skin_from_wrap @ (places - head.skin_wrap.vertices)
+        answers.append((head.skin.vertices + moved, len(scene.tets)))
+    coarse, medium, fine = (skin for skin, _ in answers)
+    limit, order = extrapolate(coarse, medium, fine)
+    motion = np.linalg.norm(limit - head.skin.vertices - carry_skin(head, p), axis=1)
+    step, left = (measure(distances(medium, skin), motion).share for skin in (fine, limit))
+    return {"rows": rows, "share": step, "order": order, "left": left, "tets": [tets for _, tets in answers]}
+
+
+def _left_cheek(head: LayeredHead) -> np.ndarray:
+    """Mask the wraps' vertices (n,) of the left cheek; the left half of a head without regions."""
+    left = head.skin_wrap.vertices[:, 0] > 0.0
+    return left & (cheek_share(head) > 0.0) if "lips" in head.regions else left
 
 
 def draw_errors(head: LayeredHead, skins: Mapping[str, Floats], truth: Floats, moved: Floats) -> bytes:
