@@ -85,8 +85,12 @@ def _tell_errors(lines: Lines) -> str:
 
 
 def find_front(found: Mapping[str, Summary], seconds: str) -> list[str]:
-    """List the methods than which no other is both faster and nearer, the fastest first; `seconds`: first or frame."""
-    ordered = sorted(found, key=lambda name: (getattr(found[name], seconds), found[name].share))
+    """List the methods than which no other is both faster and nearer, the fastest first; `seconds`: first or frame.
+
+    One that misses all of the motion is no choice.
+    """
+    moving = [name for name in found if found[name].share < 1.0]
+    ordered = sorted(moving, key=lambda name: (getattr(found[name], seconds), found[name].share))
     return [name for k, name in enumerate(ordered) if all(found[name].share < found[o].share for o in ordered[:k])]
 
 

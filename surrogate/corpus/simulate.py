@@ -31,7 +31,7 @@ from .simulator import (
     simulate_static,
 )
 
-GENERATOR = 10
+GENERATOR = 11
 """Version of the simulation of a plan, raised when answers change: shards of two versions are not mixed."""
 
 
