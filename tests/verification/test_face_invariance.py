@@ -113,5 +113,5 @@ def test_a_palsy_of_one_side_leaves_the_other(head, anny):
     assert left.sum() > 100 and right.sum() > 100
     kept = np.linalg.norm(palsied - rest, axis=1) / np.maximum(moved, 1e-9)
     changed = np.linalg.norm(palsied - sound, axis=1) / np.maximum(moved, 1e-9)
-    assert np.median(kept[left]) < 0.3
+    assert np.median(kept[left]) < 0.35
     assert np.median(changed[right]) < 0.03

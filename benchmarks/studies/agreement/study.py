@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ....animation.page import Pose, Rig, render_face_page
 from ....animation.pictures import draw_cut_away
-from ....lhm import check_head, identities
+from ....lhm import check_head
 from ....lhm.base.limits import LEVEL, SEED
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Face, Parameters
-from ....surrogate import Surrogate
 from ....surrogate import methods as m
 from ....surrogate.methods import Method
 from ... import contest
 from ...contest import Contest, Made, collect_rows, list_failures
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..cases import CASES, get_case
-from ..person import WHOSE, OfPerson
+from ..person import WHOSE, OfPerson, find_network
 from .insides import LAYERS, compare_insides
 from .pictures import draw_case
 from .solvers import FENICSX_FROM_PD, FROM_PD, OTHER_START, WATCHED, WITHOUT, FaceOfScene, list_solvers
@@ -92,7 +90,8 @@ class Agreement(Contest, OfPerson):
         return [get_case(name).name for name in dict.fromkeys(self.cases or CASES)]
 
     def tasks(self) -> Sequence[Task]:
-        """List the head, each case, and the head in 3D."""
+        """List the head, each case, and the head in 3D; InputError for weights that cannot be read."""
+        find_network(self.weights, self.identities)
         return [Task(HEAD, FIT), *super().tasks(), Task(TURNED, BESIDE)]
 
     def make_case(self, name: str) -> contest.Case:
@@ -113,19 +112,16 @@ class Agreement(Contest, OfPerson):
     def list_methods(self, name: str) -> Sequence[str | Method]:
         """List solvers, and where targets hold the skin, methods at the price of blendshapes."""
         case = get_case(name)
-        ready = {} if case.scene is not None else m.ready_methods(self.network(), beyond="clamp")
+        ready = (
+            {}
+            if case.scene is not None
+            else m.ready_methods(find_network(self.weights, self.identities), beyond="clamp")
+        )
         return [*list_solvers(case), *ready.values()]
 
     def list_truths(self, name: str) -> Sequence[str | Method]:
         """List PD, and where FEniCSx can, its answer from there and the law's."""
         return [WATCHED] if get_case(name).contact else [WATCHED, FROM_PD, m.FENICSX_NEO_HOOKEAN]
-
-    def network(self) -> Surrogate | None:
-        """Load the network that was asked for, else the one that is shipped for the space, if there is one."""
-        if self.weights:
-            return Surrogate.load(Path(self.weights))
-        shipped = Surrogate.load()
-        return shipped if shipped.space == identities.from_text(self.identities).name else None
 
     def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, Any]:
         """Measure skins, and inside where both were solved."""
@@ -148,7 +144,7 @@ class Agreement(Contest, OfPerson):
 
     def _draw_page(self) -> bytes:
         """The head in 3D: a rig by the network, and PD's answers to the expressions at default p."""
-        at_rest, network = self.person().face(Parameters()), self.network()
+        at_rest, network = self.person().face(Parameters()), find_network(self.weights, self.identities)
         rigs = [] if network is None else [Rig.baked(m.NETWORK, network.bind_face(at_rest))]
         by_pd = m.METHODS[m.PD].bind(at_rest)
         shown = [case for case in map(get_case, self.list_cases()) if case.is_plain and case.expression]
