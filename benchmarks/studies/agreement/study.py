@@ -18,6 +18,7 @@ from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Face, Parameters
 from ....surrogate import methods as m
 from ....surrogate.methods import Method
+from ....surrogate.runtime import Surrogate
 from ... import contest
 from ...contest import Contest, Made, collect_rows, list_failures
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
@@ -91,7 +92,7 @@ class Agreement(Contest, OfPerson):
 
     def tasks(self) -> Sequence[Task]:
         """List the head, each case, and the head in 3D; InputError for weights that cannot be read."""
-        find_network(self.weights, self.identities)
+        self.network()
         return [Task(HEAD, FIT), *super().tasks(), Task(TURNED, BESIDE)]
 
     def make_case(self, name: str) -> contest.Case:
@@ -112,16 +113,16 @@ class Agreement(Contest, OfPerson):
     def list_methods(self, name: str) -> Sequence[str | Method]:
         """List solvers, and where targets hold the skin, methods at the price of blendshapes."""
         case = get_case(name)
-        ready = (
-            {}
-            if case.scene is not None
-            else m.ready_methods(find_network(self.weights, self.identities), beyond="clamp")
-        )
+        ready = {} if case.scene is not None else m.ready_methods(self.network(), beyond="clamp")
         return [*list_solvers(case), *ready.values()]
 
     def list_truths(self, name: str) -> Sequence[str | Method]:
         """List PD, and where FEniCSx can, its answer from there and the law's."""
         return [WATCHED] if get_case(name).contact else [WATCHED, FROM_PD, m.FENICSX_NEO_HOOKEAN]
+
+    def network(self) -> Surrogate | None:
+        """Load the network that was asked for, or what is shipped for the space."""
+        return find_network(self.weights, self.identities)
 
     def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, Any]:
         """Measure skins, and inside where both were solved."""
@@ -144,7 +145,7 @@ class Agreement(Contest, OfPerson):
 
     def _draw_page(self) -> bytes:
         """The head in 3D: a rig by the network, and PD's answers to the expressions at default p."""
-        at_rest, network = self.person().face(Parameters()), find_network(self.weights, self.identities)
+        at_rest, network = self.person().face(Parameters()), self.network()
         rigs = [] if network is None else [Rig.baked(m.NETWORK, network.bind_face(at_rest))]
         by_pd = m.METHODS[m.PD].bind(at_rest)
         shown = [case for case in map(get_case, self.list_cases()) if case.is_plain and case.expression]
