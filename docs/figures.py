@@ -17,15 +17,12 @@ from typing import Any
 
 import cog
 
+from softdeca.benchmarks.contest import summarise
+from softdeca.benchmarks.harness import first_screen
 from softdeca.benchmarks.harness.page import to_markdown
 from softdeca.benchmarks.harness.report import read_part
 from softdeca.benchmarks.studies import load_study
-from softdeca.surrogate.methods import (
-    DERIVATIVES,
-    NETWORK,
-    NETWORK_AND_DERIVATIVES,
-    READY,
-)
+from softdeca.surrogate import methods as m
 
 RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 Line = Mapping[str, Any]
@@ -127,34 +124,39 @@ def show_table(name: str, number: int) -> None:
     cog.out(shown.partition("\n\n")[2].rstrip() + "\n")
 
 
-def show_costs(name: str) -> None:
-    """Write what each method of a results file leaves of the motion, and what it costs."""
-    rows = []
-    for method in READY:
-        told = one_score(name, method, "all")
-        wait = 1e-3 * (told["bind_ms"] + (told["head_ms"] or 0.0))
-        rows.append(
-            (
-                method,
-                f"{100 * told['share']:.1f} %",
-                f"{told['mean']:.3f} mm",
-                f"{wait:.2g} s",
-                f"{told['frame_ms']:.2f} ms",
-            )
+def show_faces() -> None:
+    """Write what each method of the contest `faces` misses of the motion, and what the same frames cost."""
+    rows = [line for line in lines("faces") if "to" in line]
+    own, far = first_screen.summarise_own(rows), summarise(rows, "method", m.FENICSX_P2)
+    simulators = {name: far[name] for name in (m.PD, m.PD_TETS) if name in far}
+    shown = []
+    for name, each in (simulators | own).items():
+        shares = (
+            f"{100 * found[name].share:.2g} %" if name in found else "–"
+            for found in (far, own)
         )
-    tabulate(("method", ">left", ">mean error", ">wait", ">each frame"), rows)
+        frame = (
+            f"{each.frame:.2g} s" if each.frame > 0.01 else f"{1e3 * each.frame:.2f} ms"
+        )
+        shown.append((name, *shares, f"{each.first:.2g} s", frame))
+    tabulate(
+        (
+            "method",
+            ">to converged elements",
+            ">to its simulator",
+            ">first frame of a new face",
+            ">each frame",
+        ),
+        shown,
+    )
 
 
 def show_typical_errors(constant: str, name: str, kind: str) -> None:
     """Write a constant of code: the share of the motion that each answer of the live page leaves."""
-    methods = {
-        "NETWORK": NETWORK,
-        "NETWORK_AND_DERIVATIVES": NETWORK_AND_DERIVATIVES,
-        "DERIVATIVES": DERIVATIVES,
-    }
+    words = "NETWORK", "NETWORK_AND_DERIVATIVES", "DERIVATIVES"
     shares = (
-        f"{word}: {one_score(name, method, kind)['share']:.3f}"
-        for word, method in methods.items()
+        f"{word}: {one_score(name, getattr(m, word), kind)['share']:.3f}"
+        for word in words
     )
     cog.outl(f"{constant} = {{{', '.join(shares)}}}")
 
