@@ -17,7 +17,6 @@ from typing import Any
 
 import cog
 
-from softdeca.benchmarks.contest import summarise
 from softdeca.benchmarks.harness import first_screen
 from softdeca.benchmarks.harness.page import to_markdown
 from softdeca.benchmarks.harness.report import read_part
@@ -127,11 +126,9 @@ def show_table(name: str, number: int) -> None:
 def show_faces() -> None:
     """Write what each method of the contest `faces` misses of the motion, and what the same frames cost."""
     rows = [line for line in lines("faces") if "to" in line]
-    own, far = first_screen.summarise_own(rows), summarise(rows, "method", m.FENICSX_P2)
+    own, far = first_screen.summarise_own(rows), first_screen.summarise_far(rows)
     simulators = {name: far[name] for name in (m.PD, m.PD_TETS)}
     ordered = sorted(own.items(), key=lambda item: item[1].share)
-    # Frames that only some methods have beside quadratic tets compare nothing.
-    far = {name: each for name, each in far.items() if each.frames == far[m.PD].frames}
 
     def percent(share: float) -> str:
         return f"{100 * share:.0f} %" if share > 0.1 else f"{100 * share:.1g} %"
