@@ -65,6 +65,7 @@ def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
             if line is not None:
                 labels.setdefault(title, line)
         axis.set(xscale="log", yscale="log", title=panel.title, ylim=(floor, TOP), xlabel=TITLES[panel.over])
+        axis.tick_params(axis="x", pad=9)  # the lowest tick of y stands in the corner
     for axis in axes.ravel()[len(panels) :]:
         axis.set_axis_off()
     for axis in axes[:, 0]:
