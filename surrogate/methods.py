@@ -163,8 +163,7 @@ def use_solver(solver: Solver, cells: CellKind | None = None) -> Callable[[Any],
         by_pd = use_solver(Solver({"solver": "projective"}, tolerance=ROUGH))(live) if solver.near else None
         if by_pd is not None and by_pd.settled is not None and law == PD_ENERGY:
             settling["start"] = by_pd.settled.positions
-        choices = {**live.choices, "cells": cells or get_cells(live)}
-        own = replace(live, choices=choices, settling=settling)
+        own = replace(get_live(on_cells(live, cells)), settling=settling)
         settled = own.settled(law)
         if not settled.converged:
             raise InputError(f"the neutral face does not settle ({settled.reason})")

@@ -177,7 +177,7 @@ def tabulate(lines: Lines) -> list[Table]:
         ("Error to converged finite elements, and cost", summarise_far(lines)),
     ):
         body = [
-            (name, cells[name], each.share, each.mean, _known(each.first), each.frame, len(each.frames))
+            (name, cells[name], each.share, each.mean, _leave_out_nan(each.first), each.frame, len(each.frames))
             for name, each in sorted(found.items(), key=lambda item: item[1].share)
         ]
         tables += [Table(caption, head, body, note)] if body else []
@@ -235,7 +235,7 @@ def _count(summary: Summary) -> str:
     return f"{len(summary.frames)} frames of {faces} {'face' if faces == 1 else 'faces'}"
 
 
-def _known(value: float) -> float | None:
+def _leave_out_nan(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 

@@ -75,6 +75,11 @@ def repeated_tet(tets: Ints) -> tuple[int, int]:
     return -1, -1
 
 
+def unit(vectors: Floats) -> Floats:
+    """The directions of vectors (..., 3); those of no length stay so."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A triangle mesh: vertices [mm], shape (n, 3), and triangles, shape (m, 3).

@@ -23,7 +23,7 @@ from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.likeness import check_moved
 from ..base.geometry.settle import FACING, settle_on
 from ..base.geometry.warp import rigid_motion
-from ..base.mesh import Floats, Surface
+from ..base.mesh import Floats, Surface, unit
 from ..identities.arkit import ARKIT
 from .takes import Take, angles_from_rotations, check_rate
 
@@ -84,11 +84,11 @@ class TrackedFace:
             raise InputError(
                 f"the first frame is {extents[0]:.3g} mm across, the head {extents[1]:.3g} mm; are its units off?"
             )
-        tree, faces = TriangleTree(neutral.vertices, neutral.triangles), _unit(neutral.face_normals)
+        tree, faces = TriangleTree(neutral.vertices, neutral.triangles), unit(neutral.face_normals)
         middle = neutral.vertices.mean(axis=0) - first.vertices[is_used].mean(axis=0)
         ends = []
         for shift in (0.0, middle):
-            moved, normals = first.vertices[is_used] + shift, _unit(first.vertex_normals)[is_used]
+            moved, normals = first.vertices[is_used] + shift, unit(first.vertex_normals)[is_used]
             points, facing = settle_on(tree, faces, moved, normals)
             found = tree.closest_facing(points, facing, faces, FACING)
             within = found[2] <= policy.reach
@@ -216,7 +216,3 @@ class _Solver:
                 break
         residual = float(np.linalg.norm(motion - self.apart @ weights[self.used]))
         return weights, rotation, residual, float(np.linalg.norm(motion))
-
-
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

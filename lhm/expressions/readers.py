@@ -238,10 +238,7 @@ def read_json_take(text: str) -> Take:
     """
     # Weights and times that are not finite are named with their frame.
     content = load_json(text, allow_nan=True)
-    frames = content.get("frames") if isinstance(content, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise InputError('not a take: expected an object with a list "frames" that is not empty')
-    TAKE_FRAMES.check('"frames"', len(frames))
+    frames = _list_frames(content, "frames")
     names = _list_names(content.get("names"), "names")
     listed = [frame.get("weights") if isinstance(frame, dict) else None for frame in frames]
     values = np.array([_list_weights(row, f"frame {number}", names) for number, row in enumerate(listed)])
@@ -264,15 +261,20 @@ def read_audio2face(text: str) -> Take:
     {"exportFps": 30, "facsNames": ["eyeBlinkLeft", ...], "weightMat": [[0.2, ...], ...]}
     """
     content = load_json(text, allow_nan=True)
-    rows = content.get("weightMat") if isinstance(content, dict) else None
-    if not isinstance(rows, list) or not rows:
-        raise InputError('not a take: expected an object with a list "weightMat" that is not empty')
-    TAKE_FRAMES.check('"weightMat"', len(rows))
+    rows = _list_frames(content, "weightMat")
     names = _list_names(content.get("facsNames"), "facsNames")
     values = np.array([_list_weights(row, f"frame {number}", names) for number, row in enumerate(rows)])
     rate = _finite_number(content.get("exportFps"), "exportFps")
     check_rate(rate)
     return take_from_columns(values, names, rate, np.arange(len(rows)) / rate)
+
+
+def _list_frames(content: Any, key: str) -> list[Any]:
+    frames = content.get(key) if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f'not a take: expected an object with a list "{key}" that is not empty')
+    TAKE_FRAMES.check(f'"{key}"', len(frames))
+    return frames
 
 
 def _list_weights(listed: Any, where: str, names: list[str]) -> list[float]:

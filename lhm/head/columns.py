@@ -22,11 +22,6 @@ def edge_graph(vertices: Floats, triangles: Ints) -> csr_matrix:
     return csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices),) * 2)
 
 
-def unit(vectors: Floats) -> Floats:
-    """The directions of vectors (..., 3); those of no length stay so."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
-
-
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Three stacked wraps of n vertices over `triangles` (m, 3), made once per template.

@@ -13,8 +13,7 @@ from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.cholesky import factorise_definite
 from ..base.geometry.rays import first_hits, visible_sky
 from ..base.geometry.topology import graph_laplacian, neighbours, unique_edges
-from ..base.mesh import Floats, Surface
-from ..head.columns import unit
+from ..base.mesh import Floats, Surface, unit
 from ..head.detail import Detail, FineSkin
 from ..identities.space import OUTSIDE
 from ..template.template import Template

@@ -138,17 +138,16 @@ def read_at_rest(path: str | os.PathLike[str]) -> tuple[Scan, tuple[str, ...]]:
 def _paint(placed: PlacedScan, path: str | os.PathLike[str], vertices: Floats) -> PlacedScan:
     """Add a scan's texture; one that cannot be read is no reason to refuse a scan, and is told in the notes."""
     try:
-        texture = read_texture(path)
+        texture = read_texture(path, placed.placement.motion(vertices))
     except (InputError, ValueError) as error:
         return replace(placed, notes=(*placed.notes, f"texture: left out; {error}"))
     if texture is None:
         return placed
     width, height = texture.picture.size
-    moved = texture.with_vertices(placed.placement.motion(vertices))
     note = f"texture: a picture of {width} x {height}"
     if texture.others:
         note += f"; {texture.others} more, of fewer triangles, are left out"
-    return replace(placed, texture=moved, notes=(*placed.notes, note))
+    return replace(placed, texture=texture, notes=(*placed.notes, note))
 
 
 def suggest_landmarks(template: Template, scan: PlacedScan, *, progress: OnProgress = silent) -> dict[str, Floats]:

@@ -15,8 +15,7 @@ from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.rays import first_hits
 from ..base.geometry.settle import settle_on
 from ..base.geometry.topology import unique_edges
-from ..base.mesh import Floats, Surface
-from ..head.columns import unit
+from ..base.mesh import Floats, Surface, unit
 from ..head.head import LayeredHead
 from .detail import POLICY, fill_colours
 from .intake import read_at_rest
@@ -98,10 +97,10 @@ def _tie(surface: Surface, fine: Surface) -> csr_matrix:
 def _find_colours(path: str | os.PathLike[str], surface: Surface) -> NDArray[np.uint8] | None:
     """Find each vertex' colour in the scan's texture; the median where it has none."""
     try:
-        texture = read_texture(path)
+        texture = read_texture(path, surface.vertices)
     except (InputError, ValueError):  # the fit has told it
         return None
     if texture is None:
         return None
-    colours, distance = texture.with_vertices(surface.vertices).find_colours(surface.vertices)
+    colours, distance = texture.find_colours(surface.vertices)
     return fill_colours(colours, distance < POLICY.reach)

@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 
 from ..base.errors import FitError, InputError
 from ..base.geometry.warp import Similarity, fit_similarity
-from ..base.mesh import Floats, Surface
+from ..base.mesh import Floats, Surface, unit
 from ..base.progress import OnProgress, silent
-from ..head.columns import unit
 from ..head.skin import FARTHEST_OFF
 from ..template.registration.alignment import Target, icp, score_start
 

@@ -123,18 +123,17 @@ def _pieces(scan: Scan) -> Iterator[tuple[Scan, str]]:
     of_triangle = part[scan.triangles[:, 0]]
     pieces = len(np.unique(of_triangle))
     if pieces == 1:
-        yield _used(scan), ""
+        yield _drop_unused(scan), ""
         return
     motion = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
     a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if motion.any():
-        size = np.bincount(of_triangle, weights=area * motion[scan.triangles].mean(axis=1), minlength=count).astype(
-            np.float64
-        )
-        order, how = [size.argmax()], "one that the morph targets move most"
+        moved = area * motion[scan.triangles].mean(axis=1)
+        order = [np.bincount(of_triangle, weights=moved, minlength=count).argmax()]
+        how = "one that the morph targets move most"
     else:
-        size = _enclosed(np.stack([a, b, c], axis=1), area, of_triangle, count)
+        size = _measure_enclosed(np.stack([a, b, c], axis=1), area, of_triangle, count)
         order = [k for k in np.argsort(-size, kind="stable")[:TRIED] if size[k] >= LEAST_PIECE * size.max()]
         how = "largest"
     for rank, chosen in enumerate(order):
@@ -142,12 +141,12 @@ def _pieces(scan: Scan) -> Iterator[tuple[Scan, str]]:
         left_out = f"{np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?) are left out"
         found = how if rank == 0 else "one that a face was found in"
         yield (
-            _used(replace(scan, triangles=scan.triangles[kept])),
+            _drop_unused(replace(scan, triangles=scan.triangles[kept])),
             f"of {pieces} separate pieces the {found} was kept; {left_out}",
         )
 
 
-def _enclosed(corners: Floats, area: Floats, part: Ints, count: int) -> Floats:
+def _measure_enclosed(corners: Floats, area: Floats, part: Ints, count: int) -> Floats:
     """Return an area (count,) for each part: of a cube of the volume between its triangles and their middle."""
     whole = np.maximum(np.bincount(part, weights=area, minlength=count), 1e-300)
     centres = corners.mean(axis=1)
@@ -159,8 +158,8 @@ def _enclosed(corners: Floats, area: Floats, part: Ints, count: int) -> Floats:
     return volume ** (2.0 / 3.0)
 
 
-def _used(scan: Scan) -> Scan:
-    """A scan without the vertices that no triangle has."""
+def _drop_unused(scan: Scan) -> Scan:
+    """Drop the vertices that no triangle has."""
     used, number = np.unique(scan.triangles, return_inverse=True)
     return scan if len(used) == len(scan.vertices) else _over(scan, used, number.reshape(-1, 3))
 

@@ -17,9 +17,9 @@ from ..base.geometry.mirror import find_twins, symmetrise, symmetrise_weights
 from ..base.geometry.rays import first_hits
 from ..base.geometry.topology import is_closed
 from ..base.geometry.triangles import barycentric_matrix
-from ..base.mesh import Floats, Ints, Surface
+from ..base.mesh import Floats, Ints, Surface, unit
 from ..base.progress import OnProgress, silent
-from ..head.columns import Columns, unit
+from ..head.columns import Columns
 from ..head.head import CRANIUM, FREE
 from ..identities import Anny
 from ..identities.arkit import ARKIT

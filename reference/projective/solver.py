@@ -135,7 +135,8 @@ class ProjectivePrepared:
             relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
             untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
             problem = replace(problem, untangling=untangling)
-        first, met, led = problem.at(place), None, False
+        first, met = problem.at(place), None
+        is_moved = led = False
         most = policy.max_iterations if limits.iterations is None else int(limits.iterations)
         start_norm, rounding = first.norm, scene.rounding()
         threshold = limits.threshold(scene, start_norm)
@@ -144,12 +145,12 @@ class ProjectivePrepared:
         if self.contact is not None:
             apart = partial(self.contact.descend, solve=work.solve)
             descend = partial(after_untangling, apart, untangle=apart)
-            led = bool((values != begin)[held].any()) and self.contact.is_met(begin, scene.vertices + place.u)
+            is_moved = bool((values != begin)[held].any())
+            led = is_moved and self.contact.is_met(begin, scene.vertices + place.u)
             if led:
-                free = replace(problem, untangling=None)
-                first, met, forces = self.contact.lead(free, begin, place.u, watch, solve=work.solve)
+                problem = replace(problem, untangling=None)
+                first, met, forces = self.contact.lead(problem, begin, place.u, watch, solve=work.solve)
                 watch.threshold = limits.threshold(scene, max(start_norm, forces))
-                problem = free
         point, reason = (first, met) if met is not None else descend(problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
@@ -160,7 +161,7 @@ class ProjectivePrepared:
             if reason in (Reason.CONVERGED, Reason.STAGNATED):
                 crosses = contact["contact_crossings"] > self.contact.crossings_at_rest
                 # The descent sees the way of what is free, `lead` that of what is held.
-                if crosses or (not led and (values != begin)[held].any() and self.contact.leaps(begin, positions)):
+                if crosses or (is_moved and not led and self.contact.leaps(begin, positions)):
                     reason = Reason.CONTACT
         return Solution(
             positions=positions,

@@ -171,9 +171,12 @@ class MeshError(OfPerson, Contest):
             return _refine(self.person(COARSE, self.seed), task.case)
         case = self.make_case(task.case)
         skins: dict[str, Floats] = {}
-        methods = [_remember(method, skins) for method in self.list_methods(task.case)]
-        truths = [_remember(method, skins) for method in self.list_truths(task.case)]
-        rows = run_contest(case, methods, truths, compare=self.compare, warm=self.warm())
+
+        def remember(method: str, frame: Made) -> None:
+            skins[method] = frame.skin
+
+        methods, truths = self.list_methods(task.case), self.list_truths(task.case)
+        rows = run_contest(case, methods, truths, compare=self.compare, warm=self.warm(), on_frame=remember)
         pictures = {}
         text, number = self._describe_cases()[task.case]
         if text in DRAWN and number == 0 and {m.PD, m.PD_TETS, TRUTH} <= skins.keys():
@@ -308,22 +311,6 @@ def _loosen(method: Method) -> Method:
     assert method.solver is not None
     solver = replace(method.solver, tolerance=LOOSE)
     return replace(method, solver=solver, bind=use_solver(solver, method.cells))
-
-
-def _remember(method: Method, skins: dict[str, Floats]) -> Method:
-    """Put a method's frame [mm] into `skins`, by its name."""
-
-    def bind(face: Face) -> SolvedRig:
-        rig = _bind(method, face)
-
-        def solve(weights: Floats) -> Solved:
-            frame = rig.solve(weights)
-            skins[method.name] = frame.skin.astype(np.float64)
-            return frame
-
-        return replace(rig, solve=solve)
-
-    return replace(method, bind=bind)
 
 
 def _find_face(head: LayeredHead) -> np.ndarray:

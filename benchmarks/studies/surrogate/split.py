@@ -13,12 +13,12 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....lhm.expressions import parse_weights
 from ....lhm.template.template import DEFAULT_LEVEL
-from ....reference import Face, Parameters
+from ....reference import Parameters
 from ....surrogate import methods as m
 from ...contest import Case, Contest, collect_rows, list_columns, list_failures, summarise
 from ...harness.first_screen import find_losses
 from ...harness.study import Row, Table, at_most
-from ..person import CELLS, OfPerson, check_known
+from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -87,9 +87,7 @@ class Split(OfPerson, Contest):
         return Case(
             name,
             effect,
-            lambda: Face(
-                someone.head, someone.shapes, EFFECTS[effect], per="wraps", code=someone.code, choices={"cells": CELLS}
-            ),
+            lambda: someone.face(EFFECTS[effect]),
             np.stack([parse_weights(text) for text in chosen]),
             someone.fit_s,
         )

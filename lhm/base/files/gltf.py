@@ -55,7 +55,7 @@ def read_gltf(path: Path) -> Read:
 def read_gltf_pictures(path: Path) -> list[Painted]:
     """Read which triangles of `read_gltf` have a picture as base colour, and where in it they lie; InputError alike."""
     with _naming_damage():
-        return list(_Document(path).painted())
+        return list(_Document(path).find_pictures())
 
 
 @contextmanager
@@ -111,8 +111,7 @@ class _Document:
             targets = {name: np.einsum("ij,nj->ni", linear, deltas) for name, deltas in part.targets.items()}
             added = {name: weights[name] * targets[name] for name in targets if weights.get(name)}
             vertices.append(x + sum(added.values()))
-            # A mirrored mesh would be inside out.
-            triangles.append(first + (part.triangles[:, ::-1] if np.linalg.det(linear) < 0.0 else part.triangles))
+            triangles.append(first + part.triangles)
             morphs.append(targets)
             shown.append(added)
             first = VERTICES.check("its scene has", first + len(x))
@@ -121,29 +120,31 @@ class _Document:
         counts = [len(x) for x in vertices]
         MORPH_VALUES.check("its scene has", 3 * first * len({name for targets in morphs for name in targets}))
 
-        def joined(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
+        def join(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
             return {
                 name: np.vstack([part.get(name, np.zeros((k, 3))) for part, k in zip(parts, counts, strict=True)])
                 for name in dict.fromkeys(name for part in parts for name in part)
             }
 
         notes = tuple(dict.fromkeys(self._notes))
-        return np.vstack(vertices), np.vstack(triangles), joined(morphs), joined(shown), notes
+        return np.vstack(vertices), np.vstack(triangles), join(morphs), join(shown), notes
 
-    def painted(self) -> Iterator[Painted]:
+    def find_pictures(self) -> Iterator[Painted]:
         """Yield which triangles have a picture, each instance of a mesh by itself; none where places are missing."""
         first = 0
-        for part, _, linear, _ in self._instances():
+        for part, *_ in self._instances():
             found = self._picture(part)
             if found is not None:
-                corners = part.triangles[:, ::-1] if np.linalg.det(linear) < 0.0 else part.triangles
                 name, read, places, wraps, factor = found
-                corners = corners[np.isfinite(places[corners]).all(axis=(1, 2))]
+                corners = part.triangles[np.isfinite(places[part.triangles]).all(axis=(1, 2))]
                 yield Painted(name, read, first + corners, places[corners], wraps, factor)
             first += len(part.vertices)
 
     def _instances(self) -> Iterator[tuple[_Part, dict[str, float], Floats, Floats]]:
-        """Yield each part of a mesh in the scene, its targets' default weights, and its linear map and shift."""
+        """Yield each part of a mesh in the scene, its targets' default weights, and its linear map and shift.
+
+        Triangles of a mesh that the map mirrors, which would be inside out, are turned round.
+        """
         read: dict[int, list[_Part]] = {}
         for node, matrix in self._place_meshes():
             mesh = self._item("meshes", node["mesh"])
@@ -155,6 +156,8 @@ class _Document:
                 raise InputError("a node's transform flattens its mesh")
             weights = finite("weights", node.get("weights", mesh.get("weights", [])), (None,), most=LARGEST)
             for part in read[node["mesh"]]:
+                if grown < 0.0:
+                    part = part._replace(triangles=part.triangles[:, ::-1])
                 yield part, dict(zip(part.targets, weights.tolist(), strict=False)), linear, shift
 
     def _count(self, number: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,10 +46,6 @@ class Texture:
     factor: tuple[float, ...] = (1.0, 1.0, 1.0)
     others: int = 0
 
-    def with_vertices(self, vertices: Floats) -> Texture:
-        """Return the texture of the same triangles elsewhere."""
-        return replace(self, vertices=vertices)
-
     def find_colours(self, points: Floats) -> tuple[Floats, Floats]:
         """Find the colours (k, 3), 0 to 255, of the closest points of the triangles, and their distances (k,)."""
         triangle, weights, distance = TriangleTree(self.vertices, self.triangles).closest(points)
@@ -82,8 +78,10 @@ def _tint(colours: Floats, factor: tuple[float, ...]) -> Floats:
     return 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
 
 
-def read_texture(path: str | os.PathLike[str]) -> Texture | None:
-    """Read a scan's texture, where `read_scan` has its vertices; None without one, or in another kind of file.
+def read_texture(path: str | os.PathLike[str], vertices: Floats | None = None) -> Texture | None:
+    """Read a scan's texture; None without one, or in another kind of file.
+
+    vertices (n, 3): where those of `read_scan` lie, by default as it has them.
 
     Of several pictures the one that most triangles have counts. InputError, one line that names the file, for a picture
     that is missing, outside the file's folder, or damaged.
@@ -104,7 +102,7 @@ def read_texture(path: str | os.PathLike[str]) -> Texture | None:
             raise InputError("no triangle has a place in its picture")
         return Texture(
             _decode(one.read()),
-            read_scan(path).vertices,
+            read_scan(path).vertices if vertices is None else vertices,
             np.concatenate([part.triangles for part in parts]),
             np.concatenate([part.places for part in parts]),
             one.wraps,

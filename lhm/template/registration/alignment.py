@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.topology import open_edges
 from ...base.geometry.warp import Similarity, fit_similarity
-from ...base.mesh import Floats, Ints, Surface
-from ...head.columns import unit
+from ...base.mesh import Floats, Ints, Surface, unit
 
 FACING = np.cos(np.radians(60.0))
 

@@ -11,9 +11,8 @@ from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.cholesky import Solve, factorise_definite
 from ...base.geometry.rays import visible_sky
 from ...base.geometry.topology import neighbours, unique_edges
-from ...base.mesh import Floats, Ints, Surface
+from ...base.mesh import Floats, Ints, Surface, unit
 from ...base.progress import OnProgress
-from ...head.columns import unit
 from ...identities.space import EYES, MOUTH, OUTSIDE
 from ..wraps.landmarks import Landmarks, Mask, distance_to
 from .alignment import FACING, Target, tukey_weights

@@ -13,9 +13,8 @@ from ...base.geometry.cholesky import factorise
 from ...base.geometry.topology import graph_laplacian, neighbours, open_edges, pick_rows
 from ...base.geometry.triangles import barycentric_matrix
 from ...base.geometry.warp import fit_similarity
-from ...base.mesh import Floats, Ints, Surface
+from ...base.mesh import Floats, Ints, Surface, unit
 from ...base.progress import OnProgress, silent
-from ...head.columns import unit
 from ...head.skin import check_registrable
 from ...identities.space import CAP, EYES, MOUTH
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions

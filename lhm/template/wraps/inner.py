@@ -12,8 +12,8 @@ from ...base.errors import FitError
 from ...base.geometry.bvh import TriangleTree
 from ...base.geometry.topology import graph_laplacian
 from ...base.kernels import njit
-from ...base.mesh import Floats, Ints
-from ...head.columns import Columns, unit
+from ...base.mesh import Floats, Ints, unit
+from ...head.columns import Columns
 from . import climb
 from .climb import ClimbPolicy
 

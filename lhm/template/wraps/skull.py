@@ -21,8 +21,8 @@ from scipy.sparse import csr_matrix, diags
 from ...base.geometry.cholesky import factorise
 from ...base.geometry.topology import graph_laplacian, number_edges
 from ...base.kernels import njit
-from ...base.mesh import Floats, Ints
-from ...head.columns import Columns, unit
+from ...base.mesh import Floats, Ints, unit
+from ...head.columns import Columns
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,6 @@ import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
 
-PARALLEL = 1e-3
-"""Squared sine between two edges, below which less than all of their energy is taken."""
 TINY = 1e-12
 """[mm] A distance of 0 counts as this."""
 
@@ -27,7 +25,7 @@ class Rows:
 
     ids (r, 4) of the contact vertices and between_edges (r,): the pairs, as of `terms.Gaps`; weights (r, 4) and
     normals (r, 3) of their gaps, see `terms.gaps.measure_pair`; distance and offset (r,) [mm]; stiffness (r,) [mN/mm];
-    share (r,), and its derivative by the corners, turns (r, 4, 3) [1/mm], see `find_shares`.
+    share (r,), and its derivative by the corners, turns (r, 4, 3) [1/mm], see `terms.gaps.find_shares`.
     """
 
     ids: Ints
@@ -99,14 +97,3 @@ class Rows:
     def widen(self, motion: Floats) -> Floats:
         """Tell by how much a motion (k, 3) [mm] widens each gap, shape (r,)."""
         return np.einsum("rj,rjc,rc->r", self.weights, motion[self.ids], self.normals)
-
-
-def find_shares(corners: Floats, between_edges: np.ndarray) -> tuple[Floats, Floats]:
-    """Find the shares (r,) of pairs with corners (r, 4, 3) [mm], and their derivatives by these, (r, 4, 3)."""
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
-    uu, vv, uv = (np.einsum("rc,rc->r", a, b) for a, b in ((u, u), (v, v), (u, v)))
-    uu, vv, uv = (np.where(between_edges, each, other) for each, other in ((uu, 1.0), (vv, 1.0), (uv, 0.0)))
-    part = np.minimum(np.maximum(1.0 - uv**2 / (uu * vv), 0.0) / PARALLEL, 1.0)
-    slope = (-4.0 / PARALLEL * (1.0 - part) * uv / (uu * vv))[:, None]
-    by_u, by_v = slope * (v - (uv / uu)[:, None] * u), slope * (u - (uv / vv)[:, None] * v)
-    return part * (2.0 - part), np.stack([-by_u, by_u, -by_v, by_v], axis=1)

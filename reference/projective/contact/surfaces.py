@@ -14,9 +14,10 @@ from ....lhm.base.mesh import Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
 from ..policy import ContactPolicy
+from ..terms.gaps import find_shares
 from .pairs import find_free_share, measure_near
 from .points import ContactPoints
-from .rows import Rows, find_shares
+from .rows import Rows
 
 AHEAD = 1.5
 """Of the offset, the distance within which pairs are rows at least."""

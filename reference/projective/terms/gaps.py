@@ -124,6 +124,31 @@ def measure_pair(corners, between_edges, weights, normal):
 
 
 @njit(cache=True)
+def find_share(corners, slopes):
+    """Return the share of its energy that a pair of edges has, corners (4, 3), and write its derivative by these."""
+    slopes[:] = 0.0
+    u, v = corners[1] - corners[0], corners[3] - corners[2]
+    uu, vv, uv = np.sum(u * u), np.sum(v * v), np.sum(u * v)
+    part = max(1.0 - uv * uv / (uu * vv), 0.0) / PARALLEL
+    if part >= 1.0:
+        return 1.0
+    slope = -4.0 * (1.0 - part) / PARALLEL * uv / (uu * vv)
+    by_u, by_v = slope * (v - uv / uu * u), slope * (u - uv / vv * v)
+    slopes[0], slopes[1], slopes[2], slopes[3] = -by_u, by_u, -by_v, by_v
+    return part * (2.0 - part)
+
+
+@njit(cache=True)
+def find_shares(corners, between_edges):
+    """Find the shares (r,) of pairs with corners (r, 4, 3) [mm], and their derivatives by these, (r, 4, 3)."""
+    shares, slopes = np.ones(len(corners)), np.zeros(corners.shape)
+    for r in range(len(corners)):
+        if between_edges[r]:
+            shares[r] = find_share(corners[r], slopes[r])
+    return shares, slopes
+
+
+@njit(cache=True)
 def _push_apart(corners, between_edges, stiffness, offset, weights, normal, forces):
     """Return the energy [µJ] of a pair with corners (4, 3), and write the forces [mN] on these; see `terms.Gaps`."""
     forces[:] = 0.0
@@ -135,17 +160,8 @@ def _push_apart(corners, between_edges, stiffness, offset, weights, normal, forc
     energy = 0.5 * stiffness * (offset - distance) ** 2 * offset / distance
     share = 1.0
     if between_edges:
-        u, v = corners[1] - corners[0], corners[3] - corners[2]
-        uu, vv, uv = np.sum(u * u), np.sum(v * v), np.sum(u * v)
-        part = max(1.0 - uv * uv / (uu * vv), 0.0) / PARALLEL
-        if part < 1.0:
-            share = part * (2.0 - part)
-            slope = -4.0 * (1.0 - part) / PARALLEL * uv / (uu * vv)
-            by_u, by_v = slope * (v - uv / uu * u), slope * (u - uv / vv * v)
-            forces[0] += energy * by_u
-            forces[1] -= energy * by_u
-            forces[2] += energy * by_v
-            forces[3] -= energy * by_v
+        share = find_share(corners, forces)
+        forces *= -energy
     push = 0.5 * share * stiffness * offset * ((offset / distance) ** 2 - 1.0)
     for j in range(4):
         for c in range(3):
