@@ -1,7 +1,9 @@
 """The command and how it ends: errors are one line on stderr; exit status 0 means that everything was done."""
 
 import os
+import signal
 import sys
+import threading
 
 import click
 
@@ -42,7 +44,17 @@ app.add_command(bench.bench)
 
 def main() -> None:
     """Run the command; an error that a user can act on is one line, not a traceback."""
+    sys.unraisablehook = _interrupt_again
     sys.exit(_run())
+
+
+def _interrupt_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Interrupt the main thread once more where Ctrl-C met a `__del__` or a callback, which Python would ignore."""
+    if not isinstance(lost.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    # Another thread's signal, a moment later: one of this thread would be raised within this function.
+    threading.Timer(0.01, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
 
 
 def _run() -> int:

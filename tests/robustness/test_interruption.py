@@ -69,6 +69,28 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
     assert not (tmp_path / "study" / "index.html").exists()
 
 
+def test_ctrl_c_that_meets_a_del_is_not_lost(tmp_path):
+    """Python ignores what a `__del__` raises, and a run of minutes went on to its end."""
+    program = """
+import os, signal, time
+from softdeca.cli import app
+
+class Slow:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+def work(*_, **__):
+    Slow()
+    time.sleep(60)
+
+app.app.main = work
+app.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert done.returncode == 130 and done.stderr.startswith("softdeca: interrupted"), done.stderr
+
+
 @pytest.fixture
 def plan(tmp_path):
     """The file of a small plan."""
