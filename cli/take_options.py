@@ -1,4 +1,4 @@
-"""Which head and which take a command is about."""
+"""Options of commands for the head and the take."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""What cog's blocks on the pages ask of `benchmarks/results`, and how they lay it out.
+"""Read and lay out figures of `benchmarks/results` for cog's blocks on the pages.
 
 A block stands between markers in the page itself: `cog -r -I docs FILE` writes what it makes below it, and `make check`
 refuses a page whose block makes something else today.

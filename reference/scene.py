@@ -170,7 +170,7 @@ class Scene:
         return norm <= self.rounding() and not self.of(Pressure) and not self.loads().any()
 
     def _unit_force(self) -> float:
-        """What unit strain would cause at all vertices together [mN]."""
+        """Give the force [mN] that unit strain would cause at all vertices together."""
         return sum(term.unit_force(self) for term in self.terms)
 
     def with_targets(self, positions) -> Scene:

@@ -134,7 +134,7 @@ class Solution:
 
     @property
     def inverted(self) -> np.ndarray:
-        """Which tets are inside out somewhere, shape (m,)."""
+        """Mask of tets that are inside out somewhere, shape (m,)."""
         return (self.volume_ratio if self.least_ratio is None else self.least_ratio) <= 0.0
 
     @property

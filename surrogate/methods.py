@@ -59,7 +59,7 @@ Binder = Callable[[Any], Rig]
 
 @dataclass(frozen=True)
 class Solver:
-    """What solves any scene: options of `prepare`, with the solver's name.
+    """A solver of any scene: options of `prepare`, with the solver's name.
 
     law: of the tissue. near: it starts at PD's answer to ROUGH, to which it is near. tolerance: gradient norm relative
     to that at the start.

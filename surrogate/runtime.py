@@ -192,7 +192,7 @@ class Surrogate:
 
     @property
     def needs(self) -> Needs:
-        """What a bind needs: a head, by which scaled bones carry the skin, where the weights have not learned that."""
+        """Input of a bind: a head, by which scaled bones carry the skin, where the weights have not learned that."""
         return "nothing" if self.has_derivatives and self._tables.carry is not None else "head"
 
     def check_exact(self) -> None:

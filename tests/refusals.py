@@ -1,4 +1,4 @@
-"""What every refusal keeps to: an error of this package, one printable line, and words that name what is wrong."""
+"""Check a refusal: an error of this package, one printable line, and words that name what is wrong."""
 
 import pytest
 

@@ -82,6 +82,7 @@ class _Server:
         self._hosts: tuple[str, ...] = ()
 
     async def run(self, port: int | None, on_ready: Callable[[str], None]) -> None:
+        """Serve until a signal comes; `on_ready` gets the address. InputError if `port` (None: a free one) is taken."""
         from websockets.asyncio.server import serve
 
         loop, stopped = asyncio.get_running_loop(), asyncio.Event()

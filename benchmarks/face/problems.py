@@ -38,7 +38,7 @@ JAW_ANGLE = 6.0
 JAW_AXIS = (0.0, -3.0, 57.0)
 """A point [mm] of the axis along x about which the mandible turns: a centimetre in front of the ears."""
 SMOOTHED = 1.0
-"""By how many edges, about, the mandible's share of the inner surface is smoothed."""
+"""Edges, about, over which the mandible's share of the inner surface is smoothed."""
 PUSH = 1.0
 """[kPa] on the cheek, against its mean normal at rest."""
 PUSH_RADIUS = 15.0
@@ -64,7 +64,7 @@ STRESS_POINTS = {
 }
 """Each is the border of the layers beneath a named point of the skin; there the stress of one layer is averaged."""
 BONES = ("cranium", "mandible")
-"""What holds the inner surface: the mandible's share, see `_share_with_mandible`, and the rest."""
+"""Bones that hold the inner surface: the mandible's share, see `_share_with_mandible`, and the rest."""
 PROBLEMS = {
     "gravity": "The face's own weight, 1 g downwards, on a body that has no stress without it.",
     "jaw": f"The mandible turns by {JAW_ANGLE:g} degrees about an axis before the ears; what is near goes along.",

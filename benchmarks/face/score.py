@@ -28,13 +28,13 @@ Floats = np.ndarray
 ARCHIVE = "face-benchmark.zip"
 DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
 FORMATS = {".vtu": "vtu", ".msh": "gmsh"}
-"""By the suffix of an answer; readers of other kinds follow names of more files."""
+"""Readers by an answer's suffix; readers of other kinds follow names of more files."""
 MESHES = ("coarse", "medium", "fine")
 """Nested meshes, each of eight times the tets of the one before."""
 MOST_BYTES = 1_000_000_000
-"""Of an answer, and of the archive."""
+"""Size limit of an answer, and of the archive."""
 VERDICTS = ("right", "right on this mesh", "wrong", "shifted", "truncated", "not finite")
-"""What an answer may be found to be; all but the first two are faults."""
+"""Verdicts on an answer; all but the first two are faults."""
 SAME_PLACE = 1e-3
 """[mm] within which an answer's points are a mesh's."""
 SAME_ANSWER = 0.01
@@ -141,7 +141,7 @@ class Archive:
 
     @property
     def problems(self) -> dict[str, Any]:
-        """What is asked, by the problem's name."""
+        """Quantities asked for, by the problem's name."""
         problems: dict[str, Any] = self.description["problems"]
         return problems
 

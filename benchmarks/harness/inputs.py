@@ -1,4 +1,4 @@
-"""What decides a study's figures beside its options: the default people, their heads, the network, the generator."""
+"""Inputs of a study's figures beside its options: the default people, their heads, the network, the generator."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ INPUTS: Mapping[str, Callable[[], str]] = {
     "network": digest_network,
     "generator": name_generator,
 }
-"""By the names that a study's `needs` have."""
+"""Digests of inputs, by the names in a study's `needs`."""
 
 
 def _digest(*contents: bytes) -> str:

@@ -16,7 +16,7 @@ from ...lhm.base.errors import MissingDependencyError, SoftdecaError
 
 START = f"from {__name__} import answer; answer()"
 INHERITED = ("OMPI_", "PMIX_", "PMI_", "ORTE_", "PRTE_", "HYDRA_", "HYDI_")
-"""Of an outer MPI, which would make the ranks believe that they belong to it."""
+"""Variables of an outer MPI, which would make the ranks believe that they belong to it."""
 SETTINGS = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",

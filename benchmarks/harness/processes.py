@@ -69,7 +69,7 @@ class Job:
 
     @property
     def case(self) -> tuple[str, str]:
-        """Whose tasks may share what a process has kept."""
+        """Study and case; their tasks may share what a process has kept."""
         return self.study.name, self.task.case
 
 
@@ -127,6 +127,7 @@ class _Lane:
         self._begin = 0.0
 
     def submit(self, job: Job) -> Future:
+        """Start a job, in the process that runs or in a new one."""
         if job.study.alone:
             self.end()
         self.job, self._begin = job, time.monotonic()
@@ -149,6 +150,7 @@ class _Lane:
         return self.job is not None and time.monotonic() - self._begin > self.job.study.limit
 
     def result(self, future: Future) -> Outcome:
+        """Give the outcome of the last job; a job past its limit is ended, and it failed."""
         assert self.job is not None
         seconds, limit = time.monotonic() - self._begin, self.job.study.limit
         if not future.done():

@@ -135,7 +135,7 @@ def write_report(
 
 
 def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
-    """What is compared, sentences, tables, one figure, and one picture by caption."""
+    """Collect the first screen: sentences, tables, one figure, and one picture by caption."""
     rows = {part.results.study: [row for row in part.results.rows if row.done] for part in ordered.values()}
     lines = collect_rows(rows.get("faces", ()))
     figure = first_screen.draw_figure(lines)

@@ -16,7 +16,7 @@ from ...lhm.base.limits import RESULT_BYTES
 from .study import Column, Study
 
 NAMES = ("case", "method", "status")
-"""Of a row."""
+"""Columns that name a row."""
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def refuse_other_versions(where: str) -> Iterator[None]:
 LEAST = 0.02
 """Share below which no change counts, however quiet the machine."""
 ROUNDING = 1e-3
-"""Of the largest value of an answer's column over all tasks: errors far below that differ by rounding alone."""
+"""Changes below this share of a column's largest value over all tasks are rounding."""
 
 
 @dataclass(frozen=True)

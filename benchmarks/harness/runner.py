@@ -31,7 +31,7 @@ from .study import Results, Row, Study, Task, Values, at_most
 EVERY = 20.0
 """[s] between two looks at results while tasks run."""
 FIRST_BYTES = {".png": b"\x89PNG", ".npy": b"\x93NUMPY"}
-"""By which a file's kind is known; what has none of them is a page."""
+"""First bytes by kind of file; a file with none of them is a page."""
 
 
 @dataclass(frozen=True)

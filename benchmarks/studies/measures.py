@@ -1,4 +1,4 @@
-"""What studies measure alike: distances, time, memory, one solve as seen from the truth, and limits of meshes."""
+"""Measures that studies share: distances, time, memory, a solve's error to the truth, and limits of meshes."""
 
 from __future__ import annotations
 

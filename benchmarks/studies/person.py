@@ -1,4 +1,4 @@
-"""Whose head a study measures."""
+"""The person whose head a study measures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ...surrogate.runtime import Surrogate
 from ..harness.study import Study
 
 CELLS: CellKind = "tets"
-"""Of faces that methods are compared on: those that the shipped network has learned."""
+"""Cells of faces that methods are compared on; the shipped network has learned these."""
 
 
 def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
@@ -57,7 +57,7 @@ class Person:
 
     @property
     def shapes(self) -> Floats:
-        """What the 52 weights add to the skin [mm], shape (52, n, 3)."""
+        """Shapes that the 52 weights add to the skin [mm], shape (52, n, 3)."""
         return self.space.shapes_on(self.head.skin) if self.code is not None else self.space.transfer_to(self.head.skin)
 
     def change(self, skin: Surface, level: int) -> Person:

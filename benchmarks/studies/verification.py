@@ -23,7 +23,7 @@ from .person import parse_solvers, person
 
 HEAD, FELUPE = "neo-Hookean face without its membrane", "felupe"
 LEVEL, BUDGET = 1, 60.0
-"""Of heads; [s] of processor time for FElupe's solve."""
+"""Level of heads; [s] of processor time for FElupe's solve."""
 HEAD_BOUND = 1e-8
 Outcomes = Callable[[], Sequence[problems.Outcome]]
 

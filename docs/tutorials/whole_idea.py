@@ -59,6 +59,7 @@ def strain(s, weight, limit):
 
 
 def volume(s, weight, v):
+    """The law weight/2 |s - t|², t the nearest stretches whose product is v."""
     # Newton's method for ln(t₀ t₁ t₂ / v) = 0, by t₂; flat and inverted tets begin upright.
     area, last, t = s[:, 0] * s[:, 1], s[:, 2], s.copy()
     t[:, 2] = np.where(area * last < 0.2 * v, 0.5 * v / (area + 0.3 * v), last)

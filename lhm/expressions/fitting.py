@@ -180,6 +180,7 @@ class _Solver:
 
     @classmethod
     def from_face(cls, face: TrackedFace, policy: FittingPolicy) -> _Solver:
+        """Factor the matrix of a face; InputError if no expression moves it, or it has no area."""
         used = np.flatnonzero(np.linalg.norm(face.shapes, axis=2).max(axis=1) >= policy.least_motion)
         if not used.size:
             raise InputError("no expression moves the face")

@@ -42,7 +42,10 @@ class _Chumpy:
 
 
 class _Reader(pickle.Unpickler):
+    """Unpickles arrays alone."""
+
     def find_class(self, module: str, name: str) -> Any:
+        """Give the stand-in or the maker of an array; UnpicklingError for any other class."""
         if module.split(".")[0] == "chumpy":
             return _Chumpy
         if module.startswith("scipy.sparse") and name in SPARSE:

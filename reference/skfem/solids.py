@@ -205,6 +205,7 @@ class ByRotation:
         return np.einsum("ma,maij->mij", self._differentiate_by_rotation(F, R)[1], np.stack([2 * (F - R), R], axis=1))
 
     def tangent(self, F: Floats) -> Floats:
+        """See Law; R's derivative is that of the projection onto rotations."""
         U, sigma, Vt = signed_svd(F)
         R = U @ Vt
         _, gradient, hessian = self._differentiate_by_rotation(F, R)

@@ -222,7 +222,7 @@ class Corpus:
 
     @property
     def owner(self) -> str:
-        """What each shard names as its corpus."""
+        """Name of the corpus in each shard."""
         return "-".join(str(self.said[name]) for name in OWNER)
 
     def shard_path(self, identity: int) -> Path:
@@ -422,6 +422,7 @@ class _Rate:
         progress(f"corpus: {plan.identities - pending} of {plan.identities} people are there", 0.0)
 
     def add(self, seconds: float):
+        """Count one more person, made in `seconds`, and tell the progress."""
         self._done, self._left, self._spent = self._done + 1, self._left - 1, self._spent + seconds
         wall = time.monotonic() - self._begin
         people = self._plan.identities - self._left

@@ -72,7 +72,7 @@ COMMANDS = [words for block in re.findall(r"```sh\n(.*?)```", TEXT, flags=re.DOT
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the pages take for granted: a scan, a take, parameters, takes, a plan."""
+    """Files that the pages take for granted: a scan, a take, parameters, takes, a plan."""
     folder = tmp_path_factory.mktemp("pages")
     skin = load_template(level=1).skin
     # Metres; of the template's triangles, so that it need not be registered, which test_own_head.py does.

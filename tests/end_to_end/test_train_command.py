@@ -15,7 +15,6 @@ from softdeca.surrogate.methods import NETWORK, READY
 pytestmark = pytest.mark.usefixtures("measured_here")
 
 SPACE = Spheres(1)
-"""What a results file may lack here: tests run on changed trees, and without git."""
 PLAN = CorpusPlan(
     identities=12, groups=2, frames=6, sequences=0, references=0,
     varying=0.0, kinds={"materials": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,

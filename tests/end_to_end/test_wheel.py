@@ -19,12 +19,12 @@ from softdeca.lhm.expressions import ARKIT
 ROOT = Path(__file__).resolve().parents[2]
 PORTIONS = ("lhm", "reference", "surrogate", "animation", "benchmarks", "cli")
 ENVIRONMENT = ROOT / "build" / "wheel"
-"""Of a gigabyte, so it is kept until the listed packages change."""
+"""It takes a gigabyte, so it is kept until the listed packages change."""
 HOST = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 
 def run(*command, folder):
-    """What a command of the environment prints."""
+    """Run a command of the environment and return its output."""
     program, *words = command
     done = subprocess.run([ENVIRONMENT / "bin" / program, *words], cwd=folder, env=HOST, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr

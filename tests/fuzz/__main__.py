@@ -24,7 +24,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 KEPT, BESIDE = HERE / "kept", HERE / "kept" / "beside"
 SECONDS, PATIENCE = 5, 60
-"""Of work that reading may take, and of time."""
+"""Processor time and wall time that reading may take."""
 MEMORY = 1_500_000_000
 """Bytes that reading may add to the process' address space: the files have 100 kB."""
 LARGE = 1e7

@@ -58,7 +58,7 @@ from softdeca.reference.problems.meshes import box
 from softdeca.surrogate.corpus.plan import CorpusPlan
 
 SECONDS, PATIENCE = 10, 120
-"""Of work that a case may take, and of time."""
+"""Processor time and wall time that a case may take."""
 MEMORY = 6 * 10**9
 """Bytes that a case may add to the process' address space."""
 
@@ -277,9 +277,9 @@ def outcome(call: Callable[[], object], plain: bool = False) -> tuple[str, str]:
 
 
 NO_PLACES = ("/dev/null/x", "/dev/null/x.npz", "/dev/null/x.png", "é" * 300, "é" * 300 + ".npz")
-"""What every file or folder to write is given."""
+"""Names for every file or folder to write."""
 WORDS = ("", "-1", "nan", "1e400", "no/such.file", "a,b", "jawOpen*nan", "../\x01", "é" * 300)
-"""What every option and argument of a command is given."""
+"""Values for every option and argument of a command."""
 
 
 def commands() -> Iterator[list[str]]:
@@ -296,7 +296,7 @@ NOTHING |= {
 }
 """Texts that may be empty, of any command or of one, and what that means: the work would begin, and is not tried."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)
-"""What is part of no name; others may be, as "nan" is of another word."""
+"""Words that are part of no name; others may be, as "nan" is of another word."""
 
 
 def _words_of(command: str, parameter: click.Parameter) -> Iterator[list[str]]:
@@ -414,7 +414,7 @@ def any_values(data) -> None:
 
 @given(st.data())
 def any_texts(data) -> None:
-    """What commands read from their words: expressions, takes, identities, counts."""
+    """Texts that commands read: expressions, takes, identities, counts."""
     reads: list[Callable[[str], object]] = [expressions.parse_weights, identities.from_text, parse_layers]
     reads.append(take_from_text)
     read = data.draw(st.sampled_from(reads))

@@ -21,7 +21,7 @@ from ..refusals import refused
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, sphere_head):
-    """What wrong words speak of: a head, a file that is none, a plan, parameters that no network knows, no takes."""
+    """Files that wrong words name: a head, a file that is none, a plan, parameters that no network knows, no takes."""
     folder = tmp_path_factory.mktemp("words")
     save_head(folder / "head.npz", sphere_head)
     np.savez(folder / "skin.npz", vertices=sphere_head.skin.vertices, triangles=sphere_head.skin.triangles)

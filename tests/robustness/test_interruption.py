@@ -317,7 +317,7 @@ def test_without_fenicsx_the_other_solvers_verify(without_dolfinx, tmp_path):
 
 
 def test_the_bare_package_has_a_head_and_runs_a_trained_surrogate():
-    """What `pip install` brings alone: no torch, no anny, no dolfinx."""
+    """`pip install` alone brings no torch, no anny, no dolfinx."""
     code = (
         BARE
         + """

@@ -67,7 +67,7 @@ def small(monkeypatch):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if np.isfinite(load_file(name).TOLERANCE)])
 def test_each_solver_ends_at_the_answer_of_the_bar(name):
-    """By its best setting."""
+    """Each entrant is run by its best setting."""
     bar, entrants = problems.make("bar"), [each for each in list_entrants() if each.file == name]
     ends = []
     for entrant in entrants:

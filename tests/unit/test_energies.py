@@ -166,7 +166,7 @@ def test_a_matrix_is_assembled_anew_at_every_state():
 
 
 def test_a_softened_hessian_that_keeps_all_is_the_exact_one():
-    """By singular values, and by UFL."""
+    """Compare singular values with UFL."""
     discrete, place, _ = place_of("laws on the same tets", "fenicsx", "P1")
     exact = discrete.hessian(place)
     np.testing.assert_allclose(

@@ -69,7 +69,7 @@ def test_skin_that_is_loose_in_part_swings_faster_and_nearer_to_critical_until_i
 
 @pytest.mark.parametrize("rate", [24.0, 30.0, 60.0])
 def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_is_followed_behind(rate):
-    """By 2 (α - β) / γ frames at every corner of p's range; not at all where nothing is loose."""
+    """The lag is 2 (α - β) / γ frames at every corner of p's range, and none where nothing is loose."""
     share = np.linspace(0.0, 1.0, 201)
     for f, zeta in CORNERS:
         found = from_oscillator(f, zeta, 1 / rate, loose=share)  # Recurrence itself refuses what grows or drifts

@@ -41,7 +41,7 @@ def strained(law, cells=3, by=0.1):
 
 
 def condensed_residual(condensed, held, x, b):
-    """Of the equations of the displacement alone, where the held dofs' rows and columns are gone, over b's norm."""
+    """Residual of the displacement's equations alone, without the held dofs' rows and columns, over b's norm."""
     H = csr_matrix(condensed.problem.matrix.getValuesCSR()[::-1])
     B, D = (csr_matrix(part.getValuesCSR()[::-1]) for part in (condensed.matrix.B, condensed.matrix.D))
     B = diags(np.isin(np.arange(len(b)), held, invert=True).astype(float)) @ B

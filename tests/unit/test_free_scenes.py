@@ -42,7 +42,7 @@ def test_a_jaw_opens_by_its_angle_about_its_hinge(head):
 
 
 def test_what_holds_the_bones_bears_the_flesh(bare):
-    """Of a face that no spring holds, reactions are its weight, exactly."""
+    """Reactions of a face that no spring holds are its weight, exactly."""
     scene = open_jaw_scene(bare, Parameters(gravity=2.0), angle=10.0)
     assert not np.any(scene.of(terms.Target)[0].stiffness)
     reactions = solve(scene, tolerance=1e-10).reactions.sum(axis=0)

@@ -283,7 +283,7 @@ def test_collapse_and_inversion_are_refused(name, form):
 
 
 def test_densities_against_their_formulas():
-    """By principal stretches."""
+    """Formulas of principal stretches."""
     F = gradients(upright=True)
     s = np.linalg.svd(F, compute_uv=False)
     s2, J = s**2, np.linalg.det(F)

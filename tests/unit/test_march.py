@@ -193,7 +193,7 @@ def test_energy_does_not_grow_without_input(name):
 
 
 def test_newmark_loses_nothing_of_what_goes_in_and_what_dampers_take():
-    """Of energies that are quadratic the balance is exact: springs with moving ends, an accelerated frame, a damper."""
+    """The balance of quadratic energies is exact: springs with moving ends, an accelerated frame, a damper."""
     springs = swinging()
 
     def ends(t):

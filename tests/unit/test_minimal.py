@@ -1,4 +1,4 @@
-"""What a piece of the facial scene changes is judged on the face that settled without it."""
+"""Changes by a piece of the facial scene are judged on the face that settled without it."""
 
 import numpy as np
 

@@ -14,7 +14,7 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 def are_mirrored(elements, twins):
-    """Which of some triangles or tets (m, k), over wraps whose vertices have `twins`, have a mirror image."""
+    """Find the triangles or tets (m, k), over wraps whose vertices have `twins`, that have a mirror image."""
     n = len(twins)
     own = {tuple(each) for each in np.sort(elements, axis=1).tolist()}
     image = np.sort(twins[elements % n] + elements // n * n, axis=1)

@@ -173,7 +173,7 @@ def divide(faces, split="train"):
 
 @pytest.fixture
 def lessons(faces):
-    """Of tables and of the remainder, begun, with tables of all vertices."""
+    """Lessons of tables and of the remainder, begun, with tables of all vertices."""
     data = divide(faces)
     network = draw_network(data, replace(CONFIG, sampled=20), np.random.default_rng(0))
     of_tables = TableLesson(data, network, TableTraining(vertices=20), 0, "cpu", lambda *_: None)

@@ -143,7 +143,7 @@ def test_a_column_bends_under_a_dead_load_beyond_its_buckling():
 
 @pytest.mark.parametrize("poisson", [0.4999, 0.49999])
 def test_a_nearly_incompressible_block_is_solved_to_the_end(poisson):
-    """By factors, whatever the usual solver is: CG's steps creep there."""
+    """Factors solve it, whatever the usual solver is: CG's steps creep there."""
     X, tets = meshes.box((3, 3, 3))
     low, high = (meshes.vertices_at(X, 2, at) for at in (0.0, 1.0))
     law = terms.Hyperelastic(NeoHookean.from_young(10.0, poisson))

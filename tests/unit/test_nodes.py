@@ -56,7 +56,7 @@ def test_linear_nodes_of_fenicsx_are_the_vertices_of_tets():
 
 @FEM
 def test_an_edge_through_the_inside_is_free_between_held_faces(solver):
-    """Of a cube of one cell all vertices are held, or two sides in other components; the diagonal's middle is not."""
+    """All vertices of a cube of one cell are held, or two sides in other components; the diagonal's middle is not."""
     X, tets = meshes.block(1)
     discrete = DISCRETE[solver](Scene(X, tets, []), "P2")
     nodes = discrete.nodes

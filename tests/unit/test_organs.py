@@ -45,7 +45,7 @@ def count_crossings(face, positions):
 
 
 def test_nothing_crosses_at_rest_in_random_people(fit):
-    """By ipctk, of each eyeball and each tooth with the whole skin wrap; and contact pushes nothing."""
+    """ipctk finds no crossing of an eyeball or a tooth with the whole skin wrap, and contact pushes nothing."""
     ipctk = pytest.importorskip("ipctk")
     rng = np.random.default_rng(11)
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""What solving a prepared scene promises: options, warm starts, nothing factored twice, a falling energy, speed."""
+"""Promises of a prepared scene's solve: options, warm starts, nothing factored twice, a falling energy, speed."""
 
 import pickle
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is factored of the exact Hessian: answers to it, raised eigenvalues, reuse, and a metric for descent."""
+"""Factors of the exact Hessian: their answers, raised eigenvalues, reuse, and a metric for descent."""
 
 import numpy as np
 import pytest

@@ -182,7 +182,7 @@ def _moved(surface, scale, shift=0.0):
 
 
 def test_skins_of_another_topology_are_registered(folder, template, space, monkeypatch):
-    """What comes back takes the skin's place; what fails names the file. The registration has tests of its own."""
+    """A registered skin replaces the one read; a failure names the file. The registration has tests of its own."""
     skin, skull = head(template, space, 1, 0.9)
     other = Surface(skin.vertices[::-1], len(skin.vertices) - 1 - skin.triangles)
     write(folder, "p1", other, skull)

@@ -1,4 +1,4 @@
-"""What every solver promises of a solve: its history, why it stopped, a sequence prepared once, what is refused."""
+"""Promises of every solver's solve: its history, why it stopped, a sequence prepared once, refusals."""
 
 import copy
 import pickle

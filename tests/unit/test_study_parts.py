@@ -1,4 +1,4 @@
-"""What the studies are made of: limits, traces, cuts and volumes, on small spheres."""
+"""Parts of the studies: limits, traces, cuts and volumes, on small spheres."""
 
 import numpy as np
 import pytest

@@ -67,7 +67,7 @@ AREAS = {
     "a path of a library": ("mtllib C:\\scan\\\n" + SQUARES + "f 1 2 3\n", 50.0),
     "a vertex in two lines": ("v 0 0 \\\n0\n" + SQUARES[8:] + "f 1 2 3\n", 50.0),
 }
-"""By the shoelace formula; a fan of the first quad would cover 90."""
+"""Areas by the shoelace formula; a fan of the first quad would cover 90."""
 
 
 @pytest.mark.parametrize("name", AREAS)

@@ -46,7 +46,7 @@ def write_obj(
 
 
 MIDDLES = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])
-"""Of the quarters as QUARTERS has them, y up."""
+"""Middles of the quarters in the order of QUARTERS, y up."""
 
 
 def test_an_obj_has_its_colours(tmp_path):

@@ -1,4 +1,4 @@
-"""What no solver could find wrong of a problem: its derivations, and the meshes that problems are posed on."""
+"""Faults of a problem that no solver could find: its derivations, and the meshes that problems are posed on."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from softdeca.reference.terms import Strain
 
 
 def nominal_stress(energies, stretches, axis):
-    """By the law, which tests/unit/test_laws.py holds to its formula."""
+    """Give the law's stress; tests/unit/test_laws.py holds the law to its formula."""
     (law,) = (term.material for term in energies)
     form = skfem.ByRotation if isinstance(law, materials.Corotated) else skfem.ByInvariants
     return form(law).stress(np.diag(np.array(stretches, dtype=float))[None])[0, axis, axis]

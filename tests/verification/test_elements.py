@@ -11,7 +11,7 @@ from softdeca.reference.problems.manufactured import waves
 
 
 def test_the_field_has_its_derivatives():
-    """By central differences; the force is minus the divergence of P."""
+    """Compare with central differences; the force is minus the divergence of P."""
     law = manufactured.LAW
     X = np.random.default_rng(0).random((20, 3))
     _, gradient, second = waves(X)

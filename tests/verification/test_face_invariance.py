@@ -1,4 +1,4 @@
-"""What must hold of a face whatever the solver: mirror, units of stiffness, bone, strength and side of an effect.
+"""Invariants of a face, whatever the solver: mirror, units of stiffness, bone, strength and side of an effect.
 
 Expectations follow from the statement of the problem alone. A solver or a scene with a wrong sign, side, unit or
 factor fails them; agreement of two solvers on one wrong scene does not.

@@ -33,7 +33,7 @@ def by_law(pose):
 
 
 def turning_cranium(head):
-    """By 20° at once a neo-Hookean tet would be inverted: the body is held until the cranium has arrived."""
+    """A turn by 20° at once would invert a neo-Hookean tet: the body is held until the cranium has arrived."""
     scene = by_law(facial(15.0))(head)
     cranium = scene.of(terms.Fixed)[0].values
     return scene.with_fixed(Rotation.from_euler("y", 20.0, degrees=True).apply(cranium) + [0.0, 0.0, 7.0])

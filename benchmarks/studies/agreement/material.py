@@ -1,4 +1,4 @@
-"""Which hyperelastic law PD's energy stands for: stresses of a uniform cube, over Poisson's ratio and strain."""
+"""Compare PD's energy with hyperelastic laws: stresses of a uniform cube, over Poisson's ratio and strain."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ VIEW_WORDS = "Turn it with the mouse or a finger. In the poses PD's own answers 
 NEAR_ACCURACY = 0.01
 """How near [mm] PD's answer must be to that from another start."""
 APART = 1e-4
-"""Of the largest displacement: converged answers that are farther apart than this are two minima."""
+"""Share of the largest displacement; converged answers that are farther apart are two minima."""
 ROUNDING = 1e-12
 """A rise of the energy by at most this share of it is rounding."""
 

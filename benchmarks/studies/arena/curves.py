@@ -25,7 +25,7 @@ COLOURS = {
     "Newton VBD": "#ff7f0e",
     "libigl ARAP": "#2ca02c",
 }
-"""By what METHODS has not; others are black."""
+"""Colours of solvers that METHODS has not; others are black."""
 
 
 Over = Literal["seconds", "work"]

@@ -63,4 +63,4 @@ LAWS: Mapping[str, Solid] = {
     PROJECTIVE: _projective,
     RIGID: _rigid,
 }
-"""By the name that a solver's file gives; libigl's answer does not hang on mu, nor projective dynamics' on a factor."""
+"""Laws by the name in a solver's file; libigl's answer is independent of mu, projective dynamics' of a factor."""

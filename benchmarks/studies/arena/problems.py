@@ -30,7 +30,7 @@ FLESH_YOUNG, FLESH_POISSON = 15.0, 0.45
 """[kPa] and 1."""
 EXPRESSION = "jawOpen*0.5+mouthSmileLeft*0.7+mouthSmileRight*0.7"
 EVERY = 16
-"""Of the skin wrap's vertices, one in so many is a handle."""
+"""One vertex in so many of the skin wrap is a handle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +245,7 @@ class Case:
 
 
 SIZES = {1: "14.5 k tets", 2: "58 k tets"}
-"""By the template's level."""
+"""Size of the mesh, by the template's level."""
 
 
 def _cases() -> tuple[Case, ...]:

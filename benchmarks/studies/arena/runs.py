@@ -31,7 +31,7 @@ ACCURACIES = tuple(float(f"1e-{power}") for power in range(7))
 """[mm] of the largest error."""
 ONE, TENTH, HUNDREDTH = range(3)
 POINTS = 60
-"""Of a curve that are kept at most, evenly in the logarithm of their number."""
+"""Maximum points per curve, log-spaced."""
 BUDGETS = ((20_000, 4.0), (100_000, 8.0), (1_000_000, 32.0))
 """[s] of processor time of a solve, up to so many tets."""
 REST, ANSWER = "from rest", "from the answer"
@@ -40,9 +40,9 @@ SET_UP_LIMIT = 240.0
 GRACE = 6.0
 """[s] of processor time of compilation, and of a solve that cannot look at the clock, beside twice its budget."""
 WALL = 8.0
-"""By how much more wall time than processor time a run may take."""
+"""Largest ratio of wall time to processor time of a run."""
 WARM_ITERATIONS = 5
-"""Of our solvers' uncounted run."""
+"""Iterations of our solvers' uncounted first run."""
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "IGL", "VECLIB_MAXIMUM")
 
 
@@ -70,7 +70,7 @@ def environments() -> Path:
 
 
 class Solvable(Protocol):
-    """What solvers are given: a problem of `problems`, or an expression of a face."""
+    """Input of a solver: a problem of `problems`, or an expression of a face."""
 
     @property
     def skin(self) -> Ints:

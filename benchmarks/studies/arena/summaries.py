@@ -1,4 +1,4 @@
-"""What the arena's rows say together: times over problems of one kind, and claims of the literature."""
+"""Summaries of the arena's rows: times over problems of one kind, and claims of the literature."""
 
 from __future__ import annotations
 

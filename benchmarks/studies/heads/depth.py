@@ -28,7 +28,7 @@ from ....lhm.template.wraps.depth import LANDMARKS
 from ...harness.study import Column, Row, Study, Task, Values, at_most
 
 LEAST_MEASURED = 0.1
-"""Of the face's vertices at least this share must see bone, or there is nothing to compare."""
+"""Least share of the face's vertices that must see bone, or there is nothing to compare."""
 PUBLISHED = float(np.mean([mark.depth for mark in LANDMARKS]))
 """Mean [mm] of the published depths: the rival that gives every vertex the same depth."""
 BETTER = 0.95

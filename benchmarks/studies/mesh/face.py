@@ -28,7 +28,7 @@ ORDERS = 0.5, 3.0
 SAFETY = 1.25
 """Band over the extrapolated step, as for the index of grid convergence with an observed order (Roache 1994)."""
 LEAST_BAND = 0.005
-"""Of a value: no band is narrower."""
+"""Least band, as a share of a value."""
 CONVERGED = "converged"
 ANSWERS = Path(__file__).parents[2] / "face" / "answers"
 """Scores of other codes' answers, NAME.json each of `bench score --json`: a pull request adds its own."""
@@ -56,7 +56,7 @@ MIXED = Method("fenicsx", "P2P1", 0)
 CHECKS = (Method("skfem", "P1", 0), Method("skfem", "P2", 0))
 METHODS = {method.name: method for method in (*LINEAR, *QUADRATIC, MIXED, *CHECKS)}
 TOLERANCE = 1e-7
-"""Of the gradient norm, relative to that at rest."""
+"""Gradient norm relative to that at rest."""
 
 
 @lru_cache(maxsize=1)
@@ -264,7 +264,7 @@ def _limits(rows: Sequence[Row]) -> dict[str, list[dict]]:
 
 
 def _compare_codes(lines: Sequence[Values]) -> float:
-    """What two codes differ by at most, over the problem's largest value of its unit: elsewhere is rounding."""
+    """Give the largest difference of two codes, over the problem's largest value of its unit: elsewhere is rounding."""
     largest = {unit: max(line["size"] for line in lines if line["unit"] == unit) for unit in ("mm", "kPa", "mN")}
     return max(line["codes"] * line["size"] / largest[line["unit"]] for line in lines)
 

@@ -59,9 +59,9 @@ REFINED = "quadratic tets, refined twice"
 TRUTH = m.FENICSX_P2
 COARSER, FINER, SUBLAYERS = "PD, coarser head", "PD, finer head", "PD, two sub-layers"
 TOLERANCE, LOOSE = 1e-6, 1e-4
-"""Of refined solves, and of expressions by quadratic tets: gradient norm relative to that at the start."""
+"""Gradient norm relative to that at the start, of refined solves, and of expressions by quadratic tets."""
 MESHES = (m.PD_TETS, m.PD, COARSER, FINER, SUBLAYERS)
-"""What is compared with the truth."""
+"""Meshes that are compared with the truth."""
 
 
 @dataclass(frozen=True)

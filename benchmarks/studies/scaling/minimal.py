@@ -1,4 +1,4 @@
-"""What each piece of the facial scene costs, and what the face is wrong by without it."""
+"""Cost of each piece of the facial scene, and the face's error without it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ LEFT_OUT: Mapping[str, Change] = {
     "without free rigid mandible": choose(bones="prescribed"),
     "without gravity beyond the scan's": change_parameters(gravity=1.0, gravity_x=0.0, gravity_y=-1.0, gravity_z=0.0),
 }
-"""What a scene may do without: layers, terms, regions (others are carried along), motions of bone."""
+"""Pieces that a scene may do without: layers, terms, regions (others are carried along), motions of bone."""
 ADDED_GRAVITY = "without gravity beyond the scan's"
 """Only of a case that has some."""
 

@@ -1,4 +1,4 @@
-"""What several processes of mpirun gain: whole solves of one head by FEniCSx."""
+"""Gain of several processes of mpirun: whole solves of one head by FEniCSx."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is compared with the simulator on the people of a corpus: the surrogate, and rivals, those that learn, too."""
+"""Methods that are compared with the simulator on a corpus' people: the surrogate, and rivals that learn, too."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ Columns = dict[str, tuple[np.ndarray, Ints]]
 
 
 class _Body:
-    """What follows the header, read from its beginning on; a text as the bytes of its numbers."""
+    """A file's bytes after its header, read from their beginning on; a text as the bytes of its numbers."""
 
     def __init__(self, content: bytes, order: str):
         self.order, self.is_text, self.at = order, not order, 0

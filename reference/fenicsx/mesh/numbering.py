@@ -194,7 +194,7 @@ class Numbering:
         return values[self.ends].mean(axis=1)
 
     def held(self, held: np.ndarray) -> np.ndarray:
-        """Which components of nodes (n, 3) are held where vertices (scene vertices, 3) are.
+        """Find the components of nodes (n, 3) that are held where vertices (scene vertices, 3) are.
 
         A node on an edge is, if a face of the boundary has the edge, and all its three vertices are held: an edge
         through the inside is free though both its ends lie on held faces.

@@ -48,7 +48,7 @@ class AnyState(Protocol):
 
 
 class Minimised(Protocol):
-    """What has an energy."""
+    """A problem with an energy, its gradient and its Hessian."""
 
     comm: MPI.Intracomm
 
@@ -64,7 +64,7 @@ class Minimised(Protocol):
 
 @dataclass
 class Work:
-    """What a solve cost."""
+    """Cost of a solve."""
 
     linear_iterations: int = 0
     linear_solves: int = 0

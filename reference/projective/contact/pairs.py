@@ -1,4 +1,4 @@
-"""Which pairs of a surface are near, and how far a step may go before one meets; see `terms.gaps` for distances."""
+"""Find pairs of a surface that are near, and the step at which the first meets; see `terms.gaps` for distances."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from .points import ContactPoints
 from .rows import Rows
 
 AHEAD = 1.5
-"""Of the offset, the distance within which pairs are rows at least."""
+"""Multiple of the offset within which pairs are rows at least."""
 LEAST = 1e-9
 """[mm] An offset of pairs that touch or cross at rest, below which nothing pushes them."""
 
@@ -165,6 +165,7 @@ class _Candidates:
         self._least = 0.0
 
     def find_rows(self, x: Floats) -> Rows:
+        """Find the rows of pairs within reach at positions x (k, 3) [mm]."""
         surface = self._surface
         self._search(x, x)
         which, weights, normals, distance = measure_near(x, self._pairs, self._of_vertices, self._reach)

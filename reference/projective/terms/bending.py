@@ -147,6 +147,7 @@ class Rings(Part):
         return cls(centres, starts, ring, cotangents, edges, sought, laplacians, FLOOR * size, weights)
 
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
+        """Add the gradient [mN] at displacements u (n, 3) [mm] in place; return `total` and the energy [µJ]."""
         return total + _add_bending(
             self.centres,
             self.starts,

@@ -57,6 +57,7 @@ class Pairs(Part):
         return np.vstack([term.pairs[:, _find_couples(term.pairs.shape[1])].reshape(-1, 2) for term in self.terms])
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
+        """Add the Hessian; see `Part`. Where `least` is not negative, no pair has a negative eigenvalue."""
         begin = 0
         for term, amounts in zip(self.terms, self.amounts, strict=True):
             couples = _find_couples(term.pairs.shape[1])

@@ -467,7 +467,7 @@ def _settle_doubts(w):
 # The local step.
 
 HAS_VOLUME, HAS_BOUNDS, HAS_GUARDS = 1, 2, 4
-"""What a block asks for: a volume, a first Strain that is not of limit 1, a second Strain."""
+"""Flags of a block: a volume, a first Strain that is not of limit 1, a second Strain."""
 NEAR = 1e-8
 """Where two stretches differ by less, a difference quotient is taken for the derivative."""
 CLOSE = 1e-5

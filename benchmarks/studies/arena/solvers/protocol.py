@@ -1,4 +1,4 @@
-"""What a solver's file gets and gives: a problem, and a clock that it shows its positions to. numpy alone."""
+"""Protocol of a solver's file: it gets a problem, and a clock that it shows its positions to. numpy alone."""
 
 from __future__ import annotations
 
