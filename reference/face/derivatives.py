@@ -1,4 +1,4 @@
-"""Derivatives of a settled face at its neutral expression, by blendshapes.
+"""Derivatives of a settled face at an answer: at the neutral one by blendshapes, at a frame by p.
 
 At a minimum the gradient stays zero, so K dx = -∂(∇E)/∂p dp with K the exact Hessian: one factor serves all changes.
 Frames of one face start from the first-order answer, so each depends on its own expression alone, whatever was solved
@@ -26,12 +26,12 @@ BY_MATRIX = 400
 
 
 Rested = tuple[ProjectivePrepared, Solution]
-"""A settled face's neutral scene, prepared, and its answer by the PD matrix, which may not have converged."""
+"""A face's scene, prepared, and its answer by the PD matrix, which may not have converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceDerivatives:
-    """A settled face's neutral scene, prepared, with its answer and the factored Hessian there."""
+    """A face's scene, prepared, with its answer and the factored Hessian there."""
 
     prepared: ProjectivePrepared
     answer: Solution
@@ -51,7 +51,7 @@ class FaceDerivatives:
 def rest_among_targets(
     scene: Scene, start: Floats, accuracy: float = QUICK_ACCURACY, on_iteration: OnIteration | None = None
 ) -> Rested:
-    """Prepare a settled face's neutral scene and solve it by the PD matrix, to `accuracy` or near enough for a tangent.
+    """Prepare a face's scene and solve it by the PD matrix, to `accuracy` or near enough for a tangent.
 
     start: the settled face's positions [mm]. accuracy is the gradient norm of the answer, relative to that of the
     targets' springs each 1 mm long. `on_iteration` sees the solve; what it raises ends it.
@@ -69,7 +69,7 @@ def differentiate(
     like: Pattern | None = None,
     on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
-    """Factor the Hessian at a neutral answer, and refine the answer by it where it is not accurate yet.
+    """Factor the Hessian at an answer, and refine the answer by it where it is not accurate yet.
 
     accuracy as of `rest_among_targets`: one factor does for QUICK_ACCURACY and above, below it takes two. `like`, of
     another face of the same template and choices, lends its symbolic work.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -18,7 +19,7 @@ from ...lhm.head.skin import check_shapes
 from ..projective import Pattern
 from ..scene import Scene
 from ..solution import OnIteration
-from ..terms import Target
+from ..terms import Contact, Gaps, Target
 from . import palsy
 from .derivatives import (
     QUICK_ACCURACY,
@@ -33,7 +34,8 @@ from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, contact_region
 from .local import at_vertices, from_wraps, on_wraps
 from .organs import find_organs
 from .parameters import Parameters
-from .settle import TARGET_OPTIONS, SettledFace, carry_skin, settle
+from .settle import TARGET_OPTIONS, SettledFace, carry_skin, neutral_scene, settle
+from .variation import WIDE, split_apart, vary
 
 PROBE = 0.1
 """Weight of all shapes in an expression that shows which terms of a scene move."""
@@ -67,6 +69,7 @@ class Face:
     like: Pattern | None = None
     on_iteration: OnIteration | None = None
     _settled: dict[FaceLaw, SettledFace] = field(default_factory=dict, init=False, repr=False)
+    _frames: dict[bytes, FaceDerivatives] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
         for name, kind in (("head", LayeredHead), ("parameters", Parameters)):
@@ -193,10 +196,13 @@ class Face:
 
     @cached_property
     def _rested(self) -> Rested:
+        return self._rest(self.neutral_scene())
+
+    def _rest(self, scene: Scene) -> Rested:
         settled = self.settled()
         if not settled.converged:
             raise InputError(f"the face does not settle under these parameters ({settled.reason})")
-        return rest_among_targets(self.neutral_scene(), settled.positions, self.accuracy, self.on_iteration)
+        return rest_among_targets(scene, settled.positions, self.accuracy, self.on_iteration)
 
     @cached_property
     def derivatives(self) -> FaceDerivatives:
@@ -238,3 +244,140 @@ class Face:
         """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
         drawn = self.shapes if self.activation is None else self.activation * self.shapes
         return carry_to_skin(self.head, self.first_order, drawn) - self.shapes
+
+    def frame(self, weights: Floats | Floats32) -> Floats:
+        """Simulate the skin [mm], shape (n, 3), of weights (52,), to `accuracy`; InputError if it does not converge."""
+        return self.skin_after(weights, self._differentiate_frame(weights).answer.positions)
+
+    def jvp(self, weights: Floats | Floats32, by: SequenceOf[str]) -> dict[str, Floats]:
+        """Differentiate `frame` by parameters that are one number: dT/dp [mm/unit], shape (n, 3), of each name.
+
+        The neutral face settles anew as p changes. One solve a name. InputError for an unknown name, one that varies
+        over the face, and a frame that has no derivative; see `vjp`.
+        """
+        settling, frame = self._settling, self._differentiate_frame(weights)
+        _check_exact(settling, frame)
+        moved = {}
+        for name in by:
+            self._check_differentiable(name)
+            if np.ndim(getattr(self.parameters, name)):
+                raise InputError(f"jvp: parameter {name} varies over the face; vjp takes it")
+            *sides, apart = vary(self.on_wraps, name)
+            value, share = getattr(self.on_wraps, name), 1.0 / apart
+            scenes = [_hold_contact(self._settling_scene(p), settling) for p in sides]
+            settles = settling.tangent.vertices_by_scenes([zip(scenes, (share, -share), strict=True)])[0]
+            faces = [self._shifted(p, (getattr(p, name) - value) * settles) for p in sides]
+            scenes = [_hold_contact(face.scene(weights), frame) for face in faces]
+            vertices = frame.tangent.vertices_by_scenes([zip(scenes, (share, -share), strict=True)])[0]
+            ahead, behind = (
+                face.skin_after(weights, frame.answer.positions + (getattr(face.parameters, name) - value) * vertices)
+                for face in faces
+            )
+            moved[name] = share * (ahead - behind)
+        return moved
+
+    def vjp(self, cotangent: Floats, weights: Floats | Floats32, by: SequenceOf[str]) -> dict[str, float | Floats]:
+        """Differentiate Σ cotangent · T of T = `frame(weights)` by parameters: one adjoint solve, whatever the names.
+
+        cotangent (n, 3): the derivative of anything by T [1/mm]. Returns for each name a number, or one per triangle of
+        the wraps, (m,), where the parameter varies. The neutral face settles anew as p changes. Exact but for
+        difference quotients of forces, to some 1e-6; the frame itself is to `accuracy`, settling to `settling`.
+
+        InputError for an unknown name, a field per face of the skin or per tet (give it per triangle of the wraps),
+        bones that targets place, a frame that is no strict minimum, and bones' scales together with contact.
+        """
+        settling, frame = self._settling, self._differentiate_frame(weights)
+        _check_exact(settling, frame)
+        head, settled = self.head, self.settled()
+        cotangent = finite("cotangent", cotangent, self.skin.vertices.shape)
+        scene = frame.tangent.scene
+        elsewhere = self._shifted(self.on_wraps, np.ones_like(settled.positions)).scene(weights)
+        if scene.find_changes(_hold_contact(elsewhere, frame)) - {(scene.first(Target), "positions")}:
+            raise InputError("vjp: what this face holds follows its settled skin; jvp takes it")
+        # T = goal + skin_from_wrap (x - wrap_from_skin goal), where goal and springs' ends go with the settled face.
+        by_wrap = head.skin_from_wrap.T @ cotangent
+        frames = frame.tangent.adjoint(_pad(by_wrap, scene))
+        by_settled = cotangent + head.wrap_from_skin.T @ (frames.by_targets() - by_wrap)
+        settles = settling.tangent.adjoint(_pad(head.skin_from_wrap.T @ by_settled, scene))
+
+        def shares(sides: list[Parameters]) -> Floats:
+            own = [_hold_contact(self._shifted(p).scene(weights), frame) for p in sides]
+            before = [_hold_contact(self._settling_scene(p), settling) for p in sides]
+            return sum(
+                adjoint.by_scenes(zip(scenes, (1.0, -1.0), strict=True))
+                for adjoint, scenes in ((frames, own), (settles, before))
+            )
+
+        derivatives: dict[str, float | Floats] = {}
+        for name in by:
+            self._check_differentiable(name)
+            if not np.ndim(getattr(self.parameters, name)):
+                *sides, apart = vary(self.on_wraps, name)
+                ahead, behind = (self._shifted(p).skin_after(weights, frame.answer.positions) for p in sides)
+                derivatives[name] = float((shares(sides).sum() + np.sum(cotangent * (ahead - behind))) / apart)
+                continue
+            field = derivatives[name] = np.zeros(len(head.skin_wrap.triangles))
+            for triangles, owner in split_apart(head.skin_wrap, name in WIDE):
+                *sides, apart = vary(self.on_wraps, name, triangles)
+                of_columns = shares(sides)
+                owners = np.resize(owner, len(of_columns))
+                sums = np.bincount(owners[owners >= 0], of_columns[owners >= 0], len(field))
+                field[triangles] = sums[triangles] / apart[triangles]
+        return derivatives
+
+    def _check_differentiable(self, name: str) -> None:
+        info = Parameters.info(name)
+        shape = np.shape(getattr(self.parameters, name))
+        if shape and (self.per != "wraps" or shape != (len(self.head.skin_wrap.triangles),)):
+            raise InputError(
+                f"parameter {name}: to differentiate by it, give one number, or one per triangle of the wraps"
+            )
+        if shape and (self.choices.get("attached") or self.choices.get("bones") == "soft"):
+            raise InputError(f"parameter {name}: attached things and soft bones take its mean; give one number")
+        if info.name.endswith(("scale_x", "scale_y", "scale_z")) and self.choices.get("contact"):
+            raise InputError(f"parameter {name}: no derivative where it moves teeth that are in contact")
+
+    @cached_property
+    def _settling(self) -> FaceDerivatives:
+        """The scene in which the neutral face settles, with the factored Hessian there."""
+        return differentiate(self._rest(self._settling_scene(self.on_wraps)), accuracy=self.accuracy)
+
+    def _settling_scene(self, parameters: Parameters) -> Scene:
+        return neutral_scene(self.head, parameters, **self.choices)
+
+    def _differentiate_frame(self, weights: Floats | Floats32) -> FaceDerivatives:
+        """Solve a frame and factor its Hessian; the latest is kept."""
+        key = np.asarray(weights, dtype=np.float64).tobytes()
+        if key not in self._frames:
+            self._frames.clear()
+            frame = differentiate(self._rest(self.scene(weights)), accuracy=self.accuracy, like=self.like)
+            if not frame.answer.is_balanced:
+                raise InputError(f"the frame does not converge ({frame.answer.reason})")
+            self._frames[key] = frame
+        return self._frames[key]
+
+    def _shifted(self, parameters: Parameters, moved: Floats | float = 0.0) -> Face:
+        """Return the face under other p, which has settled as this one, moved by vertices (k, 3) [mm]."""
+        settled = self.settled()
+        positions = settled.positions + moved
+        motion = self.head.skin_from_wrap @ (positions - settled.positions)[: len(self.head.bone)]
+        face = replace(self, parameters=parameters, per="wraps")
+        return face.settled_as(replace(settled, positions=positions, displacement=settled.displacement + motion))
+
+
+def _check_exact(*linear: FaceDerivatives) -> None:
+    if not all(each.is_exact for each in linear):
+        raise InputError("the face is no strict minimum of its energy here, and has no derivative")
+
+
+def _pad(wrap: Floats, scene: Scene) -> Floats:
+    """Extend a field of the skin wrap, the scene's first vertices, by zero."""
+    whole = np.zeros_like(scene.vertices)
+    whole[: len(wrap)] = wrap
+    return whole
+
+
+def _hold_contact(scene: Scene, linear: FaceDerivatives) -> Scene:
+    """Put the pairs that are pressed at an answer in the place of a scene's Contact."""
+    others = (term for term in scene.terms if not isinstance(term, Contact))
+    return replace(scene, terms=(*others, *linear.tangent.scene.of(Gaps)))

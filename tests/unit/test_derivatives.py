@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Face, Parameters, SettledFace, facial_scene, prepare, solve, terms
 from softdeca.reference.face.correction import predict
 from softdeca.reference.face.derivatives import FRAME_ACCURACY, TIGHT_ACCURACY, spring_norm
@@ -84,6 +85,59 @@ def test_shapes_move_vertices_and_skin_as_frames_do(face, palsied, choices):
         assert_near(vertices[shape], (solutions[0].positions - solutions[1].positions) / 0.02)
         skins = [face.skin_after(w, solution.positions) for w, solution in zip(weights, solutions, strict=True)]
         assert_near(skin[shape], (skins[0] - skins[1]) / 0.02)
+
+
+NAMES = (
+    "soft_stiffness", "volume_ratio", "soft_volume", "skin_growth", "skin_bending", "target_stiffness", "gravity",
+    "gravity_x", "mandible_scale_y", "paralysis_left",
+)  # fmt: skip
+FIELDS = ("muscle_volume", "skin_bending", "soft_stiffness", "target_stiffness")
+
+
+@pytest.mark.parametrize("names", [NAMES, FIELDS])
+def test_frames_move_with_p_as_differences_say(names):
+    """Each parameter, or each triangle's, moves so far that all change the frame alike; the face settles anew."""
+    rng = np.random.default_rng(0)
+    cotangent, weights = rng.normal(size=NEUTRAL.shape), np.eye(52)[3] + 0.5 * np.eye(52)[20]
+    face = tight_face(ALL, EYED)
+    if names is FIELDS:
+        triangles = len(EYED.skin_wrap.triangles)
+        fields = {name: getattr(ALL, name) * rng.uniform(0.95, 1.05, triangles) for name in names}
+        face = replace(face, parameters=replace(ALL, **fields), per="wraps")
+    derivatives = face.vjp(cotangent, weights, names)
+    if names is NAMES:
+        for name, moved in face.jvp(weights, names).items():
+            assert np.sum(cotangent * moved) == pytest.approx(derivatives[name], rel=1e-5)
+    size = 1e-3 * min(np.linalg.norm(derivative) for derivative in derivatives.values())
+    steps = {name: size * derivative / np.sum(derivative**2) for name, derivative in derivatives.items()}
+    ahead, behind = (
+        replace(
+            face, parameters=replace(face.parameters, **{n: getattr(face.parameters, n) + s * steps[n] for n in names})
+        )
+        for s in (1.0, -1.0)
+    )
+    difference = np.sum(cotangent * (ahead.frame(weights) - behind.frame(weights)))
+    assert difference == pytest.approx(2.0 * size * len(names), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "choices, parameters, name, told",
+    [
+        ({}, SETTLES, "stiffness", "unknown parameter"),
+        (
+            {},
+            Parameters(skin_growth=np.full(len(PLAIN.skin.triangles), 1.1)),
+            "skin_growth",
+            "per triangle of the wraps",
+        ),
+        (HELD[1], SETTLES, "gravity", "jvp takes it"),
+        ({"contact": [PLAIN.skin_wrap.vertices[:, 1] > 90.0]}, SETTLES, "mandible_scale_x", "in contact"),
+    ],
+)
+def test_what_has_no_derivative_says_so(choices, parameters, name, told):
+    face = tight_face(parameters, **choices)
+    with pytest.raises(InputError, match=told):
+        face.vjp(np.ones_like(NEUTRAL), np.zeros(52), [name])
 
 
 def test_a_spring_that_vanishes_may_not_be_the_first_target(expressed):

@@ -107,6 +107,10 @@ class Tangent:
         """Apply the inverse Hessian to gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
         return self.factor(right.reshape(len(right), -1)).reshape(right.shape)
 
+    def adjoint(self, cotangent: Floats) -> Adjoint:
+        """Prepare the derivative of Σ cotangent · x over vertices, shape (n, 3), by all that the scene is made of."""
+        return Adjoint(self, cotangent, self.solve(self.coordinates.pull(cotangent, self.place)))
+
     def vertices_by_targets(self, moved: Floats) -> Floats:
         """Move vertices, shape (k, n, 3), to first order, as the first Target moves by `moved` (k, targets, 3)."""
         if not self.scene.of(Target):
@@ -123,7 +127,7 @@ class Tangent:
         for k, move in enumerate(moved):
             force[target.vertices] = matrix @ move
             right[:, k] = self.coordinates.pull(force, self.place)
-        return np.stack([self._move(step) for step in self.solve(right).T])
+        return np.stack([self.coordinates.push(step, self.place) for step in self.solve(right).T])
 
     def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
         """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
@@ -136,18 +140,19 @@ class Tangent:
         for change in changes:
             force, carried = np.zeros(self.coordinates.size), np.zeros_like(self.place.u)
             for scene, weight in change:
-                gradient, u = self._gradient_in(scene)
-                force -= weight * gradient
-                carried += weight * (u - self.place.u)
+                coordinates, place, gradient = self.gradient_in(scene)
+                force -= weight * coordinates.pull(gradient, place)
+                carried += weight * (place.u - self.place.u)
             right.append(force)
             base.append(carried)
         if not right:
             return np.zeros((0, *self.place.u.shape))
         steps = self.solve(np.stack(right, axis=1))
-        return np.stack([carried + self._move(step) for carried, step in zip(base, steps.T, strict=True)])
+        pushed = (self.coordinates.push(step, self.place) for step in steps.T)
+        return np.stack([carried + moved for carried, moved in zip(base, pushed, strict=True)])
 
-    def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
-        """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
+    def gradient_in(self, scene: Scene) -> tuple[Coordinates, Place, Floats]:
+        """Return the coordinates of another scene, its place where the unknowns stay, and the gradient [mN], (n, 3)."""
         coordinates = Coordinates.from_scene(scene)
         mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
         same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
@@ -158,8 +163,7 @@ class Tangent:
         u = np.where(held, values - scene.vertices, self.place.u)
         for body, its, rotation in zip(self.coordinates.bodies, coordinates.bodies, self.place.rotations, strict=True):
             its.put(u, body.shift(self.place.u), rotation)
-        gradient = self._energy_of(scene).evaluate(u)[1]
-        return coordinates.pull(gradient, Place(u, self.place.rotations)), u
+        return coordinates, Place(u, self.place.rotations), self._energy_of(scene).evaluate(u)[1]
 
     def _energy_of(self, scene: Scene) -> Energy:
         """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
@@ -173,14 +177,36 @@ class Tangent:
         )
         return self.energy.rebuilt(scene) if same else Energy.from_scene(scene)
 
-    def _move(self, step: Floats) -> Floats:
-        """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
-        moved = np.zeros_like(self.place.u)
-        moved.reshape(-1)[self.coordinates.index] = step[: len(self.coordinates.index)]
-        motions = step[len(self.coordinates.index) :].reshape(-1, 6)
-        for body, rotation, motion in zip(self.coordinates.bodies, self.place.rotations, motions, strict=True):
-            moved[body.vertices] = motion[:3] + np.cross(motion[3:], body.arms @ rotation.T)
-        return moved
+
+@dataclass(frozen=True, eq=False)
+class Adjoint:
+    """Derivatives of Σ cotangent · x, (n, 3), where x minimises a scene's energy: one solve for all of them.
+
+    step [mm per mN, times the cotangent's unit]: the inverse Hessian times the cotangent, over the unknowns.
+    """
+
+    tangent: Tangent
+    cotangent: Floats
+    step: Floats
+
+    def by_targets(self) -> Floats:
+        """Return the derivative by the first Target's positions, shape (targets, 3)."""
+        springs = self.tangent.energy.part(Springs)
+        assert springs is not None
+        vertices, _, matrix = springs.drawn[0]
+        return matrix @ self.tangent.coordinates.push(self.step, self.tangent.place)[vertices]
+
+    def by_scenes(self, change: Iterable[tuple[Scene, float]]) -> Floats:
+        """Return each vertex' share of the derivative as the scene changes, shape (n,); their sum is the derivative.
+
+        change as of `Tangent.vertices_by_scenes`. What acts on some vertices alone has its derivative in their shares.
+        """
+        shares = np.zeros(len(self.cotangent))
+        for scene, weight in change:
+            coordinates, place, gradient = self.tangent.gradient_in(scene)
+            moved = coordinates.push(self.step, place)
+            shares += weight * np.sum(self.cotangent * place.u - moved * gradient, axis=1)
+        return shares
 
 
 def _body_rows(

@@ -128,6 +128,15 @@ class Coordinates:
             body.put(u, body.shift(place.u) + motion[:3], rotations[b])
         return Place(u, rotations)
 
+    def push(self, step: Floats, place: Place) -> Floats:
+        """Return the displacement [mm], shape (n, 3), of a small step, shape (size,): the transpose of `pull`."""
+        moved = np.zeros_like(place.u)
+        moved.reshape(-1)[self.index] = step[: len(self.index)]
+        motions = step[len(self.index) :].reshape(-1, 6)
+        for body, rotation, motion in zip(self.bodies, place.rotations, motions, strict=True):
+            moved[body.vertices] = motion[:3] + np.cross(motion[3:], body.arms @ rotation.T)
+        return moved
+
     def pull(self, gradient: Floats, place: Place) -> Floats:
         """Turn the derivative of an energy by x, shape (n, 3), into that by a step, shape (size,); exact at each place.
 
