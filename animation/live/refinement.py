@@ -13,7 +13,6 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...reference import Face, Parameters
-from ...reference.projective import Pattern
 from ...surrogate import CertifiedFace, Surrogate, certify
 from ...surrogate.methods import DERIVATIVES, NETWORK_AND_DERIVATIVES, PD
 from .messages import Change, DerivativesFound, Frame
@@ -34,7 +33,6 @@ class Refinement:
     def __init__(self, face: Face):
         self._face, self._network = face.in_contact(), Surrogate.load()
         self._now: tuple[Parameters, CertifiedFace] | None = None
-        self._analysis: Pattern | None = None
 
     def is_prepared_for(self, parameters: Parameters) -> bool:
         """Return whether derivatives under this p are there."""
@@ -46,10 +44,8 @@ class Refinement:
         SupersededError as soon as it is; InputError for a face that does not settle, and what the simulator raises.
         """
         self._now = None  # before another is made: a factor is an eighth of a gigabyte
-        face = replace(
-            self._face, parameters=parameters, like=self._analysis, on_iteration=lambda *_: _check(is_superseded)
-        )
-        self._now, self._analysis = (parameters, certify(face, self._network)), face.derivatives.analysis
+        face = replace(self._face, parameters=parameters, on_iteration=lambda *_: _check(is_superseded))
+        self._now = parameters, certify(face, self._network)
         offset, responses = (array.astype(np.float32) for array in (face.offset, face.responses))
         return DerivativesFound(parameters, offset, responses)
 

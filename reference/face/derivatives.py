@@ -14,7 +14,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ...lhm.head.head import LayeredHead
 from .. import terms
-from ..projective import Pattern, ProjectivePrepared, Tangent, prepare
+from ..projective import ProjectivePrepared, Tangent, prepare
 from ..scene import Scene
 from ..solution import OnIteration, Solution
 
@@ -42,11 +42,6 @@ class FaceDerivatives:
         """Whether the tangent is the exact Hessian, so that these are true derivatives; see `projective.Tangent`."""
         return self.tangent.is_exact
 
-    @property
-    def analysis(self) -> Pattern:
-        """Symbolic work for `Face.like`, kept when the numbers are let go."""
-        return self.tangent.pattern
-
 
 def rest_among_targets(
     scene: Scene, start: Floats, accuracy: float = QUICK_ACCURACY, on_iteration: OnIteration | None = None
@@ -66,16 +61,14 @@ def differentiate(
     rested: Rested,
     *,
     accuracy: float = QUICK_ACCURACY,
-    like: Pattern | None = None,
     on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
     """Factor the Hessian at an answer, and refine the answer by it where it is not accurate yet.
 
-    accuracy as of `rest_among_targets`: one factor does for QUICK_ACCURACY and above, below it takes two. `like`, of
-    another face of the same template and choices, lends its symbolic work.
+    accuracy as of `rest_among_targets`: one factor does for QUICK_ACCURACY and above, below it takes two.
     """
     prepared, near = rested
-    tangent = prepared.tangent(near, like=like)
+    tangent = prepared.tangent(near)
     if accuracy >= QUICK_ACCURACY and near.converged:
         return FaceDerivatives(prepared, near, tangent)
     answer = prepared.solve(
@@ -86,9 +79,8 @@ def differentiate(
         on_iteration=on_iteration,
     )
     if answer.iterations:
-        pattern = tangent.pattern
         del tangent  # before another factor is made: each is an eighth of a gigabyte
-        tangent = prepared.tangent(answer, like=pattern)
+        tangent = prepared.tangent(answer)
     return FaceDerivatives(prepared, answer, tangent)
 
 

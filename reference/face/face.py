@@ -16,7 +16,6 @@ from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...lhm.head.head import LayeredHead
 from ...lhm.head.skin import check_shapes
-from ..projective import Pattern
 from ..scene import Scene
 from ..solution import OnIteration
 from ..terms import Contact, Gaps, Target
@@ -66,7 +65,6 @@ class Face:
     choices: Mapping[str, Any] = field(default_factory=dict)
     settling: Mapping[str, Any] = field(default_factory=lambda: TARGET_OPTIONS)
     accuracy: float = QUICK_ACCURACY
-    like: Pattern | None = None
     on_iteration: OnIteration | None = None
     _settled: dict[FaceLaw, SettledFace] = field(default_factory=dict, init=False, repr=False)
     _frames: dict[bytes, FaceDerivatives] = field(default_factory=dict, init=False, repr=False)
@@ -207,7 +205,7 @@ class Face:
     @cached_property
     def derivatives(self) -> FaceDerivatives:
         """The neutral scene, prepared, with its answer and the factored Hessian there."""
-        return differentiate(self._rested, accuracy=self.accuracy, like=self.like, on_iteration=self.on_iteration)
+        return differentiate(self._rested, accuracy=self.accuracy, on_iteration=self.on_iteration)
 
     @cached_property
     def offset(self) -> Floats:

@@ -18,7 +18,7 @@ from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_po
 from ..terms import Contact, Fixed, RigidBody, Term
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .hessian.newton_step import newton_step
-from .hessian.tangent import Pattern, Tangent
+from .hessian.tangent import Tangent
 from .policy import POLICY, ProjectivePolicy
 from .terms.energy import ENERGIES, Energy, recover
 from .terms.gaps import Pairs
@@ -189,20 +189,19 @@ class ProjectivePrepared:
         scene: Scene | None = None,
         *,
         linear_solver: LinearSolver | None = None,
-        like: Tangent | Pattern | None = None,
     ) -> Tangent:
         """Factor the exact Hessian at a scene's solution: for derivatives, and as a metric of scenes near by.
 
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
-        where the system has it (see `factorise_definite`); `like`, another tangent of the same
-        topology, such as of another identity, lends its analysis. Contact is that of the pairs near at the solution.
+        where the system has it (see `factorise_definite`). What does not depend on the numbers serves again for another
+        scene of the same topology, such as of another identity. Contact is that of the pairs near at the solution.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
         positions = np.where(held, values, solution.positions)
-        return self._tangent_at(positions, scene, linear_solver=linear_solver, like=like)
+        return self._tangent_at(positions, scene, linear_solver=linear_solver)
 
     def touches(self, positions: Floats) -> bool:
         """Tell whether surfaces in Contact are too near at positions [mm], shape (n, 3), or cross."""

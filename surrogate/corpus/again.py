@@ -49,7 +49,7 @@ def simulate_again(corpus: Corpus, heads: Heads | None = None, on_progress: OnPr
         face = make_face(
             people, person, people.head(person), kept.parameters, contact=corpus.plan.contact, cells=corpus.plan.cells
         )
-        prepare_face(people, face)
+        prepare_face(face)
         solution = solve_frame(corpus.plan, face, frames.weights[row])
         answer = describe_answer(corpus.plan, face, frames.weights[row], solution)
         off = np.abs(answer.corrected.astype(np.float32) - frames.corrected[row].astype(np.float32)).max()

@@ -104,7 +104,7 @@ class _PersonRows:
             with self._time_phase("settling"):
                 choices: Any = {"contact": self.plan.contact, "cells": self.plan.cells}
                 face = make_face(self.people, self.person, self._head, parameters, **choices)
-                prepare_face(self.people, face)
+                prepare_face(face)
         except SoftdecaError as error:
             return f"settling: {error}", still, None
         return ACCEPTED, face.settled().displacement, face

@@ -14,7 +14,6 @@ from ...reference import Solution
 from ...reference.face.derivatives import spring_norm
 from ...reference.face.face import Face
 from ...reference.face.tissue import CellKind
-from ...reference.projective import Pattern
 from .face import MOVED, People, Person
 from .mixture import ParameterSet
 from .plan import CorpusPlan
@@ -49,23 +48,19 @@ def make_face(
     contact: bool = False,
     cells: CellKind = "prisms",
 ) -> Face:
-    """Make a person's face under a parameter set, with the symbolic work of the last face of the same kind."""
+    """Make a person's face under a parameter set."""
     on_wraps = parameters.parameters(head, people.mean)
     face = Face(head, person.shapes, on_wraps, per="wraps", code=person.code, choices={"cells": cells})
-    face = replace(face, like=_last.get(_kind(people, face)))
     return face.in_contact() if contact else face
 
 
-def prepare_face(people: People, face: Face) -> None:
+def prepare_face(face: Face) -> None:
     """Settle and differentiate a face before its frames; SceneError where it does not come to rest."""
     neutral = face.settled()
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     if reason := reject_moved(neutral.displacement):
         raise SceneError(reason)
-    for kind in [kind for kind in _last if kind[0] != people.name]:
-        del _last[kind]
-    _last[_kind(people, face)] = face.derivatives.analysis
     _ = face.first_order
 
 
@@ -137,15 +132,3 @@ def _judge(plan: CorpusPlan, head: LayeredHead, solution: Solution, inverted: np
     if soft or inverted.mean() > plan.inverted_share:
         return f"{np.count_nonzero(inverted)} inverted tets, {soft} of them in soft tissue"
     return reject_moved(corrected) or ACCEPTED
-
-
-def _kind(people: People, face: Face) -> tuple[str, CellKind, bool]:
-    """Return what the pattern of a face's matrices follows from: its people, its cells, and whether the skin bends."""
-    return people.name, face.choices["cells"], bool(np.any(face.on_wraps.skin_bending))
-
-
-_last: dict[tuple[str, CellKind, bool], Pattern] = {}
-"""The last faces of a process: what was analysed of their matrices, the same for all heads of a template, serves again.
-
-Of one space's people alone: an analysis takes some tens of megabytes.
-"""

@@ -16,12 +16,15 @@ from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...terms import Contact, Target
 from ..terms.energy import ENERGIES, Energy
+from ..terms.gaps import Pairs
 from ..terms.springs import Springs
 from ..unknowns.coordinates import Coordinates, Place
 from ..unknowns.sparsity import Sparsity
 
 EXACT = -1.0
 """Value of `least` by which no eigenvalue is raised."""
+KEPT = 3
+"""Patterns that a process keeps, some tens of megabytes each of a head: of skins with bending, without, and of tets."""
 SHIFT = 1e-7
 """Relative diagonal shift of a raised Hessian, which may still be singular where tissue resists nothing."""
 
@@ -42,12 +45,41 @@ def hessian(
     return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Pattern:
-    """The sparsity that all tangents of a topology share, and, by CHOLMOD, the order of elimination."""
+    """The sparsity that all tangents of a topology share, and, by CHOLMOD, the order of elimination once it is known.
+
+    Both take longer to find than numbers take to factor. They are the same for all heads of a template.
+    """
 
     sparsity: Sparsity
-    analysis: cholesky.CholmodAnalysis | None
+    analysis: cholesky.CholmodAnalysis | None = None
+
+    def factor(self, matrix: csc_matrix, linear_solver: LinearSolver | None) -> Solve:
+        """Factor a matrix of this pattern; LinAlgError if it is not positive definite."""
+        factor = factorise_definite(matrix, linear_solver=linear_solver, like=self.analysis)
+        if isinstance(factor, cholesky.CholmodFactor):
+            self.analysis = factor.analysis
+        return factor
+
+
+_latest: list[Pattern] = []
+"""The KEPT patterns that were asked for last, the latest first."""
+
+
+def find_pattern(scene: Scene, energy: Energy, coordinates: Coordinates) -> Pattern:
+    """Return the pattern of a scene's Hessian: one of the latest, where it fits.
+
+    Patterns with pairs in contact are not kept: hardly two frames have the same.
+    """
+    for pattern in _latest:
+        if pattern.sparsity.fits(scene, energy.parts, coordinates):
+            break
+    else:
+        pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates))
+    if energy.part(Pairs) is None:
+        _latest[:] = [pattern, *(other for other in _latest if other is not pattern)][:KEPT]
+    return pattern
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,32 +108,24 @@ class Tangent:
         *,
         least: float = EXACT,
         linear_solver: LinearSolver | None = None,
-        like: Tangent | Pattern | None = None,
     ) -> Tangent:
-        """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be; `like` lends its pattern."""
+        """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be."""
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take `freeze_contact`'s scene")
-        pattern = like.pattern if isinstance(like, Tangent) else like
-        if pattern is None or not pattern.sparsity.fits(scene, energy.parts, coordinates):
-            pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)
-        sparsity, before = pattern.sparsity, pattern.analysis
+        pattern = find_pattern(scene, energy, coordinates)
+        sparsity = pattern.sparsity
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
             try:
-                factor = factorise_definite(matrix, linear_solver=linear_solver, like=before)
+                factor = pattern.factor(matrix, linear_solver)
                 return cls(scene, energy, coordinates, sparsity, place, True, factor)
             except np.linalg.LinAlgError:
                 least = 0.0
         matrix = hessian(scene, energy, coordinates, sparsity, place, least=least)
         diagonal = matrix.diagonal()
         matrix.setdiag(np.where(diagonal > 0.0, (1.0 + SHIFT) * diagonal, 1.0))
-        factor = factorise_definite(matrix, linear_solver=linear_solver, like=before)
+        factor = pattern.factor(matrix, linear_solver)
         return cls(scene, energy, coordinates, sparsity, place, False, factor)
-
-    @property
-    def pattern(self) -> Pattern:
-        """The part that serves again when the numbers, a quarter of a gigabyte for a head, are let go."""
-        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.CholmodFactor) else None)
 
     def solve(self, right: Floats) -> Floats:
         """Apply the inverse Hessian to gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
