@@ -35,14 +35,14 @@ def show_progress() -> Iterator[OnProgress]:
 
 def _write_lines() -> OnProgress:
     begun: dict[str, float] = {}
-    said: dict[str, float] = {}
+    last: dict[str, float] = {}
 
     def show(what: str, fraction: float) -> None:
         now, stage = time.monotonic(), what.partition(": ")[0]
         begun.setdefault(stage, now)
-        if fraction < 1.0 and now - said.get(stage, -1e9) < 0.5:
+        if fraction < 1.0 and now - last.get(stage, -1e9) < 0.5:
             return
-        said[stage] = now
+        last[stage] = now
         seconds = now - begun[stage]
         print(f"{what}: {100 * min(fraction, 1.0):.0f} % ({seconds:.0f} s)", file=sys.stderr, flush=True)
 

@@ -128,7 +128,7 @@ class CertifiedFace:
                 break
         if not self._touches(frame):
             return frame
-        return replace(frame, certain=False) if is_late else self._part(frame, accuracy, after)
+        return replace(frame, certain=False) if is_late else self._solve_in_contact(frame, accuracy, after)
 
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
@@ -138,7 +138,7 @@ class CertifiedFace:
         for frame in self._correct(weights, after, None):
             if self._touches(frame):
                 yield self._guess(frame)
-                yield self._part(frame, FINEST, after)
+                yield self._solve_in_contact(frame, FINEST, after)
                 return
             yield frame
 
@@ -155,7 +155,7 @@ class CertifiedFace:
     def _touches(self, frame: CertifiedFrame) -> bool:
         return self.face.derivatives.prepared.touches(frame.positions)
 
-    def _part(self, frame: CertifiedFrame, accuracy: float, after: Reached | None) -> CertifiedFrame:
+    def _solve_in_contact(self, frame: CertifiedFrame, accuracy: float, after: Reached | None) -> CertifiedFrame:
         """Solve a frame whose surfaces touch, from the frame before or the neutral face, to an accuracy [mm]."""
         begin, linear, skin = time.perf_counter(), self.face.derivatives, self.face.head.skin_from_wrap
         scene = self.face.scene(frame.weights)
@@ -199,10 +199,12 @@ class CertifiedFace:
         if not ahead.is_near and correction.solves < POLICY.settling:
             correction.smooth(POLICY.settling)
             ahead = correction.newton_step()
-        guess = self._tell(correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin())
+        guess = self._estimate_error(
+            correction, ahead, begin, self.rig.frame(known.astype(np.float32)), correction.skin()
+        )
         before, best = guess.skin, replace(guess, method=self.method)
         while True:
-            frame = self._tell(correction, ahead, begin, correction.skin(), before)
+            frame = self._estimate_error(correction, ahead, begin, correction.skin(), before)
             if frame.bound <= best.bound or frame.method == "converged":
                 best = frame
             yield replace(best, positions=frame.positions, seconds=frame.seconds, solves=frame.solves)
@@ -242,7 +244,7 @@ class CertifiedFace:
         answer, counted = self._find_answer(correction, correction.rough_step())
         return float(np.linalg.norm(answer - correction.skin(), axis=1)[counted].mean())
 
-    def _tell(
+    def _estimate_error(
         self,
         correction: Correction,
         ahead: NewtonStep,

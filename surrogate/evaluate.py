@@ -197,7 +197,7 @@ def measure_bind(method: Method, faces: Sequence[KeptFace]) -> Cost:
     A head is fitted, and the simulator runs, where the method needs them. InputError where nobody fits heads.
     """
     rows = []
-    for face in (kept.anew() for kept in (faces[0], *faces)):
+    for face in (kept.without_kept() for kept in (faces[0], *faces)):
         begin = time.process_time()
         if method.needs != "nothing":
             _ = face.live

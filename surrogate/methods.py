@@ -45,7 +45,7 @@ SETTLED_TETS = "settled + blendshapes, tets"
 DIAL = "dial"
 VERTICES_ONLY = "vertices only, z(w) L(p, h)"
 SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
-SOFTDECA_BEGUN, TABLES = "SoftDECA, our form, on the network's tables", "the network's tables alone"
+SOFTDECA_ON_TABLES, TABLES = "SoftDECA, our form, on the network's tables", "the network's tables alone"
 SOFTSMPL_SMALL, SOFTSMPL_LARGE, SOFTSMPL_GRU = "SoftSMPL, small", "SoftSMPL, large", "SoftSMPL, dynamic (GRU)"
 SNP = "SNP"
 

@@ -480,8 +480,8 @@ def main(words: list[str] | None = None) -> int:
         archive = Archive(asked.archive)
         result = score(asked.answer, archive, asked.problem)
     except AnswerError as error:
-        said = "".join(each if each.isprintable() else "?" for each in str(error))
-        print(f"error: {said}", file=sys.stderr)
+        text = "".join(each if each.isprintable() else "?" for each in str(error))
+        print(f"error: {text}", file=sys.stderr)
         return 2
     print(write_score(result, archive) if asked.json else "\n".join(describe_score(result)))
     return 0 if result.verdict.startswith("right") else 1

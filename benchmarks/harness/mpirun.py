@@ -60,5 +60,5 @@ def answer() -> None:
 
 def strip_notices(errors: str) -> str:
     """Strip mpirun's own notices from what ranks wrote to stderr: between rules, or of processes it ended."""
-    said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
-    return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)
+    text = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
+    return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", text, flags=re.MULTILINE)

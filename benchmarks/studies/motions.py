@@ -12,7 +12,7 @@ from ...lhm.base.errors import SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import Face, Reason, Sequence, Solution, march, problems, solve
 from ...reference.face.dynamics import Recurrence
-from ...reference.face.sequence import State
+from ...reference.face.sequence import SequenceState
 
 EQUATION, LET_GO, SHAKEN = (
     "a cheek let go, Eq. 9",
@@ -91,5 +91,5 @@ def _play_frames(face: Face, start: Solution, drawn: Floats) -> list[Solution]:
     """March frames of Eq. 9 with implicit Euler's coefficients, the start first."""
     sequence = Sequence(face, time_step=FRAME, dynamic=True, tolerance=TIGHT)
     sequence.recurrence = Recurrence.from_implicit_euler(face.parameters.frequency, FRAME)
-    sequence.state = State(start.positions, drawn, start.positions[: len(face.head.bone)])
+    sequence.state = SequenceState(start.positions, drawn, start.positions[: len(face.head.bone)])
     return [start, *(sequence.frame(face.head.skin.vertices) for _ in range(FRAMES))]

@@ -77,8 +77,8 @@ def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = PO
     if rounds < 1:
         raise InputError(f"rounds: {rounds}, expected 1 or more")
 
-    edges = _Edges.of(neutral, generic, motions)
-    anchors = Anchors.of(generic, neutral.triangles)
+    edges = _Edges.from_motions(neutral, generic, motions)
+    anchors = Anchors.from_shapes(generic, neutral.triangles)
     system = DeformationTransfer(neutral, anchors.held, weight=HELD)
     areas = neutral.vertex_areas / neutral.vertex_areas.sum()
     shapes, history = generic, list[float]()
@@ -103,7 +103,7 @@ class _Edges:
     hold: Floats
 
     @classmethod
-    def of(cls, neutral: Surface, generic: Floats, motions: Floats) -> _Edges:
+    def from_motions(cls, neutral: Surface, generic: Floats, motions: Floats) -> _Edges:
         hold = np.empty((len(generic), len(neutral.triangles)))
         for shape, delta in enumerate(generic):
             jacobians = deformation_gradients(neutral.vertices, neutral.vertices + delta, neutral.triangles)

@@ -91,12 +91,12 @@ class Take:
         """Say what a user should know of the take, a line each; what there is nothing of is left out."""
         few = ", ".join(self.missing[:FEW]) + (", ..." if len(self.missing) > FEW else "")
         bridged = "; the weights between are read off a line" if len(self.gaps) else ""
-        said = (
+        remarks = (
             (self.clipped, f"{self.clipped} weights outside [0, 1] clipped"),
             (self.lost, f"{self.lost} frames without a face left out{bridged}"),
             (self.missing, f"{len(self.missing)} expressions are missing, and zero ({few})"),
         )
-        return tuple(text for there, text in said if there)
+        return tuple(text for there, text in remarks if there)
 
 
 def check_rate(rate: float) -> None:

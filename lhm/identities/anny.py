@@ -99,7 +99,7 @@ class TransferredSpace(LinearSpace):
     def _closings(self) -> list[Closing]:
         gaps = find_gaps(self.mean, self.parts, self.expressions)
         laplacian = graph_laplacian(neighbours(self.triangles, len(self.mean.vertices)))
-        return [Closing.of(gap, self.mean, self.expressions, laplacian) for gap in gaps]
+        return [Closing.from_gap(gap, self.mean, self.expressions, laplacian) for gap in gaps]
 
     def __getstate__(self) -> dict:
         """Pickle the fields alone; another process transfers again."""
@@ -122,7 +122,7 @@ class Closing:
     laplacian: csr_matrix
 
     @classmethod
-    def of(cls, gap: Gap, mean: Surface, shapes: Floats, laplacian: csr_matrix) -> Closing:
+    def from_gap(cls, gap: Gap, mean: Surface, shapes: Floats, laplacian: csr_matrix) -> Closing:
         """Measure how far apart the rims of a gap are where the mean head closes it."""
         upper, lower = gap.upper, gap.lower
         together = tuple(index(name) for name in CLOSES[gap.name])

@@ -32,7 +32,7 @@ class Anchors:
     floating: tuple[Ints, ...]
 
     @classmethod
-    def of(cls, deltas: Floats, triangles: Ints) -> Anchors:
+    def from_shapes(cls, deltas: Floats, triangles: Ints) -> Anchors:
         """Hold what no shape of deltas [mm], shape (shapes, n, 3), moves; of a floating part its calmest vertex."""
         motion = np.sqrt((deltas**2).sum(axis=2).max(axis=0))
         count, part = connected_parts(triangles, len(motion))
@@ -62,7 +62,7 @@ class ExpressionTransfer:
     def __init__(self, neutral: Surface, deltas):
         self.neutral, self.deltas = neutral, check_deltas("source_deltas", deltas, neutral)
         check_areas("source_neutral", neutral.vertices, neutral.triangles)
-        self.anchors = Anchors.of(self.deltas, neutral.triangles)
+        self.anchors = Anchors.from_shapes(self.deltas, neutral.triangles)
         self._gradients = np.empty((len(self.deltas), len(neutral.triangles), 9))
         for shape, delta in enumerate(self.deltas):
             jacobians = deformation_gradients(neutral.vertices, neutral.vertices + delta, neutral.triangles)

@@ -195,7 +195,7 @@ def _best(
     """The best of many starts: sieved by points and normals alone, the last few laid upon the surface itself."""
     points, normals = face
     starts = [start for turn in turns for start in _starts(used, points, turn)]
-    sieve = Sieve.of(target.skin)
+    sieve = Sieve.from_surface(target.skin)
     for count, kept, steps in POLICY.sieves:
         some = np.unique(np.linspace(0, len(points) - 1, count).astype(int))
         starts = sieve.best(starts, points[some], normals[some], kept, steps)
@@ -260,7 +260,7 @@ class Sieve:
     tree: cKDTree
 
     @classmethod
-    def of(cls, skin: Surface) -> Sieve:
+    def from_surface(cls, skin: Surface) -> Sieve:
         """Choose up to `scan_points` of the surface's triangles, by their centres."""
         along = np.cumsum(skin.areas)
         count = POLICY.scan_points

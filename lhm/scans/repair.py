@@ -52,8 +52,8 @@ def repair_pieces(scan: Scan) -> Iterator[Repaired]:
     for step in (_merge, _sound, _orient):
         scan = step(scan, notes)
     for piece, note in _pieces(scan):
-        said = [*notes, note] if note else [*notes]
-        yield Repaired(_outwards(piece, said), tuple(said))
+        remarks = [*notes, note] if note else [*notes]
+        yield Repaired(_outwards(piece, remarks), tuple(remarks))
 
 
 def _merge(scan: Scan, notes: list[str]) -> Scan:
@@ -118,7 +118,7 @@ def _orient(scan: Scan, notes: list[str]) -> Scan:
 
 
 def _pieces(scan: Scan) -> Iterator[tuple[Scan, str]]:
-    """Yield separate pieces, the main one first, and what is said of the others."""
+    """Yield separate pieces, the main one first, and what is remarks of the others."""
     count, part = connected_parts(scan.triangles, len(scan.vertices))
     of_triangle = part[scan.triangles[:, 0]]
     pieces = len(np.unique(of_triangle))

@@ -74,7 +74,7 @@ class _Prepared:
         self.muscles: Carrier | None = None
         self.skull: SkullCarrier | None = None
         if template.muscles is not None:
-            self.muscles = Carrier.of(template.muscles, muscle, np.arange(n), policy.leaders)
+            self.muscles = Carrier.from_surface(template.muscles, muscle, np.arange(n), policy.leaders)
         if template.skull is not None:
             self.skull = SkullCarrier(template.skull, template.skull_bone, skull, template.bone, policy.leaders)
 
@@ -261,7 +261,7 @@ class Carrier:
         object.__setattr__(self, "_basis", warp.basis(self.surface.vertices))
 
     @classmethod
-    def of(cls, surface: Surface, wrap: Floats, among: Ints, leaders: int) -> Carrier:
+    def from_surface(cls, surface: Surface, wrap: Floats, among: Ints, leaders: int) -> Carrier:
         """Let up to so many `leaders` of the wrap's vertices `among` (k,) lead, the farthest from one another."""
         first = np.zeros(1, dtype=np.int64)
         count = min(leaders, len(among))
@@ -278,10 +278,10 @@ class SkullCarrier:
 
     def __init__(self, skull: Surface, skull_bone: Ints | None, wrap: Floats, bone: Ints, leaders: int):
         self.skull = skull
-        self.cranium = Carrier.of(skull, wrap, np.flatnonzero(bone != MANDIBLE), leaders)
+        self.cranium = Carrier.from_surface(skull, wrap, np.flatnonzero(bone != MANDIBLE), leaders)
         self.mandible: Carrier | None = None
         if skull_bone is not None and (skull_bone == MANDIBLE).any() and np.count_nonzero(bone == MANDIBLE) >= 8:
-            self.mandible = Carrier.of(skull, wrap, np.flatnonzero(bone == MANDIBLE), leaders)
+            self.mandible = Carrier.from_surface(skull, wrap, np.flatnonzero(bone == MANDIBLE), leaders)
             self.share = _mandibular(skull.vertices, skull_bone)[:, None]
 
     def moved(self, wrap: Floats) -> Surface:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..projective.descent import Point, Problem, lbfgs_step, search_line
+from ..projective.descent import Objective, Point, lbfgs_step, search_line
 from ..projective.hessian.newton_step import NewtonStep, newton_step
 from ..projective.memory import Memory
 from ..projective.terms.energy import Energy
@@ -48,8 +48,8 @@ class Correction:
             )
         self._coordinates = prepared.system.coordinates
         self._memory = Memory(self._coordinates.size)
-        self._problem = Problem(self._evaluate, self._coordinates.move, self._solve_matrix, bounded=False)
-        self._newton = Problem(self._evaluate, self._coordinates.move, self._solve_tangent, bounded=False)
+        self._problem = Objective(self._evaluate, self._coordinates.move, self._solve_matrix, bounded=False)
+        self._newton = Objective(self._evaluate, self._coordinates.move, self._solve_tangent, bounded=False)
         self.solves = 0
         self.point = self._evaluate(self._coordinates.start(start - prepared.scene.vertices))
 

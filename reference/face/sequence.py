@@ -38,7 +38,7 @@ LENGTH = 16
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SequenceState:
     """The state from which the next frame follows, in mm; a sequence that goes on from it is the same.
 
     positions (scene's vertices, 3) of the last frame; sought (n, 3): where its skin wrap was drawn to; before (n, 3):
@@ -61,7 +61,7 @@ class _LastFrame:
     prepared: Prepared
     scene: Scene
     solution: Solution
-    before: State | None
+    before: SequenceState | None
     turned: Floats | None
 
 
@@ -94,7 +94,7 @@ class Sequence:
             raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
         self.face, self.head, self.time_step = face, face.head, float(time_step)
         self.recurrence = Recurrence.from_head(face.head, face.on_wraps, time_step) if dynamic else None
-        self.state: State | None = None
+        self.state: SequenceState | None = None
         self._tolerance, self._limit = tolerance, max_iterations
         self._solver, self._options = solver, dict(options or {})
         self._stack = Stack.from_head(face.head, face.choices.get("layers", (1, 1)), face.choices.get("without", ()))
@@ -117,7 +117,7 @@ class Sequence:
         solution, scene = self._solve(targets, dynamic=False)
         wrap = solution.positions[: len(self.head.bone)]
         before = wrap - self.time_step * (self.head.wrap_from_skin @ moving)
-        self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
+        self.state = SequenceState(solution.positions, _target(scene).positions, before, turns=turned)
         return solution
 
     def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
@@ -139,15 +139,15 @@ class Sequence:
             self.state = self._state_after(self._last_frame)
         return solution
 
-    def _state_after(self, frame: _LastFrame) -> State:
+    def _state_after(self, frame: _LastFrame) -> SequenceState:
         """Return the state that a frame's solution leaves."""
         n = len(self.head.bone)
         positions, sought, before = frame.solution.positions, _target(frame.scene).positions, frame.before
         if before is None:
-            return State(positions, sought, positions[:n])
+            return SequenceState(positions, sought, positions[:n])
         drift = self._beyond(positions, sought) - self._beyond(before.positions, before.sought)
         now = before.turns[1] if frame.turned is None else frame.turned
-        return State(positions, sought, before.positions[:n], drift, np.stack([before.turns[1], now]))
+        return SequenceState(positions, sought, before.positions[:n], drift, np.stack([before.turns[1], now]))
 
     def refine(self, tolerance: float) -> Solution:
         """Solve the last frame on to a smaller tolerance, from its answer. SceneError before there is a frame."""
@@ -203,7 +203,7 @@ class Sequence:
         start = self._start(scene, _target(scene))
         return self._minimise(prepared, scene, start, absolute), scene
 
-    def _with_inertia(self, scene: Scene, recurrence: Recurrence, state: State, base: Floats | None) -> Scene:
+    def _with_inertia(self, scene: Scene, recurrence: Recurrence, state: SequenceState, base: Floats | None) -> Scene:
         """Give the scene targets by Eq. 9, the base's motion in them, and their stiffness over γ."""
         static = _target(scene)
         last, before = state.positions[: len(static.vertices)], state.before
@@ -244,13 +244,13 @@ class Sequence:
         start[: len(ahead)] = ahead
         return start
 
-    def _last(self) -> State | None:
+    def _last(self) -> SequenceState | None:
         """Return the next frame's start: the last frame, or the neutral face settled under p."""
         settled = self.face.settled()
         if self.state is not None or not settled.displacement.any():
             return self.state
         positions, n = settled.positions, len(self.head.bone)
-        return State(positions, self.head.wrap_targets(settled.skin), positions[:n])
+        return SequenceState(positions, self.head.wrap_targets(settled.skin), positions[:n])
 
     def _beyond(self, positions: Floats, sought: Floats) -> Floats:
         """Return the distance [mm] of the wraps' vertices from where the expression alone takes them."""

@@ -46,8 +46,8 @@ try:
 except ImportError as error:
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
 except OSError as error:  # of pkg_resources, which ufl asks
-    said = f"dolfinx cannot be imported ({error}); is there a working folder?"
-    raise MissingDependencyError(f"solver 'fenicsx': {said}") from None
+    reason = f"dolfinx cannot be imported ({error}); is there a working folder?"
+    raise MissingDependencyError(f"solver 'fenicsx': {reason}") from None
 
 
 def parse_version(text: str) -> tuple[int, int]:

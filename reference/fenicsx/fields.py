@@ -13,7 +13,7 @@ from . import dolfinx_version as seam
 from .energy.assembly import add_forces
 from .energy.gaps import Distances
 from .energy.quadrature import Quadrature
-from .linear.problem import Problem
+from .linear.problem import DiscreteProblem
 from .mesh.numbering import Numbering
 from .mesh.parallel import gather
 from .run import Attempt
@@ -81,7 +81,7 @@ class NodalAnswer:
     pressure: Floats | None
 
     @classmethod
-    def collect(cls, problem: Problem, end: Attempt, force: Floats | None) -> NodalAnswer:
+    def collect(cls, problem: DiscreteProblem, end: Attempt, force: Floats | None) -> NodalAnswer:
         """Collect where an attempt at a problem ended, and a force beside loads [mN], a vector, if there is one."""
         numbering = problem.numbering
         pressure = None
@@ -100,7 +100,7 @@ def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     """
     numbering = Numbering(scene, degree)
     node, pressure = numbering.nodes_between(answer.ends), answer.pressure
-    problem = Problem(scene, numbering, mixed=pressure is not None)
+    problem = DiscreteProblem(scene, numbering, mixed=pressure is not None)
     if answer.force is not None:
         problem.loads[numbering.nodes_between(answer.force[0])] += answer.force[1]
     u = np.empty_like(numbering.X)

@@ -24,7 +24,7 @@ from ..terms import Fixed, Gravity, Hyperelastic, Pressure, RigidBody, Term, Tra
 from .dolfinx_version import ALONE
 from .energy.solids import check_solids
 from .fields import Fields, NodalAnswer, Sampling, recover
-from .linear.problem import MODELS, Problem
+from .linear.problem import MODELS, DiscreteProblem
 from .linear.saddle import SaddleMatrix
 from .linear.saddle_block import SADDLES
 from .linear.solvers import LINEAR_SOLVERS, ConjugateGradients, LinearSolver, Mumps
@@ -112,7 +112,7 @@ class PreparedFenicsx:
         check_same(self.comm, scene)
         self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
         self._large = self.comm.allreduce(len(self._numbering.tet)) >= policy.large
-        self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
+        self._problem = DiscreteProblem(scene, self._numbering, mixed=element == "P2P1")
         # Multigrid leaves too much of volumes in steps by a displacement alone.
         stiff = any(t.material.stiffness > policy.stiff * t.material.shear_modulus for t in scene.of(Hyperelastic))
         small = 3 * self._numbering.nodes.total < policy.large_stiff
@@ -195,7 +195,7 @@ class PreparedFenicsx:
 
     def _start_from_linear(self, run: Run) -> Run:
         """The run from where linear tets of compressible tissue end, if they find a sound answer."""
-        policy, softer = self._policy, soften(run.scene, self._policy.start_bulk)
+        policy, softer = self._policy, as_compressible(run.scene, self._policy.start_bulk)
         linear_tets = PreparedFenicsx(softer, "P1", "cg", policy, alone=self.comm is ALONE)
         near = linear_tets.solve(tolerance=policy.minimise.load_step_tolerance)
         run.record.add(near.iterations, **near.detail)
@@ -216,7 +216,7 @@ class PreparedFenicsx:
         return Sampling(self._end.numbering, degree).fields(self._end.u, at_cells)
 
 
-def soften(scene: Scene, bulk: float = POLICY.start_bulk) -> Scene:
+def as_compressible(scene: Scene, bulk: float = POLICY.start_bulk) -> Scene:
     """Give every law's place to a neo-Hookean one of the same shear modulus and lmbda = `bulk` mu."""
     terms: list[Term] = []
     for term in scene.terms:

@@ -41,7 +41,7 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Objective:
     """Function to minimise: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
     `untangling`, where given, is the problem of an energy that leads out of inverted tets. `bounded` says that A bounds
@@ -51,7 +51,7 @@ class Problem:
     at: Callable[[Place], Point]
     move: Callable[[Place, Floats], Place]
     precondition: Callable[[Floats, Point], Floats]
-    untangling: Problem | None = None
+    untangling: Objective | None = None
     bounded: bool = True
     policy: DescentPolicy = DescentPolicy()
 
@@ -63,7 +63,7 @@ class Problem:
 class Observer(Protocol):
     """Sees each point of a descent, the start first, and returns the reason to stop, if there is one."""
 
-    def see(self, point: Point) -> Reason | None:
+    def record(self, point: Point) -> Reason | None:
         """Take note of a point."""
         ...
 
@@ -99,7 +99,7 @@ class Watch:
         self.best: Point | None = None
         self._best_at = self.iteration
 
-    def see(self, point: Point) -> Reason | None:
+    def record(self, point: Point) -> Reason | None:
         """Take note of an iteration, the start first; the reason to stop, if there is one."""
         self.iteration += 1
         norm = point.norm
@@ -126,35 +126,35 @@ class Watch:
 class Untangling:
     """Shows a watch the true energy along a descent of another, and ends that once its gradient has become small."""
 
-    def __init__(self, problem: Problem, watch: Watch):
+    def __init__(self, problem: Objective, watch: Watch):
         self._problem, self._watch = problem, watch
         self._first: float | None = None
         self._seen = 0
         self.stopped: Reason | None = None
 
-    def see(self, point: Point) -> Reason | None:
+    def record(self, point: Point) -> Reason | None:
         """Take note of a point of the other energy; the last one is left for the descent that follows to see."""
         self._first = point.norm if self._first is None else self._first
         self._seen += 1
         policy = self._problem.policy
         if point.norm <= policy.untangled * self._first or self._seen > policy.max_untangling:
             return Reason.CONVERGED
-        self.stopped = self._watch.see(self._problem.at(point.place))
+        self.stopped = self._watch.record(self._problem.at(point.place))
         return self.stopped
 
     def forget(self):
         self._watch.forget()
 
 
-Descent = Callable[[Problem, Point, Observer], tuple[Point, Reason]]
+Descent = Callable[[Objective, Point, Observer], tuple[Point, Reason]]
 
 
-def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+def plain(problem: Objective, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding.
 
     With bodies, whose turns the matrix does not bound, and energies that it does not, this takes a safeguard.
     """
-    while (reason := watch.see(point)) is None:
+    while (reason := watch.record(point)) is None:
         if len(point.place.rotations) or not problem.bounded:
             _, point = _safe_step(problem, point, problem.precondition(point.gradient, point))
         else:
@@ -162,7 +162,7 @@ def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
     return point, reason
 
 
-def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, Point]:
+def _safe_step(problem: Objective, point: Point, uphill: Floats) -> tuple[Floats, Point]:
     """The step against `uphill` = A⁻¹ ∇E, halved while the energy rises, and its end.
 
     Where A holds a share of what bounds the energy, a step of twice this share would lower it; the Hessian at another
@@ -179,7 +179,7 @@ def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, 
 
 
 def after_untangling(
-    descend: Descent, problem: Problem, point: Point, watch: Watch, *, untangle: Descent
+    descend: Descent, problem: Objective, point: Point, watch: Watch, *, untangle: Descent
 ) -> tuple[Point, Reason]:
     """A way down after another, `untangle`, on the untangling energy, where the start needs that.
 
@@ -195,7 +195,7 @@ def after_untangling(
     return descend(problem, point, watch)
 
 
-def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+def anderson(problem: Objective, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """Plain steps mixed with the last few (Anderson 1965; for projective dynamics Peng et al. 2018).
 
     Where the mixed step would raise the energy, the plain one is taken, and the history emptied.
@@ -204,7 +204,7 @@ def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Re
     steps: list[Floats] = []
     residuals: list[Floats] = []
     last: Floats | None = None
-    while (reason := watch.see(point)) is None:
+    while (reason := watch.record(point)) is None:
         residual = -problem.precondition(point.gradient, point)
         if last is not None:
             residuals.append(residual - last)
@@ -228,18 +228,18 @@ def _mix(residual: Floats, steps: list[Floats], residuals: list[Floats]) -> Floa
     return residual - weights @ (np.array(steps) + changes)
 
 
-def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+def lbfgs(problem: Objective, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """L-BFGS with the PD matrix as the initial Hessian (Liu, Bouaziz and Kavan 2017, Algorithm 1).
 
     Where no fraction of its step lowers the energy, one along -A⁻¹ ∇E is taken, and the memory emptied.
     """
     memory = Memory(len(point.gradient))
-    while (reason := watch.see(point)) is None:
+    while (reason := watch.record(point)) is None:
         point = lbfgs_step(problem, point, memory)
     return point, reason
 
 
-def lbfgs_step(problem: Problem, point: Point, memory: Memory) -> Point:
+def lbfgs_step(problem: Objective, point: Point, memory: Memory) -> Point:
     """Take one iteration of `lbfgs`, and add its pair to the memory."""
     taken = None
     if memory:
@@ -254,7 +254,7 @@ def lbfgs_step(problem: Problem, point: Point, memory: Memory) -> Point:
 
 
 def search_line(
-    problem: Problem, point: Point, direction: Floats, halvings: int | None = None
+    problem: Objective, point: Point, direction: Floats, halvings: int | None = None
 ) -> tuple[Floats, Point] | None:
     """Return a step along a direction, halved until Armijo's condition holds, and its end; None if not soon.
 

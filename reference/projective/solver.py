@@ -16,7 +16,7 @@ from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
 from ..terms import Contact, Fixed, RigidBody, Term
-from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
+from .descent import Descent, Objective, Point, Watch, after_untangling, anderson, lbfgs, plain
 from .hessian.newton_step import newton_step
 from .hessian.tangent import Tangent
 from .policy import POLICY, ProjectivePolicy
@@ -130,10 +130,10 @@ class ProjectivePrepared:
         work = _Work(self.system)
         precondition = work.precondition if metric is None else work.by(metric)
         bounded = energy.is_bounded and metric is None
-        problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, policy=policy.descent)
+        problem = Objective(work.on(energy), coordinates.move, precondition, bounded=bounded, policy=policy.descent)
         if untangle and (volume_ratio(self.scene, scene.vertices + place.u) <= 0).any():
             relaxed = work.on(energy.untangling(policy.volume_share_of(self.method)))
-            untangling = Problem(relaxed, coordinates.move, work.precondition, policy=policy.descent)
+            untangling = Objective(relaxed, coordinates.move, work.precondition, policy=policy.descent)
             problem = replace(problem, untangling=untangling)
         first, met = problem.at(place), None
         is_moved = led = False
@@ -242,7 +242,7 @@ class ProjectivePrepared:
             own = self._tangent_at(positions, scene)
             gradient = coordinates.pull(own.energy.evaluate(own.place.u)[1], own.place)
             return coordinates.move(own.place, -own.solve(gradient)).u - own.place.u, own.is_exact
-        problem = Problem(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
+        problem = Objective(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
         point = problem.at(coordinates.start(positions - scene.vertices))
         ahead = newton_step(problem, point, vertices, self.policy.newton_step)
         return coordinates.move(point.place, ahead.step).u - point.u, ahead.is_near

@@ -31,7 +31,7 @@ class Descent:
     scales: Scales
     recorder: Recorder
     policy: SkfemPolicy = POLICY
-    _told: Floats | None = field(default=None, init=False)
+    _recorded: Floats | None = field(default=None, init=False)
     _stop: bool = field(default=False, init=False)
 
     def run(self, x: Floats, *, forces: float, limits: Limits, limit: int) -> tuple[Floats, Reason, int]:
@@ -40,13 +40,13 @@ class Descent:
         A tolerance relates to the larger of the first gradient norm and `forces` [mN].
         """
         if not np.isfinite(self.energy.value(x)):
-            self._tell(x, np.inf, np.inf)
+            self._record(x, np.inf, np.inf)
             return x, Reason.NOT_FINITE, 0
         iterations = 0
         if (wide := self.energy.widen()) is not None:
             forces = max(forces, self._norm(x))
             met = max(self.policy.descent.met * forces, limits.threshold(self.scene, forces))
-            x, reason, more = self._minimise(wide, x, lambda first: met, limit - iterations, self._tell_of_another)
+            x, reason, more = self._minimise(wide, x, lambda first: met, limit - iterations, self._record_true)
             iterations += more
             if reason is Reason.INTERRUPTED:
                 return x, reason, iterations
@@ -54,7 +54,7 @@ class Descent:
         def threshold(first: float) -> float:
             return limits.threshold(self.scene, max(first, forces))
 
-        x, reason, more = self._minimise(self.energy, x, threshold, limit - iterations, self._tell)
+        x, reason, more = self._minimise(self.energy, x, threshold, limit - iterations, self._record)
         return x, reason, iterations + more
 
     def _minimise(
@@ -74,14 +74,14 @@ class Descent:
     def _norm(self, x: Floats) -> float:
         return float(np.linalg.norm(self.unknowns.gradient(x, self.energy.gradient(x))))
 
-    def _tell_of_another(self, x: Floats, value: float, norm: float) -> bool:
+    def _record_true(self, x: Floats, value: float, norm: float) -> bool:
         """Record an iteration on another energy by the values of this one."""
-        return self._tell(x, self.energy.value(x), self._norm(x))
+        return self._record(x, self.energy.value(x), self._norm(x))
 
-    def _tell(self, x: Floats, value: float, norm: float) -> bool:
+    def _record(self, x: Floats, value: float, norm: float) -> bool:
         """Record an iteration. The point between two descents is recorded once."""
-        if x is not self._told:
-            self._told, self._stop = x, self.recorder.record(x[self.discretisation.vertex_dofs], value, norm)
+        if x is not self._recorded:
+            self._recorded, self._stop = x, self.recorder.record(x[self.discretisation.vertex_dofs], value, norm)
         return self._stop
 
 

@@ -30,7 +30,7 @@ class Scales:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class Evaluation:
     """Positions with their energy [µJ], and its gradient [mN] by degree of freedom and by unknown."""
 
     x: Floats
@@ -77,8 +77,8 @@ def minimise(
 
 
 def _step(
-    energy: Energy, state: State, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy, *, near: bool
-) -> State | Reason:
+    energy: Energy, state: Evaluation, unknowns: Unknowns, scales: Scales, policy: NewtonPolicy, *, near: bool
+) -> Evaluation | Reason:
     """A step by the exact Hessian where it is positive definite, else by the projected one, halved until Armijo's rule.
 
     Near the answer energy differences drown in rounding: there a full step that halves the gradient is taken as it is.
@@ -107,9 +107,9 @@ def _step(
     return Reason.LINE_SEARCH
 
 
-def _state(energy: Energy, unknowns: Unknowns, x: Floats, value: float) -> State:
+def _state(energy: Energy, unknowns: Unknowns, x: Floats, value: float) -> Evaluation:
     forces = energy.gradient(x)
-    return State(x, value, forces, unknowns.gradient(x, forces))
+    return Evaluation(x, value, forces, unknowns.gradient(x, forces))
 
 
 def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:

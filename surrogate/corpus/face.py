@@ -80,7 +80,7 @@ class Heads:
             raise InputError(f"a head of each person is needed, but {error}") from None
 
     def fit(self, person: Person) -> LayeredHead:
-        """Fit the head of a person anew. Raises what `people` and fitting raise."""
+        """Fit the head of a person without_kept. Raises what `people` and fitting raise."""
         return self.people.head(person)
 
     def head(self, person: Person) -> LayeredHead:
@@ -123,7 +123,7 @@ class KeptFace:
     """Person number `identity` under `parameters`, as a corpus keeps it. It answers methods as a live `Face` does.
 
     displacement (n, 3) [mm]: how far p moves the neutral skin before targets hold it there; kept_carried (n, 3) [mm]:
-    how far scaled bones carry it. What is None is asked for anew, of `live`. cells: of its simulation.
+    how far scaled bones carry it. What is None is asked for without_kept, of `live`. cells: of its simulation.
     """
 
     identity: int
@@ -161,7 +161,7 @@ class KeptFace:
 
     @cached_property
     def live(self) -> Face:
-        """The face on a head that is fitted anew; InputError where nobody fits the person's head."""
+        """The face on a head that is fitted without_kept; InputError where nobody fits the person's head."""
         if self.heads is None:
             raise InputError(f"face of person {self.identity}: a head is needed, but nobody fits it")
         head = self.heads.head(self.person)
@@ -169,7 +169,7 @@ class KeptFace:
         shapes, choices = np.asarray(self.shapes, dtype=np.float64), {"cells": self.cells}
         return Face(head, shapes, parameters, per="wraps", code=self.code, choices=choices)
 
-    def anew(self) -> KeptFace:
+    def without_kept(self) -> KeptFace:
         """Return the face without what a corpus keeps of its simulation, and of its head where bones are scaled."""
         heads = None if self.heads is None else replace(self.heads)
         unscaled = self.kept_carried is not None and not self.kept_carried.any()

@@ -100,7 +100,7 @@ _intact: set[Key] = set()
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
-    """A corpus of one plan and of some people, in a folder; `said`: what its corpus.json says, or will say.
+    """A corpus of one plan and of some people, in a folder; `manifest`: what its corpus.json says, or will say.
 
     Of a corpus that was opened nobody has looked at the recordings of `plan`, and who its `people` are is not known:
     `generate` is for those of `from_plan`.
@@ -108,7 +108,7 @@ class Corpus:
 
     folder: Path
     plan: CorpusPlan
-    said: Mapping[str, Any]
+    manifest: Mapping[str, Any]
     people: People | None = None
 
     @classmethod
@@ -150,18 +150,18 @@ class Corpus:
                 raise InputError(
                     f"shard {path}: of another corpus ({quote(owner, 80)}, expected {quote(self.owner, 80)}); {keep}"
                 )
-        check_template(self.folder, self.said["template"], keep)
+        check_template(self.folder, self.manifest["template"], keep)
         check_velocities(self.folder, self.plan, self.space, keep)
 
     @classmethod
     def open(cls, folder: str | PathLike[str]) -> Corpus:
         """Open what lies in a folder. InputError for one that is no corpus, or whose corpus.json is damaged."""
-        said, plan = read_manifest(Path(folder))
-        return cls(Path(folder), plan, said)
+        manifest, plan = read_manifest(Path(folder))
+        return cls(Path(folder), plan, manifest)
 
     def _check_same(self, kept: Corpus) -> None:
         """Raise InputError, naming each field of the plan that differs, where the folder's corpus is another."""
-        if kept.said["plan"] != self.said["plan"]:
+        if kept.manifest["plan"] != self.manifest["plan"]:
             differing = [
                 f"{item.name} {quote(getattr(kept.plan, item.name))}, expected {quote(getattr(self.plan, item.name))}"
                 for item in fields(CorpusPlan)
@@ -170,26 +170,26 @@ class Corpus:
             what = "; ".join(differing) or "its recordings are others"
             raise InputError(f"{self.folder}: holds a corpus of another plan ({what}); use another folder or remove it")
         for name in OWNER:
-            if kept.said[name] != self.said[name]:
+            if kept.manifest[name] != self.manifest[name]:
                 raise InputError(
-                    f"{self.folder}: holds a corpus of another {name} ({kept.said[name]}, expected {self.said[name]}); "
-                    "use another folder or remove it"
+                    f"{self.folder}: holds a corpus of another {name} ({kept.manifest[name]}, expected "
+                    f"{self.manifest[name]}); use another folder or remove it"
                 )
 
     @cached_property
     def mean(self) -> Surface:
         """The mean neutral skin [mm] of its people; InputError where template.npz is missing, damaged or another."""
-        return read_template(self.folder, self.said["template"]) if self.people is None else self.people.mean
+        return read_template(self.folder, self.manifest["template"]) if self.people is None else self.people.mean
 
     @property
     def space(self) -> str:
         """The name of the people's space."""
-        return str(self.said["people"])
+        return str(self.manifest["people"])
 
     @property
     def made_with(self) -> Mapping[str, Any]:
         """Options by which a command makes the people again, empty for a corpus made from Python."""
-        return self.said.get("made_with", {})
+        return self.manifest.get("made_with", {})
 
     def heads(self, on_progress: OnProgress = silent) -> Heads:
         """Return who fits the heads of its people, as its folder says how."""
@@ -211,9 +211,9 @@ class Corpus:
     def find_plan(self) -> CorpusPlan:
         """Return the plan with its recordings; InputError for other recordings, and people that no command knows."""
         _ = self.known_people
-        takes = self.said.get("takes", "")
+        takes = self.manifest.get("takes", "")
         plan = replace(self.plan, takes=takes)
-        if plan.digest != self.said["plan"]:
+        if plan.digest != self.manifest["plan"]:
             raise InputError(
                 f"corpus {self.folder}: its recordings are not what they were (takes in {takes or 'none'}); make "
                 "another one"
@@ -223,7 +223,7 @@ class Corpus:
     @property
     def owner(self) -> str:
         """Name of the corpus in each shard."""
-        return "-".join(str(self.said[name]) for name in OWNER)
+        return "-".join(str(self.manifest[name]) for name in OWNER)
 
     def shard_path(self, identity: int) -> Path:
         """Return the place of a person's shard."""
@@ -262,7 +262,7 @@ class Corpus:
             _ = kept.mean
         except InputError as error:
             raise InputError(f"{error}; it changed while the corpus was made, run again") from None
-        if kept.said != json.loads(json.dumps(self.said)):
+        if kept.manifest != json.loads(json.dumps(self.manifest)):
             raise InputError(f"{self.folder / MANIFEST}: it changed while the corpus was made; run again")
 
     def _describe_removal(self, done: int) -> InputError:
@@ -403,7 +403,7 @@ class Corpus:
 
     def _write_manifest(self):
         write_template(self.folder, self.mean)
-        write_manifest(self.folder, self.said)
+        write_manifest(self.folder, self.manifest)
 
 
 def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:

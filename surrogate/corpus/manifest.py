@@ -45,9 +45,9 @@ def describe_corpus(plan: CorpusPlan, people: People, made_with: Mapping[str, An
     }
 
 
-def write_manifest(folder: Path, said: Mapping[str, Any]) -> None:
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write a description and its checksum; InputError if it cannot be written."""
-    write_whole(folder / MANIFEST, json.dumps({**said, "checksum": _digest(said)}, indent=1).encode())
+    write_whole(folder / MANIFEST, json.dumps({**manifest, "checksum": _digest(manifest)}, indent=1).encode())
 
 
 def read_manifest(folder: Path) -> tuple[dict[str, Any], CorpusPlan]:
@@ -60,20 +60,22 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], CorpusPlan]:
         raise InputError(
             f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one, of its own plan and people"
         )
-    said = read_json(path, "a corpus' description")
-    version = said.get("format") if isinstance(said, dict) else None
+    manifest = read_json(path, "a corpus' description")
+    version = manifest.get("format") if isinstance(manifest, dict) else None
     if version != FORMAT:
         raise InputError(
             f"{path}: of format {quote(version)}, this version reads {FORMAT}; make the corpus anew in another folder"
         )
-    if said.pop("checksum", "") != _digest(said):
+    if manifest.pop("checksum", "") != _digest(manifest):
         raise InputError(f"{path}: damaged, its content does not match its checksum; use another folder")
-    content = {"cells": "tets"} | said["content"]  # which plans of tets alone do not say
-    return said, CorpusPlan(**{item.name: content[item.name] for item in fields(CorpusPlan) if item.name != "takes"})
+    content = {"cells": "tets"} | manifest["content"]  # which plans of tets alone do not say
+    return manifest, CorpusPlan(
+        **{item.name: content[item.name] for item in fields(CorpusPlan) if item.name != "takes"}
+    )
 
 
-def _digest(said: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+def _digest(manifest: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def write_template(folder: Path, mean: Surface) -> None:

@@ -379,7 +379,9 @@ def _read_whole(path: Path) -> bytes:
 
 
 def _read_label(path: Path, file: h5py.File) -> Label:
-    said = file.attrs
-    if said["format"] != FORMAT:
-        raise InputError(f"shard {path}: of format {quote(said['format'])}, this version reads {FORMAT}; {_REMEDY}")
-    return Label(str(said["owner"]), int(said["identity"]), FORMAT, str(said["version"]))
+    attributes = file.attrs
+    if attributes["format"] != FORMAT:
+        raise InputError(
+            f"shard {path}: of format {quote(attributes['format'])}, this version reads {FORMAT}; {_REMEDY}"
+        )
+    return Label(str(attributes["owner"]), int(attributes["identity"]), FORMAT, str(attributes["version"]))

@@ -67,7 +67,7 @@ class LessonFace:
         """The derivatives of T - S by weights [mm], shape (52, n, 3)."""
         return self.responses_at()
 
-    def see(self, frames: Frames) -> Frames:
+    def as_mirrored(self, frames: Frames) -> Frames:
         """Return frames of the kept face as this face shows them."""
         if not self.is_mirrored:
             return frames

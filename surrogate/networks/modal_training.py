@@ -140,7 +140,7 @@ def _sample_remainders(data: LessonFaces, framed: Ints, rng: np.random.Generator
     for number in framed.tolist():
         (face,) = data.draw_sides(data.faces([number]), rng)
         frames = data.corpus.frames(number, rng.permutation(len(data.corpus.frames_of[number]))[:SAMPLED_FRAMES])
-        rows.append(face.see(frames).remainder(face.offset, face.responses).reshape(len(frames.weights), -1))
+        rows.append(face.as_mirrored(frames).remainder(face.offset, face.responses).reshape(len(frames.weights), -1))
     return np.vstack(rows)
 
 
@@ -170,7 +170,7 @@ class RemainderLesson(Lesson):
         data, rows = self.data, []
         for number, face in zip(numbers, data.draw_sides(data.faces(numbers), rng), strict=True):
             drawn = rng.choice(len(data.corpus.frames_of[number]), self.config.frames, replace=False)
-            frames = face.see(data.corpus.frames(int(number), drawn))
+            frames = face.as_mirrored(data.corpus.frames(int(number), drawn))
             motion = frames.corrected.astype(np.float32) - face.offset
             linear = np.tensordot(frames.weights, face.responses_at(vertices).astype(np.float32), axes=1)
             rows.append((

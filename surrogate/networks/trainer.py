@@ -295,6 +295,6 @@ def open_device(name: str) -> torch.device:
         device = torch.device(name)
         torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError) as error:
-        said = str(error).splitlines()[0][:80]
-        raise InputError(f"training: no device {name!r} ({said})") from None
+        reason = str(error).splitlines()[0][:80]
+        raise InputError(f"training: no device {name!r} ({reason})") from None
     return device

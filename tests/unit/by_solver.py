@@ -89,12 +89,12 @@ class Fenicsx:
 
     def __init__(self, scene, element="P1"):
         pytest.importorskip("dolfinx")
-        from softdeca.reference.fenicsx.linear.problem import Problem
+        from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
         from softdeca.reference.fenicsx.mesh.numbering import DEGREE_OF, Numbering
         from softdeca.reference.fenicsx.strategies.bodies import RigidProblem
 
         self.order = Numbering(scene, DEGREE_OF[element])
-        self.problem, self.nodes = Problem(scene, self.order), self.order.X
+        self.problem, self.nodes = DiscreteProblem(scene, self.order), self.order.X
         poses = ()
         if scene.of(terms.RigidBody):
             self.problem = RigidProblem(scene, self.order, self.problem)

@@ -11,7 +11,7 @@ pytest.importorskip("dolfinx")
 from softdeca.reference import Scene, materials, terms
 from softdeca.reference.fenicsx.dolfinx_version import PETSc
 from softdeca.reference.fenicsx.energy.surface_strain import _planar_svd
-from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
 from softdeca.reference.fenicsx.linear.solvers import LINEAR_SOLVERS, ConjugateGradients, hold
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.problems import meshes
@@ -22,7 +22,7 @@ def box():
     """A problem on a box of neo-Hookean tissue, what it holds, and a right-hand side."""
     X, tets = meshes.unstructured(6, 3.0)
     scene = Scene(X, tets, [terms.Hyperelastic(materials.NeoHookean.from_young(15.0, 0.45))])
-    problem = Problem(scene, Numbering(scene))
+    problem = DiscreteProblem(scene, Numbering(scene))
     x = problem.numbering.X
     return problem, np.flatnonzero(np.repeat(x[:, 2] < 1e-9, 3)), np.random.default_rng(0).normal(size=x.size)
 
@@ -55,7 +55,7 @@ def test_multigrid_has_the_rigid_motions_before_its_set_up():
     scene = Scene(X, tets, [terms.Hyperelastic(materials.NeoHookean.from_young(10.0, 0.45))])
     counts = []
     for motions in (True, False):
-        problem = Problem(scene, Numbering(scene))
+        problem = DiscreteProblem(scene, Numbering(scene))
         x = problem.numbering.X
         if not motions:
             problem.matrix.setNearNullSpace(PETSc.NullSpace())
@@ -88,7 +88,7 @@ def test_levels_of_the_mesh_spare_iterations_and_keep_the_residual(degree, layer
     scene, columns = flat_prisms()
     if layered:
         scene = replace(scene, columns=(columns[:, :5], columns[:, 4:]))
-    problem = Problem(scene, Numbering(scene, degree))
+    problem = DiscreteProblem(scene, Numbering(scene, degree))
     x = problem.numbering.X
     held = problem.held_dofs(problem.numbering.held(scene.dirichlet()[0]))
     b = np.random.default_rng(0).normal(size=x.size)

@@ -8,7 +8,7 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
 from softdeca.reference.fenicsx.energy.loads import FollowerPressure
-from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.strategies.equilibrium import Equilibrium
 from softdeca.reference.problems import bars, incompressible, meshes
@@ -32,7 +32,7 @@ INCOMPRESSIBLE = {
 
 
 def equations(scene, element_degree=2, mixed=True):
-    problem = Problem(scene, Numbering(scene, element_degree), mixed=mixed)
+    problem = DiscreteProblem(scene, Numbering(scene, element_degree), mixed=mixed)
     return Equilibrium(problem, np.empty(0, dtype=np.int64))
 
 

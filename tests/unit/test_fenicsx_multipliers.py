@@ -8,10 +8,10 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
 from softdeca.reference.clock import Seconds
-from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.fenicsx.policy import FenicsxPolicy
-from softdeca.reference.fenicsx.prepared import soften
+from softdeca.reference.fenicsx.prepared import as_compressible
 from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.fenicsx.strategies.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.problems import meshes
@@ -35,7 +35,7 @@ def sheared(law, by=0.4, cells=(2, 2, 2)):
 
 
 def descend(scene, *, start=None, tolerance=1e-9, max_iterations=None, on_iteration=None, linear_solver="cg"):
-    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    problem = DiscreteProblem(scene, Numbering(scene, 2), mixed=True)
     condensed = Condensed(problem)
     begin = scene.vertices if start is None else start
     run = Run(scene, problem.numbering, begin, Limits(tolerance), Record(max_iterations, on_iteration))
@@ -47,7 +47,7 @@ def descend(scene, *, start=None, tolerance=1e-9, max_iterations=None, on_iterat
 def test_the_condensed_energy_has_its_gradient(law):
     """Central differences of the maximum over pressures; the gradient is taken at the maximiser alone."""
     scene = sheared(law)
-    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    problem = DiscreteProblem(scene, Numbering(scene, 2), mixed=True)
     condensed = Condensed(problem)
     rng = np.random.default_rng(0)
     condensed.centre = rng.normal(size=problem.pressures.count)
@@ -77,7 +77,7 @@ def test_a_large_scene_descends_from_linear_tets():
     path = solve(scene, **options)
     seen, policy = [], FenicsxPolicy(large=len(scene.tets))
     large = solve(scene, policy=policy, on_iteration=lambda i, x, e, g: seen.append(np.array(x)), **options)
-    softer = soften(scene)
+    softer = as_compressible(scene)
     assert [term.material for term in softer.of(terms.Hyperelastic)] == [materials.NeoHookean(2.0, 20.0)]
     near = solve(softer, solver="fenicsx", element="P1", tolerance=1e-9)
     assert np.abs(seen[0] - near.positions).max() < 1e-3 < np.abs(seen[0] - scene.vertices).max()

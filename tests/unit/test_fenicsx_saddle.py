@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, solve, terms
-from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
 from softdeca.reference.fenicsx.linear.saddle_block import make_saddle_solver
 from softdeca.reference.fenicsx.linear.solvers import hold
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
@@ -32,7 +32,7 @@ def standing(law, cells=3, density=2e-4):
 def strained(law, cells=3, by=0.1):
     """A condensed problem at a displacement that is no equilibrium, its state, and what is held."""
     scene = standing(law, cells)
-    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    problem = DiscreteProblem(scene, Numbering(scene, 2), mixed=True)
     condensed = Condensed(problem)
     X = problem.numbering.X
     u = by * np.stack([X[:, 2] * X[:, 1], X[:, 2] ** 2, -X[:, 2] * X[:, 0]], axis=1)

@@ -16,7 +16,7 @@ from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx.energy.assembly import Stiffness
 from softdeca.reference.fenicsx.energy.quadrature import DEGREES, Quadrature
 from softdeca.reference.fenicsx.energy.solids import Solids
-from softdeca.reference.fenicsx.linear.problem import Problem
+from softdeca.reference.fenicsx.linear.problem import DiscreteProblem
 from softdeca.reference.fenicsx.mesh.numbering import Numbering
 from softdeca.reference.problems import meshes
 
@@ -101,7 +101,7 @@ MIXED = {
 def test_kernels_of_laws_with_a_pressure_are_the_forms_of_ufl(name):
     law, growth = MIXED[name], np.random.default_rng(1).uniform(0.8, 1.2, len(TETS))
     scene = Scene(X, TETS, [terms.Hyperelastic(law, growth=growth)])
-    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    problem = DiscreteProblem(scene, Numbering(scene, 2), mixed=True)
     order, solids = problem.numbering, problem.solids
     forms = HyperelasticForms(solids._displacement, order.cell, law, DEGREES[2], growth, solids._pressure)
     assert solids.kernels

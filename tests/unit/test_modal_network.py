@@ -375,4 +375,7 @@ def test_a_mirrored_face_is_what_the_simulator_makes_of_the_mirrored_parameters(
     assert np.linalg.norm(mirrored.responses - simulated.responses, axis=2).mean() < 0.02 * size < 0.1 * unlike
     w = np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
     frame = Frames(w, (kept[0].responses * w[0, :, None, None]).sum(axis=0)[None].astype(np.float32))
-    assert np.abs(mirrored.see(frame).remainder(mirrored.offset, mirrored.responses) + mirrored.offset).max() < 1e-4
+    assert (
+        np.abs(mirrored.as_mirrored(frame).remainder(mirrored.offset, mirrored.responses) + mirrored.offset).max()
+        < 1e-4
+    )

@@ -133,16 +133,16 @@ def test_a_corpus_keeps_how_bones_carry_and_a_face_without_a_head_is_refused_by_
         with pytest.raises(InputError, match="a head .*is needed, but .*(nobody fits it|made from Python)"):
             _ = replace(scaled, heads=heads).live
         with pytest.raises(InputError, match="a head .*is needed"):
-            _ = replace(scaled, heads=heads).anew().carried
-    np.testing.assert_array_equal(scaled.anew().carried, scaled.live.carried.astype(np.float32))
+            _ = replace(scaled, heads=heads).without_kept().carried
+    np.testing.assert_array_equal(scaled.without_kept().carried, scaled.live.carried.astype(np.float32))
     unscaled = next(face for k in range(len(faces)) if not (face := faces.face(k)).carried.any())
-    assert not replace(unscaled, heads=None).anew().carried.any()
+    assert not replace(unscaled, heads=None).without_kept().carried.any()
 
 
 def test_a_kept_face_is_the_live_one_to_what_a_corpus_rounds(faces):
     """Offset, responses and first order of a corpus' face are what its own head gives anew."""
     face = faces.face(0)
-    anew = face.anew()
+    anew = face.without_kept()
     np.testing.assert_allclose(anew.offset, face.offset, atol=2e-3)
     np.testing.assert_allclose(anew.responses, face.responses, atol=2e-2)
     weights = np.full(52, 0.02)

@@ -236,8 +236,8 @@ def _draw_told(every: Sequence[Mapping]) -> str:
         answers = [row for row in every if row["group"] == group]
         for certain, face in ((True, colour), (False, "none")):
             subset = [row for row in answers if row["certain"] == certain]
-            true, said = ([max(row[key], 1e-6) for row in subset] for key in ("true", "told"))
-            axis.scatter(true, said, s=16, facecolors=face, edgecolors=colour, label=group if certain else None)
+            true, told = ([max(row[key], 1e-6) for row in subset] for key in ("true", "told"))
+            axis.scatter(true, told, s=16, facecolors=face, edgecolors=colour, label=group if certain else None)
     ends = np.array([1e-5, 0.3])
     axis.plot(ends, ends, color="#444444", lw=1.0)
     axis.fill_between(ends, NEAR[0] * ends, NEAR[1] * ends, color="#999999", alpha=0.3, lw=0)

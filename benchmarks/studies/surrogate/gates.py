@@ -61,7 +61,7 @@ def describe_defeats(scores: Sequence[Score]) -> str:
     lost = find_defeats(scores)
     if not lost:
         return ""
-    said = "; ".join(
+    lost = "; ".join(
         f"{kind}: network {100 * own:.1f} %, {rival} {100 * other:.1f} %" for kind, rival, own, other in lost
     )
-    return f"The network loses to a rival without learning on: {said}.\n"
+    return f"The network loses to a rival without learning on: {lost}.\n"

@@ -107,7 +107,7 @@ class SurrogateOnCorpus(Study):
         corpus = exam.tested.corpus
         strips = enumerate(draw_worst_frames(exam, silent), start=1)
         return {
-            "corpus": {name: corpus.said[name] for name in OWNER}
+            "corpus": {name: corpus.manifest[name] for name in OWNER}
             | {"seed": corpus.plan.seed, "made_with": dict(corpus.made_with)},
             **{f"worst frame of the {number}. worst face": strip for number, strip in strips},
         }

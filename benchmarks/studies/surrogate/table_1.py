@@ -23,7 +23,7 @@ from ....surrogate.methods import (
     SETTLED,
     SNP,
     SOFTDECA,
-    SOFTDECA_BEGUN,
+    SOFTDECA_ON_TABLES,
     SOFTDECA_OURS,
     SOFTSMPL_GRU,
     SOFTSMPL_LARGE,
@@ -45,14 +45,14 @@ from .methods import NetworkExam, list_learners
 GRADIENTS = {
     SOFTDECA: "paper",
     SOFTDECA_OURS: "hyper",
-    SOFTDECA_BEGUN: "hyper",
+    SOFTDECA_ON_TABLES: "hyper",
     SOFTSMPL_SMALL: "softsmpl-small",
     SOFTSMPL_LARGE: "softsmpl-large",
     FACE_WISE: "face-wise",
 }
 """Names of `softdeca train --network` by label."""
 TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
-LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_BEGUN)
+LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_ON_TABLES)
 """Networks that learn Eq. 21 where the corpus has sequences, in FOR_MOTION of the time."""
 FOR_MOTION = 0.1
 NOTE = (
@@ -76,7 +76,7 @@ PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
 STATIC, VARYING, EXTERNAL = "static", "static, p over the face", "external"
 EARLY = "after a quarter of the time"
 FALLING = 0.05
-"""Share of its error that a method loses by four times the time, and is then said to be still learning."""
+"""Share of its error that a method loses by four times the time, and is then extra to be still learning."""
 
 
 def list_trained(tested: CorpusTrials) -> list[str]:
@@ -163,7 +163,7 @@ def use_tables(network: Surrogate) -> Binder:
 
 
 Trained = tuple[Method, dict[str, Any]]
-"""A method, ready, and what is said of its training."""
+"""A method, ready, and what is extra of its training."""
 
 
 def train_alike(name: str, exam: NetworkExam, hours: float) -> Trained:
@@ -179,7 +179,7 @@ def train_form(name: str, exam: NetworkExam, hours: float) -> Trained:
     from ....surrogate.networks.gradient_training import NETWORKS, train_gradients
     from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
-    tested, start = exam.tested, exam.network.weights if name == SOFTDECA_BEGUN else None
+    tested, start = exam.tested, exam.network.weights if name == SOFTDECA_ON_TABLES else None
     swings = name in LEARNED_MOTION and bool(tested.corpus.plan.sequences)
     still = (1.0 - FOR_MOTION) * hours if swings else hours
     weights = train_gradients(tested.training, replace(NETWORKS[GRADIENTS[name]], hours=still), start=start)
@@ -196,8 +196,8 @@ def train_rival(name: str, exam: NetworkExam, hours: float) -> Trained:
     """Train one of `list_learners`."""
     learner = list_learners()[name](hours)
     learner.fit(exam.tested.training)
-    said = {"steps": learner.steps} if hasattr(learner, "steps") else {}
-    return Method(name, learner.bind, learner.needs), said
+    extra = {"steps": learner.steps} if hasattr(learner, "steps") else {}
+    return Method(name, learner.bind, learner.needs), extra
 
 
 LEARNERS: Mapping[str, Callable[[str, NetworkExam, float], Trained]] = {

@@ -52,8 +52,8 @@ def find_beside(path: Path, name: str) -> Path:
     """
     parts = PurePosixPath(name).parts
     if re.search(r"[:\\]", name) or any(part.startswith(".") and part != ".." for part in parts):
-        said = "the name of a file in another has no ':', no '\\' and no part that begins with a dot"
-        raise InputError(f"{quote(name, 80)}: {said}")
+        reason = "the name of a file in another has no ':', no '\\' and no part that begins with a dot"
+        raise InputError(f"{quote(name, 80)}: {reason}")
     inside = not any(part in ("/", "//", "..") for part in parts)
     folder = path.resolve().parent
     place = folder / name if inside else folder
@@ -70,8 +70,8 @@ def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except (InputError, MeshError, FitError) as error:
-        said = str(error)
-        raise InputError(said if one_line(str(path)) in said else f"{path}: {said}") from None
+        reason = str(error)
+        raise InputError(reason if one_line(str(path)) in reason else f"{path}: {reason}") from None
 
 
 def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES, *, first: int | None = None) -> bytes:
@@ -94,8 +94,8 @@ def read_json(path: str | os.PathLike[str], kind: str = "a JSON file") -> Any:
     try:
         return parse_json(read_bytes(path, JSON_BYTES))
     except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith(str(path)) else f"{path}: not {kind} ({said})") from None
+        reason = str(error)
+        raise InputError(reason if reason.startswith(str(path)) else f"{path}: not {kind} ({reason})") from None
 
 
 def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
@@ -108,9 +108,9 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
         raise InputError(f"{word} is no finite number")
 
     try:
-        said = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")
-        JSON_BYTES.check("JSON", len(said))
-        return json.loads(said, parse_constant=None if allow_nan else refuse)
+        text = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")
+        JSON_BYTES.check("JSON", len(text))
+        return json.loads(text, parse_constant=None if allow_nan else refuse)
     except UnicodeDecodeError as error:
         raise InputError(f"not UTF-8 text, at byte {error.start}") from None
     except InputError:

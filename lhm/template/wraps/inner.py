@@ -119,7 +119,7 @@ class Crossings:
     skull: TriangleTree
 
     @classmethod
-    def of(cls, columns: Columns, stack: Floats) -> Crossings:
+    def from_wraps(cls, columns: Columns, stack: Floats) -> Crossings:
         """For a head that starts with these wraps (3 n, 3) [mm]."""
         n = columns.n
         return cls(columns, *(TriangleTree(x, columns.triangles) for x in (stack[:n], stack[2 * n :])))
@@ -146,7 +146,7 @@ def make_valid(columns: Columns, stack: Floats, policy: LayersPolicy = POLICY) -
     stack = columns.symmetrise(stack)
     skin = smooth_creases(columns, stack[:n], policy)
     stack = stack + np.tile(skin - stack[:n], (3, 1))
-    search = Crossings.of(columns, stack)
+    search = Crossings.from_wraps(columns, stack)
     for number in range(policy.rounds):
         stack = climb.improve(columns, stack, least=policy.least_length, policy=policy.climb)
         hit, skin_crosses = _find_defects(columns, stack, search, policy)

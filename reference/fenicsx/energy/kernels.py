@@ -230,5 +230,5 @@ def _compile(header: str, path: Path):
             if result.returncode == 0:
                 made.replace(path)
                 return
-    said = [line for line in result.stderr.splitlines() if "error" in line] or [f"status {result.returncode}"]
-    raise MissingDependencyError(f"solver 'fenicsx': the C compiler failed ({shlex.join(compiler)}): {said[0]}")
+    errors = [line for line in result.stderr.splitlines() if "error" in line] or [f"status {result.returncode}"]
+    raise MissingDependencyError(f"solver 'fenicsx': the C compiler failed ({shlex.join(compiler)}): {errors[0]}")

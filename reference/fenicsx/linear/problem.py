@@ -54,7 +54,7 @@ MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
 """The class that models each term that has an energy, or a force that follows."""
 
 
-class Problem:
+class DiscreteProblem:
     """The fixed parts of a sequence (mesh, forms, matrix), and the present scene's numbers.
 
     Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
@@ -155,11 +155,11 @@ class Problem:
             used[self.pressure_dofs[forms.cells]] = True
         return np.flatnonzero(~self.pressures.spread_mask(used)[: self.pressures.owned])
 
-    def at(self, u: Floats, p: Floats | None = None, share: float = 1.0) -> State:
+    def at(self, u: Floats, p: Floats | None = None, share: float = 1.0) -> Evaluation:
         """The problem at a displacement [mm] and a pressure [kPa], fields (n, 3) and (n_p,), and a share of loads."""
-        return State(self, u, np.zeros(self.pressures.count) if p is None else p, share)
+        return Evaluation(self, u, np.zeros(self.pressures.count) if p is None else p, share)
 
-    def moved(self, state: State, step: Floats) -> State:
+    def moved(self, state: Evaluation, step: Floats) -> Evaluation:
         """The problem after a step of all dofs [mm], a vector (3 owned,)."""
         return self.at(state.u + self.numbering.nodes.spread(step.reshape(-1, 3)), state.p, state.share)
 
@@ -168,13 +168,13 @@ def _have_same_numbers(one: Term, other: Term) -> bool:
     return one is other or all(np.array_equal(getattr(one, key), getattr(other, key)) for key in one.varying)
 
 
-class State:
+class Evaluation:
     """Energy, gradient and Hessian at one displacement and pressure.
 
     Dead loads and follower pressures are scaled by `share`; the energy has the latter's as far as they have one.
     """
 
-    def __init__(self, problem: Problem, u: Floats, p: Floats, share: float):
+    def __init__(self, problem: DiscreteProblem, u: Floats, p: Floats, share: float):
         self.u, self.p, self.share = u, p, share
         self._problem, self._solids = problem, problem.solids.at(u, p)
         self._x = problem.numbering.X + u

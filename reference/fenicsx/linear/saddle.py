@@ -15,7 +15,7 @@ from ....lhm.base.mesh import Floats, Ints
 from .. import dolfinx_version as seam
 from ..dolfinx_version import PETSc
 from ..policy import POLICY, LinearPolicy, SaddlePolicy
-from .problem import Problem, State
+from .problem import DiscreteProblem, Evaluation
 from .solvers import Factorisation, LinearAnswer, hold, solve_with
 
 _PRESSURE_PREFIX = "softdeca_pressure_"
@@ -31,7 +31,7 @@ class SaddleMatrix:
     has.
     """
 
-    def __init__(self, problem: Problem, policy: SaddlePolicy = POLICY.saddle):
+    def __init__(self, problem: DiscreteProblem, policy: SaddlePolicy = POLICY.saddle):
         self.problem, self.comm, self.H = problem, problem.comm, problem.matrix
         self.displacements, self.pressures = 3 * problem.numbering.nodes.owned, problem.pressures.owned
         self.idle = problem.idle_pressures()
@@ -44,7 +44,7 @@ class SaddleMatrix:
         self._transposed = self.B.transpose(PETSc.Mat())
         self._whole = PETSc.Mat()
 
-    def assemble(self, state: State, *, springs: bool):
+    def assemble(self, state: Evaluation, *, springs: bool):
         """Give B and D their values at a state, with or without springs."""
         state.place()
         self.B.zeroEntries()

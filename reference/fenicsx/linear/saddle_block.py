@@ -52,7 +52,7 @@ def make_saddle_solver(
 
 
 @dataclass(frozen=True, eq=False)
-class Experience:
+class LastSolves:
     """Findings of earlier solves about the next matrix.
 
     pace: GMRES' iterations for a decade of the residual, of the hardest projected system so far; 0 before the first.
@@ -77,19 +77,19 @@ class BlockSaddle:
     - GMRES is `patience` times as slow as for the hardest projected matrix. Projected ones get all iterations.
 
     FactoredSaddle, `direct`, takes over for one of `newton_step` where GMRES does not find it. All that a call leaves
-    for later ones is `experience`.
+    for later ones is `last_solves`.
     """
 
     def __init__(self, matrix: SaddleMatrix, held: Ints, policy: FenicsxPolicy = POLICY):
         self._matrix, self._held, self._policy = matrix, held, policy.saddle
-        self.work, self.experience = SaddleWork(), Experience()
+        self.work, self.last_solves = SaddleWork(), LastSolves()
         self.direct = FactoredSaddle(matrix, held, policy.linear, self.work)
         self._multigrid = Multigrid(matrix.H, matrix.problem.levels, symmetric=False)
         self._system: BlockSystem | None = None
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; held dofs' equations are x = b but for a factor, as `hold` leaves them."""
-        answer, self.experience = self._solve(b, relative, self.experience)
+        answer, self.last_solves = self._solve(b, relative, self.last_solves)
         return answer
 
     def newton_step(self, residual: Floats) -> SaddleStep | None:
@@ -102,8 +102,8 @@ class BlockSaddle:
             return self.direct.newton_step(residual)
         return SaddleStep(answer.x, lambda other: system.solve(-other, policy.following).x)
 
-    def _solve(self, b: Floats, relative: float, before: Experience) -> tuple[LinearAnswer, Experience]:
-        """The answer, and the experience after it."""
+    def _solve(self, b: Floats, relative: float, before: LastSolves) -> tuple[LinearAnswer, LastSolves]:
+        """The answer, and the last_solves after it."""
         matrix = self._matrix
         given = np.zeros_like(b)
         given[self._held] = b[self._held] / matrix.H.getDiagonal().array_r[self._held]

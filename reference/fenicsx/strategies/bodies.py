@@ -18,7 +18,7 @@ from ...scene import Scene
 from ...terms import RigidBody
 from ..dolfinx_version import PETSc
 from ..energy.assembly import null_space
-from ..linear.problem import Problem, State
+from ..linear.problem import DiscreteProblem, Evaluation
 from ..mesh.numbering import Numbering
 from ..mesh.parallel import anywhere
 
@@ -54,12 +54,12 @@ def rotate(turn: Rotation, r: Floats) -> Floats:
 
 
 class RigidProblem:
-    """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last.
+    """A discrete problem with rigid bodies; unknowns come in blocks of three, bodies' translation and rotation last.
 
     Each rank has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
     """
 
-    def __init__(self, scene: Scene, numbering: Numbering, problem: Problem):
+    def __init__(self, scene: Scene, numbering: Numbering, problem: DiscreteProblem):
         self.problem, self.comm = problem, problem.comm
         self._numbering = numbering
         self._n = numbering.nodes.owned
@@ -97,7 +97,7 @@ class RigidProblem:
 
     @property
     def energy_scale(self) -> float:
-        """See Problem."""
+        """See DiscreteProblem."""
         return self.problem.energy_scale
 
     def rest(self) -> list[Pose]:
@@ -218,7 +218,7 @@ class RigidProblem:
 class RigidState:
     """Energy, gradient and Hessian over the unknowns, at one displacement `u` (n, 3) and poses of the bodies."""
 
-    def __init__(self, owner: RigidProblem, state: State, poses: list[Pose]):
+    def __init__(self, owner: RigidProblem, state: Evaluation, poses: list[Pose]):
         self._owner, self._state = owner, state
         self.poses, self.u, self.energy = poses, state.u, state.energy
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
 from ..dolfinx_version import PETSc
-from ..linear.problem import Problem, State
+from ..linear.problem import DiscreteProblem, Evaluation
 from ..linear.saddle import SaddleMatrix
 from ..mesh.parallel import norm
 
@@ -22,7 +22,7 @@ class Point:
 
     z: Floats
     residual: Floats
-    state: State
+    state: Evaluation
     finite: bool
 
     @property
@@ -39,7 +39,7 @@ class Equilibrium:
     A mixed problem may lend its `saddle` matrix.
     """
 
-    def __init__(self, problem: Problem, held: Ints, saddle: SaddleMatrix | None = None):
+    def __init__(self, problem: DiscreteProblem, held: Ints, saddle: SaddleMatrix | None = None):
         self._problem, self.comm, self.symmetric = problem, problem.comm, problem.symmetric
         self.displacements = 3 * problem.numbering.nodes.owned
         self.count = self.displacements + problem.pressures.owned

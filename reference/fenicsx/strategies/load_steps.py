@@ -13,7 +13,7 @@ from ....lhm.base.mesh import Floats
 from ...restraint import has_free_motion
 from ...solution import Reason
 from ..dolfinx_version import PETSc
-from ..linear.problem import Problem
+from ..linear.problem import DiscreteProblem
 from ..linear.saddle import SaddleMatrix
 from ..linear.solvers import Factorisation, hold, multiply, petsc_vector
 from ..mesh.parallel import anywhere, norm
@@ -31,7 +31,7 @@ class LoadSteps:
     def __init__(
         self,
         run: Run,
-        problem: Problem,
+        problem: DiscreteProblem,
         *,
         saddle: SaddleMatrix | None = None,
         policy: FenicsxPolicy = POLICY,

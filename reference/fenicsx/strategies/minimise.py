@@ -10,7 +10,7 @@ from ....lhm.base.mesh import Floats
 from ...restraint import has_free_motion
 from ...solution import Limits, Reason
 from ...terms import Traction
-from ..linear.problem import Problem, State
+from ..linear.problem import DiscreteProblem, Evaluation
 from ..linear.solvers import LinearSolver
 from ..mesh.parallel import irregular_vector, largest_size
 from ..policy import POLICY, FenicsxPolicy
@@ -30,7 +30,7 @@ class Minimisation:
     def __init__(
         self,
         run: Run,
-        problem: Problem,
+        problem: DiscreteProblem,
         linear: LinearSolver,
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
@@ -109,7 +109,7 @@ class Minimisation:
         end, reason, made = self._newton.minimise(beside, threshold=threshold, max_iterations=left)
         return (end if reason is Reason.CONVERGED and end.energy < state.energy else state), made
 
-    def _evaluate(self, u: Floats) -> State:
+    def _evaluate(self, u: Floats) -> Evaluation:
         self._work.energies += 1
         return self._problem.at(u)
 

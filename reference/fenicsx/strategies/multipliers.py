@@ -18,7 +18,7 @@ import numpy as np
 from ....lhm.base.mesh import Floats
 from ...solution import Reason
 from ..dolfinx_version import PETSc
-from ..linear.problem import Problem, State
+from ..linear.problem import DiscreteProblem, Evaluation
 from ..linear.saddle import PressureSolver, SaddleMatrix
 from ..linear.saddle_block import make_saddle_solver
 from ..linear.solvers import multiply
@@ -35,7 +35,7 @@ class Condensed:
     `centre` is p₀ [kPa], a vector (n_p,), and `matrix` the saddle point's, whose springs are kappa's.
     """
 
-    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None, *, policy: FenicsxPolicy = POLICY):
+    def __init__(self, problem: DiscreteProblem, matrix: SaddleMatrix | None = None, *, policy: FenicsxPolicy = POLICY):
         self.problem, self.comm, self._policy = problem, problem.comm, policy
         self.matrix = SaddleMatrix(problem, policy.saddle) if matrix is None else matrix
         self.centre: Floats = np.zeros(self.matrix.pressures)
@@ -43,7 +43,7 @@ class Condensed:
 
     @property
     def energy_scale(self) -> float:
-        """See Problem."""
+        """See DiscreteProblem."""
         return self.problem.energy_scale
 
     def begin(self, centre: Floats):
@@ -84,14 +84,14 @@ class Condensed:
         """Return the volumes [mm³] that the springs hold back, a vector, zero where a minimiser solves the problem."""
         return self.matrix.springs * multiply(self.matrix.mass, p - self.centre)
 
-    def _place(self, u: Floats, p: Floats) -> State:
+    def _place(self, u: Floats, p: Floats) -> Evaluation:
         return self.problem.at(u, self.problem.pressures.spread(p))
 
 
 class CondensedState:
     """Energy, gradient and Hessian at one displacement `u`, a field (n, 3), and pressure `p`, a vector (n_p,)."""
 
-    def __init__(self, owner: Condensed, static: State, p: Floats, *, springs: bool):
+    def __init__(self, owner: Condensed, static: Evaluation, p: Floats, *, springs: bool):
         self._owner, self._static, self._springs = owner, static, springs
         self.u, self.p = static.u, p
         self.energy = static.energy
@@ -108,7 +108,7 @@ class CondensedState:
         return self._static.strain()
 
     def hessian(self, kept: float = 1.0) -> PETSc.Mat:
-        """Π's second derivative by the displacement [mN/mm], as of `State`, and all blocks of the owner's matrix."""
+        """Π's second derivative by the displacement [mN/mm], see `Evaluation`, and all blocks of the owner's matrix."""
         self._owner.matrix.assemble(self._static, springs=self._springs)
         return self._static.hessian(kept)
 

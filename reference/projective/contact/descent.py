@@ -19,7 +19,7 @@ from ....lhm.base.mesh import Floats
 from ...scene import Scene
 from ...solution import Reason
 from ...terms import Gaps
-from ..descent import Observer, Point, Problem, lbfgs
+from ..descent import Objective, Observer, Point, lbfgs
 from ..policy import POLICY, ContactPolicy
 from ..unknowns.coordinates import Place
 from ..unknowns.system import System
@@ -63,7 +63,7 @@ class ContactDescent:
             surfaces = ContactSurface.from_scene(scene, points, policy)
         return cls(scene.vertices, points, surfaces, Compliance(system, points.vertices), system, policy)
 
-    def descend(self, problem: Problem, point: Point, watch: Observer, *, solve: SolveMatrix) -> tuple[Point, Reason]:
+    def descend(self, problem: Objective, point: Point, watch: Observer, *, solve: SolveMatrix) -> tuple[Point, Reason]:
         """Minimise a problem's energy and contact's from a point; see `descent.Descent`. The watch sees both together.
 
         `solve` is A⁻¹ on a vector over the unknowns at the bodies' rotations.
@@ -75,24 +75,24 @@ class ContactDescent:
         if self.count_crossings(self.find_places(point.place)) > self.crossings_at_rest:
             rest = np.where(self.system.coordinates.held, point.u, 0.0)
             point = problem.at(self.system.coordinates.start(rest))
-        looks = Looks(self, nearby, watch)
-        end, reason = lbfgs(problem, point, looks)
-        if not looks.has_touched:
+        contact_watch = ContactWatch(self, nearby, watch)
+        end, reason = lbfgs(problem, point, contact_watch)
+        if not contact_watch.has_touched:
             return end, reason
         watch.forget()
-        begin = point if looks.free is None else looks.free
+        begin = point if contact_watch.free is None else contact_watch.free
         rotations, coordinates = begin.place.rotations, self.system.coordinates
         model = Model(lambda vector: solve(vector, rotations), coordinates, self.compliance, self.points, rotations)
         return self._descend_touching(problem, begin, watch, nearby, model)
 
     def _descend_touching(
-        self, problem: Problem, point: Point, watch: Observer, nearby: Nearby, model: Model
+        self, problem: Objective, point: Point, watch: Observer, nearby: Nearby, model: Model
     ) -> tuple[Point, Reason]:
         x = self.find_places(point.place)
         here = self._touch(point, x, nearby.find_rows(x))
         solved = model.solve_start(point.gradient)
         pushes = here.rows.spread(here.rows.forces, len(self.points))
-        while (reason := watch.see(here.total)) is None:
+        while (reason := watch.record(here.total)) is None:
             gradient = here.free.gradient
             model.turn(here.free.place.rotations)
             right, solved_right = -gradient, -solved
@@ -124,7 +124,7 @@ class ContactDescent:
         return self.touches(end) or self.leaps(begin, end)
 
     def lead(
-        self, problem: Problem, begin: Floats, goal: Floats, watch: Observer, *, solve: SolveMatrix
+        self, problem: Objective, begin: Floats, goal: Floats, watch: Observer, *, solve: SolveMatrix
     ) -> tuple[Point, Reason | None, float]:
         """Move what is held from positions (n, 3) [mm] to displacements `goal` (n, 3) [mm], stage by stage.
 
@@ -169,7 +169,7 @@ class ContactDescent:
                 return point, few.reason, largest
         return point, None, largest
 
-    def _move(self, problem: Problem, place: Place, step: Floats, part: Floats) -> Place:
+    def _move(self, problem: Objective, place: Place, step: Floats, part: Floats) -> Place:
         """Take a step over the unknowns, and a part (n, 3) [mm] of the way of what is held."""
         moved = problem.move(place, step)
         return Place(moved.u + part, moved.rotations)
@@ -288,7 +288,7 @@ class ContactDescent:
         return rows.spread(forces, len(free))
 
     def _take(
-        self, problem: Problem, nearby: Nearby, here: Touching, step: Floats, model: tuple[float, float]
+        self, problem: Objective, nearby: Nearby, here: Touching, step: Floats, model: tuple[float, float]
     ) -> tuple[float, Touching] | None:
         """Take the share of a step that meets nothing and lowers the energy; None where none is found soon.
 
@@ -331,11 +331,11 @@ class Few:
         self._watch, self._left, self.first = watch, count, 0.0
         self.reason: Reason | None = None
 
-    def see(self, point: Point) -> Reason | None:
+    def record(self, point: Point) -> Reason | None:
         """Take note of a point."""
         self._left -= 1
         self.first = self.first or point.norm
-        reason = self._watch.see(point)
+        reason = self._watch.record(point)
         if reason is not None and reason is not Reason.CONVERGED:
             self.reason = reason
         return reason or (Reason.MAX_ITERATIONS if self._left < 0 else None)
@@ -344,7 +344,7 @@ class Few:
         self._watch.forget()
 
 
-class Looks:
+class ContactWatch:
     """Shows a watch a descent without contact, and ends it where the way has met something.
 
     It looks at first and last point, and in between after 1, 4, 16, ... iterations: along the straight way from the
@@ -357,14 +357,14 @@ class Looks:
         self.free: Point | None = None
         self.has_touched = False
 
-    def see(self, point: Point) -> Reason | None:
+    def record(self, point: Point) -> Reason | None:
         """Take note of a point; it is shown to the watch unless it touches."""
         reason = None
         if self._seen in (0, self._next):
             self._next = max(1, 4 * self._seen)
             self._look(point)
         if not self.has_touched:
-            reason = self._watch.see(point)
+            reason = self._watch.record(point)
             if reason is Reason.CONVERGED:
                 self._look(point)
         self._seen += 1

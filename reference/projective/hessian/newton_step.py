@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....lhm.base.mesh import Floats, Ints
-from ..descent import Point, Problem
+from ..descent import Objective, Point
 from ..policy import POLICY, NewtonStepPolicy
 
 
@@ -28,7 +28,7 @@ class NewtonStep:
 
 
 def newton_step(
-    problem: Problem, point: Point, vertices: Ints | slice, policy: NewtonStepPolicy = POLICY.newton_step
+    problem: Objective, point: Point, vertices: Ints | slice, policy: NewtonStepPolicy = POLICY.newton_step
 ) -> NewtonStep:
     """Solve for Newton's step by conjugate gradients (Nocedal and Wright 2006, Algorithm 7.1).
 
@@ -59,7 +59,7 @@ def newton_step(
     return NewtonStep(step + rest, False, policy.most_products)
 
 
-def _multiply_hessian(problem: Problem, point: Point, direction: Floats, difference: float) -> Floats:
+def _multiply_hessian(problem: Objective, point: Point, direction: Floats, difference: float) -> Floats:
     """Multiply a direction by the Hessian, by two gradients at most `difference` [mm] apart."""
     size = difference / max(float(np.abs(direction).max()), float(np.finfo(np.float64).tiny))
     ahead = problem.after(point, size * direction)
