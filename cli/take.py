@@ -13,7 +13,7 @@ from ..lhm.base.files.mesh_sequence import read_mesh_sequence
 from ..lhm.base.files.surface_file import MILLIMETRES, Scan
 from ..lhm.base.files.text import naming_file
 from ..lhm.base.mesh import Ints, Surface
-from ..lhm.expressions import TrackedFace, fit_take, write_take
+from ..lhm.expressions import TrackedFace, find_neutral, fit_take, write_take
 from ..reference import Parameters
 from .options import FILE, argument, as_command, option
 from .take_options import HeadChoice
@@ -32,8 +32,9 @@ class Fit:
     """Fit the weights of a head's 52 shapes to MESHES, and write them as a take that `animate` reads.
 
     MESHES is a folder of meshes of one triangulation, in the order of their names, or an .npz with vertices
-    (frames, n, 3) and, if the head has others, triangles. Meshes of other triangles than the head's need a neutral
-    first frame, by which they are registered on its skin. The head's rotation is found in every frame, and written.
+    (frames, n, 3) and, if the head has others, triangles. Meshes of other triangles than the head's are registered on
+    its skin by the frame that lies nearest to it; an expression of that frame counts as none, so one has to be neutral.
+    The head's rotation is found in every frame, and written.
 
     The residual of a frame is the root mean square distance that shapes and rotation leave, over the area. OUT has all
     in a row of its own.
@@ -56,18 +57,24 @@ class Fit:
             face = HeadChoice(self.head, self.identities).face(Parameters(), progress)
             with naming_file(self.meshes):
                 first, triangles = sequence.read(0), sequence.triangles
+                notes = list(sequence.notes)
                 if triangles is None or has_same_triangles(triangles, face.skin.triangles):
                     tracked = TrackedFace.from_skin(face.skin, face.shapes)
                 else:
-                    sound = Scan(first, triangles).sound
-                    tracked = TrackedFace.from_mesh(face.skin, face.shapes, Surface(first, triangles[sound]))
+                    triangles = triangles[Scan(first, triangles).sound]
+                    number, off = find_neutral(face.skin, sequence, triangles)
+                    neutral = Surface(sequence.read(number), triangles)
+                    tracked = TrackedFace.from_mesh(face.skin, face.shapes, neutral)
+                    notes.append(
+                        f"{sequence.names[number]} counts as neutral: {off:.2g} mm off the head's skin in the mean"
+                    )
                 fitted = fit_take(
                     tracked,
                     sequence,
                     rate=self.fps,
                     on_frame=lambda number: progress("take", (number + 1) / len(sequence)),
                 )
-        for note in sequence.notes:
+        for note in notes:
             click.echo(f"softdeca: {self.meshes}: {note}", err=True)
         residuals = fitted.residuals
         write_take(self.out, fitted.take, {"residual mm": residuals})

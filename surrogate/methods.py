@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -136,6 +137,9 @@ class SolvedRig:
     settled: SettledFace | None = None
     last: Solved | None = None
 
+    def __reduce__(self):
+        raise InputError("a rig that solves its frames cannot be copied or pickled; pickle its face, and bind it there")
+
     def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
         """Solve for a frame; see `Rig.frame`. InputError for `blended`, too, and what solving raises."""
         if blended is not None:
@@ -197,13 +201,16 @@ def tell_solution(face: Face, weights: Floats, solution: Solution, law: FaceLaw 
 
 def blend(face: AnyFace) -> CorrectedRig:
     """Bind T = S: the error of doing nothing."""
-    return CorrectedRig(face.skin, face.shapes, lambda weights: np.float32(0.0))
+    return CorrectedRig(face.skin, face.shapes, partial(_always, np.float32(0.0)))
 
 
 def carry(face: AnyFace) -> CorrectedRig:
     """Bind T - S as scaled bones carry the neutral skin, whatever the expression."""
-    carried = face.carried.astype(np.float32)
-    return CorrectedRig(face.skin, face.shapes, lambda weights: carried)
+    return CorrectedRig(face.skin, face.shapes, partial(_always, face.carried.astype(np.float32)))
+
+
+def _always(added: Any, weights: Floats32) -> Any:
+    return added
 
 
 def rest(face: AnyFace) -> BoundSurrogate:

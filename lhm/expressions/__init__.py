@@ -2,7 +2,7 @@
 
 from ..identities.arkit import ARKIT, check_weights, index, parse_weights, weights_of
 from ..identities.transfer import transfer_expressions
-from .fitting import FittedTake, TrackedFace, fit_take
+from .fitting import FittedTake, TrackedFace, find_neutral, fit_take
 from .made_up import combinations, conversation, conversation_take, head_motion, sample_weights, speech
 from .readers import read_take
 from .recordings import Recording, recordings, starts
@@ -23,6 +23,7 @@ __all__ = [
     "combinations",
     "conversation",
     "conversation_take",
+    "find_neutral",
     "fit_take",
     "head_motion",
     "index",

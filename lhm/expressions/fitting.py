@@ -4,8 +4,9 @@ A frame is R (N + Σ w_i B_i) + t, with the neutral skin N and the shapes B. The
 distance over the area. The part of it that a small rigid motion takes away is left out of the shapes and of the frame,
 so that a nod is no expression; the rotation itself is then found anew, until neither changes.
 
-Meshes of other triangles are registered once, by their first frame, which has to be neutral: each vertex belongs to the
-closest point of the head's skin, and keeps its distance from there.
+Meshes of other triangles are registered once, by a neutral frame: each vertex belongs to the closest point of the
+head's skin, and keeps its distance from there. An expression of that frame would be missing in all, so it is the frame
+that lies nearest to the skin.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from scipy.optimize import lsq_linear
 
 from ..base.checks import finite
 from ..base.errors import InputError
+from ..base.files.mesh_sequence import MeshSequence
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.likeness import check_moved
 from ..base.geometry.settle import FACING, settle_on
 from ..base.geometry.warp import rigid_motion
-from ..base.mesh import Floats, Surface, unit
+from ..base.mesh import Floats, Ints, Surface, unit
 from ..identities.arkit import ARKIT
 from .takes import Take, angles_from_rotations, check_rate
 
@@ -42,6 +44,7 @@ class FittingPolicy:
     worst: float = 1.0  # [mm] residual in the mean, up to which any is taken
     explained: float = 0.5  # of the motion: a larger residual that is more of it is no face of this head
     sizes: tuple[float, float] = (0.25, 4.0)  # a mesh's extent over the head's
+    candidates: int = 32  # frames, at most, among which a neutral one is looked for
 
 
 POLICY = FittingPolicy()
@@ -70,47 +73,74 @@ class TrackedFace:
         return cls(neutral, shapes, np.arange(count), count)
 
     @classmethod
-    def from_mesh(cls, neutral: Surface, shapes: Floats, first: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
-        """Register a mesh of other triangles by its first frame [mm], which is neutral.
+    def from_mesh(cls, neutral: Surface, shapes: Floats, mesh: Surface, policy: FittingPolicy = POLICY) -> TrackedFace:
+        """Register a mesh [mm] of other triangles, which is neutral.
 
         It may be moved, and turned a little; vertices that no triangle has are left out. Raises InputError where it
         then does not lie on the skin and face as it does.
         """
         shapes = cls.from_skin(neutral, shapes).shapes
-        is_used = np.zeros(len(first.vertices), bool)
-        is_used[first.triangles] = True
-        extents = [float(np.ptp(x, axis=0).max()) for x in (first.vertices[is_used], neutral.vertices)]
-        if not policy.sizes[0] <= extents[0] / extents[1] <= policy.sizes[1]:
+        laid = Laid.from_mesh(neutral, mesh, policy)
+        if laid.median > policy.off:
             raise InputError(
-                f"the first frame is {extents[0]:.3g} mm across, the head {extents[1]:.3g} mm; are its units off?"
-            )
-        tree, faces = TriangleTree(neutral.vertices, neutral.triangles), unit(neutral.face_normals)
-        middle = neutral.vertices.mean(axis=0) - first.vertices[is_used].mean(axis=0)
-        ends = []
-        for shift in (0.0, middle):
-            moved, normals = first.vertices[is_used] + shift, unit(first.vertex_normals)[is_used]
-            points, facing = settle_on(tree, faces, moved, normals)
-            found = tree.closest_facing(points, facing, faces, FACING)
-            within = found[2] <= policy.reach
-            off = float(np.median(found[2][within])) if within.mean() >= policy.least_near else np.inf
-            ends.append((off, points, *found))
-        off, points, triangle, weights, distance = min(ends, key=lambda end: end[0])
-        if off > policy.off:
-            raise InputError(
-                f"the first frame does not lie on the head's skin to {policy.off:g} mm (median); expected a neutral "
+                f"the mesh does not lie on the head's skin to {policy.off:g} mm (median); expected a neutral "
                 "face of this very head, facing as it does, not mirrored, not inside out: `head fit --skin` makes one"
             )
-        placed = first.vertices.copy()
-        placed[is_used] = points
-        within = distance <= policy.reach
-        near = np.zeros(len(placed), bool)
-        near[is_used] = within
-        triangle, weights = triangle[within], weights[within]
-        corners = neutral.triangles[triangle]
-        sampled = np.stack([np.einsum("nk,nkd->nd", weights, shape[corners]) for shape in shapes])
-        number = np.cumsum(near) - 1
-        triangles = number[first.triangles[near[first.triangles].all(axis=1)]]
-        return cls(Surface(placed[near], triangles), sampled, np.flatnonzero(near), len(placed))
+        corners = neutral.triangles[laid.triangles]
+        sampled = np.stack([np.einsum("nk,nkd->nd", laid.weights, shape[corners]) for shape in shapes])
+        near = np.zeros(len(mesh.vertices), bool)
+        near[laid.kept] = True
+        triangles = (np.cumsum(near) - 1)[mesh.triangles[near[mesh.triangles].all(axis=1)]]
+        return cls(Surface(laid.points, triangles), sampled, laid.kept, len(near))
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """A mesh on a skin: which of its vertices are near (k,), where [mm] (k, 3), and the closest points, as `closest`.
+
+    median, mean [mm]: of the distances, infinite where too few vertices are near.
+    """
+
+    kept: np.ndarray
+    points: Floats
+    triangles: np.ndarray
+    weights: Floats
+    median: float
+    mean: float
+
+    @classmethod
+    def from_mesh(cls, skin: Surface, mesh: Surface, policy: FittingPolicy = POLICY) -> Laid:
+        """Lay a mesh [mm] on a skin, from where it stands or from its middle; InputError for one of another size."""
+        used = np.unique(mesh.triangles)
+        vertices, normals = mesh.vertices[used], unit(mesh.vertex_normals)[used]
+        extents = [float(np.ptp(x, axis=0).max()) for x in (vertices, skin.vertices)]
+        if not policy.sizes[0] <= extents[0] / extents[1] <= policy.sizes[1]:
+            raise InputError(f"a frame is {extents[0]:.3g} mm across, the head {extents[1]:.3g} mm; are its units off?")
+        tree, faces = TriangleTree(skin.vertices, skin.triangles), unit(skin.face_normals)
+        ends = []
+        for shift in (0.0, skin.vertices.mean(axis=0) - vertices.mean(axis=0)):
+            points, facing = settle_on(tree, faces, vertices + shift, normals)
+            triangles, weights, distance = tree.closest_facing(points, facing, faces, FACING)
+            near = distance <= policy.reach
+            off = distance[near] if near.mean() >= policy.least_near else np.array([np.inf])
+            laid = cls(
+                used[near], points[near], triangles[near], weights[near], float(np.median(off)), float(off.mean())
+            )
+            ends.append(laid)
+        return min(ends, key=lambda laid: laid.median)
+
+
+def find_neutral(
+    skin: Surface, frames: MeshSequence, triangles: Ints, policy: FittingPolicy = POLICY
+) -> tuple[int, float]:
+    """Find the frame that lies nearest to a neutral skin, and how near [mm], among `candidates` evenly over the take.
+
+    triangles (m, 3): those of the frames. Raises as `Laid.from_mesh`.
+    """
+    numbers = np.unique(np.linspace(0, len(frames) - 1, policy.candidates).astype(int))
+    off = [Laid.from_mesh(skin, Surface(frames.read(number), triangles), policy).mean for number in numbers]
+    best = int(np.argmin(off))
+    return int(numbers[best]), off[best]
 
 
 @dataclass(frozen=True, eq=False)

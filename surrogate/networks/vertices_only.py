@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ...lhm.base.mesh import Floats32
@@ -82,12 +84,11 @@ class VerticesOnly(Lesson):
         """Evaluate L, which depends on p and h alone."""
         summary = (self._inputs.summary_of(face) - self._mean) / self._scale
         bound = self.bound(self.arrays, summary.astype(np.float32)[None])
+        return CorrectedRig(face.skin, face.shapes, partial(self._correct, bound))
 
-        def correct(weights: Floats32) -> Floats32:
-            moved: Floats32 = self.answer(self.arrays, bound, weights[None])[0]
-            return self._size * moved
-
-        return CorrectedRig(face.skin, face.shapes, correct)
+    def _correct(self, bound: Floats32, weights: Floats32) -> Floats32:
+        moved: Floats32 = self.answer(self.arrays, bound, weights[None])[0]
+        return self._size * moved
 
 
 def _draw(vertices: int, summary: int) -> Tensors:

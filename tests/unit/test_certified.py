@@ -1,5 +1,6 @@
 """A face that knows its error: told against true, by the accuracy that is asked for."""
 
+import pickle
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,8 +9,10 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.reference import Face, Parameters, solve
-from softdeca.surrogate import Surrogate, certify
+from softdeca.surrogate import METHODS, Surrogate, certify
 from softdeca.surrogate.corpus.spheres import Spheres
+
+from ..refusals import refused
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 HEAD = SPACE.fit(SPACE.skin(CODE))
@@ -65,6 +68,15 @@ def test_threads_share_a_rig(face):
     finally:
         sys.setswitchinterval(before)
     np.testing.assert_array_equal(together, alone)
+
+
+@pytest.mark.parametrize("name", ["PD", "dial", "derivatives", "bones carried", "blendshapes"])
+def test_a_rig_can_be_pickled_or_says_that_it_cannot(face, name):
+    rig, weights = METHODS[name].bind(face.face), expression(0)
+    if name in ("PD", "dial"):
+        refused("cannot be copied or pickled", pickle.dumps, rig)
+        return
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(rig)).frame(weights), rig.frame(weights))
 
 
 def test_a_frame_is_never_told_worse_than_before(face):
