@@ -9,7 +9,7 @@ from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.face.problems import body_of
 from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
+from softdeca.benchmarks.studies.arena.study import WorkPrecision
 from softdeca.benchmarks.studies.mesh.face import FaceBenchmark, nested_bodies
 from softdeca.benchmarks.studies.mesh.study import MeshError
 from softdeca.benchmarks.studies.person import Person

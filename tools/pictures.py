@@ -317,11 +317,11 @@ def arena(scan: Path) -> bytes:
     import json
 
     from softdeca.animation.plots import to_png
-    from softdeca.benchmarks.studies.arena.curves import Panel, plot_curves
+    from softdeca.benchmarks.studies.arena.curves import plot_curves
 
     rows = [row for row in json.loads((ROOT / ARENA[0]).read_text())["rows"] if row["status"] == "done"]
     shown = [(row["case"], row["values"]) for row in rows if "seed" not in row["case"]]
-    return to_png(plot_curves(Panel.by_case(shown)))
+    return to_png(plot_curves(shown))
 
 
 PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {

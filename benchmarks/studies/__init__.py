@@ -32,7 +32,7 @@ QUESTIONS: Mapping[str, Mapping[str, str]] = {
         "dial": "surrogate.dial:Dial",
     },
     "What does each method cost?": {
-        "work-precision": "arena.work_precision:WorkPrecision",
+        "work-precision": "arena.study:WorkPrecision",
         "arena": "arena.study:Arena",
         "throughput": "scaling.throughput:Throughput",
         "unknowns": "scaling.unknowns:Unknowns",

@@ -102,7 +102,7 @@ def compare_felupe(problem: Problem) -> problems.Outcome:
     scene = problem.scene(NEO_HOOKEAN)
     truth = solve_to_end(scene, "FEniCSx", solver="fenicsx", tolerance=TIGHT)
     entrant = next(each for each in list_entrants() if each.solver == felupe_newton.TITLE)
-    found = run(entrant, problem, NEO_HOOKEAN, {"own": truth.positions}, BUDGET, scene.vertices)
+    found = run(entrant, problem, NEO_HOOKEAN, [truth.positions], BUDGET, scene.vertices)
     moved = largest_distance(truth.positions, scene.vertices)
     error = (np.inf if found["max_mm"] is None else found["max_mm"]) / moved
     return problems.Outcome(

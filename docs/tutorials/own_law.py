@@ -20,7 +20,7 @@
 # %%
 import numpy as np
 
-from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
+from softdeca.benchmarks.studies.arena.study import WorkPrecision
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
@@ -72,7 +72,7 @@ assert face.converged
 # %%
 for command, study in (
     ("verification", Verification()),
-    ("work-precision", WorkPrecision(slow=True)),
+    ("work-precision", WorkPrecision()),
 ):
     tasks = [task for task in study.tasks() if "Gent" in str(task)]
     print(

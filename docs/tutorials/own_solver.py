@@ -20,7 +20,7 @@ import numpy as np
 
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
-from softdeca.benchmarks.studies.arena.work_precision import WorkPrecision
+from softdeca.benchmarks.studies.arena.study import WorkPrecision
 from softdeca.benchmarks.studies.measures import trace_solve
 from softdeca.benchmarks.studies.verification import Hard, Verification
 from softdeca.lhm import expressions, fit_head, identities, load_template

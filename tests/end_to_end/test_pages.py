@@ -133,7 +133,7 @@ def test_a_block_runs_alone_on_the_coarsest_head(block, folder, monkeypatch):
     if "TITLE =" in block:  # a solver for the arena
         (folder / "linear.py").write_text(block)
         bar = problems.make("bar")
-        answers, file = {"own": problems.answer("bar", "neo-Hookean")}, str(folder / "linear.py")
+        answers, file = [problems.answer(bar, "neo-Hookean")], str(folder / "linear.py")
         (entrant,) = (each for each in list_entrants((file,)) if each.file == file)
         assert run(entrant, bar, entrant.law, answers, 1.0, bar.vertices)["max_mm"] <= 1.5
         return

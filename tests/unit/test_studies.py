@@ -28,7 +28,7 @@ CHEAP = {
     },
     "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
-    "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1},
+    "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",)},
     "SphereRanks": {"level": 1, "processes": (1, 2), "repeats": 1},
 }
 

@@ -120,9 +120,9 @@ def test_libigl_and_we_minimise_the_same_energy(sphere_head, targets):
     assert [type(term) for term in scene.terms] == [terms.Strain, terms.Fixed]
     truth = prepare(scene).solve(tolerance=1e-10).positions
     (entrant,) = (each for each in list_entrants() if each.file == "libigl_arap")
-    found = run_solver(entrant, problem, RIGID, {"own": truth}, 2.0, scene.vertices)
+    found = run_solver(entrant, problem, RIGID, [truth], 2.0, scene.vertices)
     moved = largest_distance(truth, scene.vertices)
-    assert moved > 1.0 and found["max_mm"] < 2e-3 * moved and found["max_mm"] < 0.01 * found["first_mm"]
+    assert moved > 1.0 and found["max_mm"] < 2e-3 * moved
 
 
 @pytest.mark.parametrize("element", ["P1", "P2"])

@@ -1,12 +1,9 @@
-"""Error over processor time or work, a panel per problem and a line per solver and setting."""
+"""Error over processor time, a panel per problem and a line per solver and setting."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any
 
 from ....animation.plots import subplots
 from ....surrogate.methods import get_method
@@ -28,45 +25,27 @@ COLOURS = {
 """Colours of solvers that METHODS has not; others are black."""
 
 
-Over = Literal["seconds", "work"]
-TITLES: Mapping[Over, str] = {"seconds": "set-up and solve [s] of a processor", "work": "iterations"}
-
-
-@dataclass(frozen=True)
-class Panel:
-    """The values of rows under a title, over set-up and solve [s] or over work."""
-
-    title: str
-    rows: Sequence[Mapping[str, Any]]
-    over: Over = "seconds"
-
-    @classmethod
-    def by_case(cls, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Panel]:
-        """Make a panel of each case, of cases and values."""
-        return [
-            cls(case, [values for name, values in rows if name == case]) for case in dict.fromkeys(c for c, _ in rows)
-        ]
-
-
-def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
-    """Draw largest errors [mm] of solves from rest, none below `floor`; settings after a solver's first are dotted."""
-    wide = min(WIDE, len(panels))
-    deep = -(-len(panels) // wide)
+def plot_curves(rows: Sequence[tuple[str, Mapping[str, Any]]]):
+    """Draw the largest errors [mm] of solves from rest; rows are the problem and values. Later settings are dotted."""
+    cases = list(dict.fromkeys(case for case, _ in rows))
+    wide = min(WIDE, len(cases))
+    deep = -(-len(cases) // wide)
     figure, axes = subplots(deep, wide, figsize=(13 / 3 * wide, 3.8 * deep + 0.8), squeeze=False)
     labels: dict[str, Any] = {}
-    for axis, panel in zip(axes.ravel(), panels, strict=False):
+    for axis, case in zip(axes.ravel(), cases, strict=False):
         firsts: dict[str, str] = {}
-        for values in panel.rows:
-            if values["start"] != REST or not values[panel.over]:
-                continue
-            title = values["solver"]
-            dotted = firsts.setdefault(title, values["setting"]) != values["setting"]
-            line = _plot_row(axis, values, panel.over, floor, dotted)
-            if line is not None:
-                labels.setdefault(title, line)
-        axis.set(xscale="log", yscale="log", title=panel.title, ylim=(floor, TOP), xlabel=TITLES[panel.over])
+        for name, values in rows:
+            if name == case and values["start"] == REST and values["seconds"]:
+                title = values["solver"]
+                dotted = firsts.setdefault(title, values["setting"]) != values["setting"]
+                line = _plot_row(axis, values, dotted)
+                if line is not None:
+                    labels.setdefault(title, line)
+        axis.set(
+            xscale="log", yscale="log", title=case, ylim=(FLOOR, TOP), xlabel="set-up and solve [s] of a processor"
+        )
         axis.tick_params(axis="x", pad=9)  # the lowest tick of y stands in the corner
-    for axis in axes.ravel()[len(panels) :]:
+    for axis in axes.ravel()[len(cases) :]:
         axis.set_axis_off()
     for axis in axes[:, 0]:
         axis.set_ylabel("largest error [mm]")
@@ -74,14 +53,13 @@ def plot_curves(panels: Sequence[Panel], *, floor: float = FLOOR):
     return figure
 
 
-def _plot_row(axis, values: Mapping[str, Any], over: Over, floor: float, dotted: bool):
+def _plot_row(axis, values: Mapping[str, Any], dotted: bool):
     """One solver's line, for the legend; None where all errors are above TOP."""
-    title, ready = values["solver"], float(np.median(values["set_up_s"])) if over == "seconds" else 0.0
-    colour = COLOURS.get(title) or get_method(title).colour
-    curve = zip(values[over], values["error_mm"], strict=True)
-    points = [(ready + x, max(error, floor)) for x, error in curve if error <= TOP]
+    curve = zip(values["seconds"], values["error_mm"], strict=True)
+    points = [(values["set_up_s"] + seconds, max(error, FLOOR)) for seconds, error in curve if error <= TOP]
     if not points:
         return None
+    colour = COLOURS.get(values["solver"]) or get_method(values["solver"]).colour
     style = {"lw": 0.8, "ls": ":"} if dotted else {"lw": 1.4}
     marker = "o" if len(points) == 1 else None
     return axis.plot(*zip(*points, strict=True), color=colour, marker=marker, ms=4, **style)[0]

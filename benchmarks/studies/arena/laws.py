@@ -8,6 +8,7 @@ from typing import Any
 
 from ....lhm.base.mesh import Ints
 from ....reference import materials, terms
+from ....reference.added import added_laws
 from ....reference.materials import EnergyLaw, Material
 from ....reference.materials.material import LameLaw
 
@@ -64,3 +65,8 @@ LAWS: Mapping[str, Solid] = {
     RIGID: _rigid,
 }
 """Laws by the name in a solver's file; libigl's answer is independent of mu, projective dynamics' of a factor."""
+
+
+def find_law(name: str) -> Solid:
+    """Give a law of LAWS, or one that a file has added."""
+    return LAWS[name] if name in LAWS else _hyperelastic(added_laws()[name].of_moduli)

@@ -12,20 +12,20 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import platformdirs
 
 from ....lhm.base.errors import MissingDependencyError, SoftdecaError
-from ....lhm.base.mesh import Floats, Ints
-from ....reference import Scene, prepare
+from ....lhm.base.mesh import Floats
+from ....reference import prepare
 from ....reference.added import NotModelledError
-from ..measures import find_arrival, repeat_work
+from ..measures import find_arrival
 from .entrants import Entrant
-from .solvers.__main__ import ANSWER as ANSWER_ARRAY
-from .solvers.__main__ import WARM
-from .solvers.protocol import ArenaProblem, Clock
+from .problems import Problem
+from .solvers.__main__ import ANSWERS, WARM
+from .solvers.protocol import Clock
 
 ACCURACIES = tuple(float(f"1e-{power}") for power in range(7))
 """[mm] of the largest error."""
@@ -69,84 +69,38 @@ def environments() -> Path:
     return Path(os.environ.get("SOFTDECA_ARENA") or platformdirs.user_cache_path("softdeca") / "arena")
 
 
-class Solvable(Protocol):
-    """Input of a solver: a problem of `problems`, or an expression of a face."""
-
-    @property
-    def skin(self) -> Ints:
-        """Vertices (s,) whose errors count."""
-        ...
-
-    @property
-    def warm(self) -> Solvable:
-        """A small one of the same kinds of terms, for the uncounted run before a solve."""
-        ...
-
-    def scene(self, law: str) -> Scene:
-        """Give the scene of a law."""
-        ...
-
-    def arrays(self, start: Floats | None = None) -> ArenaProblem:
-        """Give the problem as arrays, with a start [mm], (n, 3)."""
-        ...
-
-
 def run(
-    entrant: Entrant,
-    problem: Solvable,
-    law: str,
-    answers: Mapping[str, Floats],
-    budget: float,
-    start: Floats,
-    repeats: int = 1,
+    entrant: Entrant, problem: Problem, law: str, answers: Sequence[Floats], budget: float, start: Floats
 ) -> dict[str, Any]:
     """Give the values of a row: a solver, with its setting, on a problem of a law, from a start [mm], (n, 3).
 
-    Several runs give those of the one that solves in the median time, and lists of all times of set-up and solve.
-    Raises MissingDependencyError for absent packages, NotModelledError for a problem that is refused.
+    answers [mm], (n, 3) each: where an energy has several minima, errors are to the one at which the solver ends.
+    budget: processor time [s] of the solve. Raises MissingDependencyError for absent packages, NotModelledError for a
+    problem that is refused.
     """
-
-    def run_once() -> Lines:
-        if not entrant.file:
-            scene, small = problem.scene(law), problem.warm.scene(law)
-            return run_own(scene, small, problem.skin, answers, budget, start=start, **entrant.options)
-        arrays, warm = problem.arrays(start), problem.warm.arrays()
-        lines = run_outside(entrant.file, arrays, warm, answers, entrant.options, budget)
-        _check(lines, entrant)
-        return lines
-
-    each = [summarise(lines) for lines in repeat_work(run_once, repeats)]
-    values = sorted(each, key=lambda values: values.get("solve_s", np.inf))[len(each) // 2]
-    if repeats > 1:
-        times = {key: [values[key] for values in each] for key in ("set_up_s", "solve_s")}
-        values = {**values, **times, "repeats": len(each)}
+    runner = run_outside if entrant.file else run_own
+    values = summarise(runner(entrant, problem, law, answers, budget, start))
     about = {"solver": entrant.solver, "setting": entrant.setting, "law": law, "dtype": entrant.dtype}
     told = ", ".join(f"{name}={value}" for name, value in entrant.options.items())
-    return {**about, "settings": told, "budget_s": budget if np.isfinite(budget) else None, **values}
+    return {**about, "settings": told, "budget_s": budget, **values}
 
 
 def run_outside(
-    solver: str,
-    arrays: ArenaProblem,
-    warm: ArenaProblem,
-    answers: Mapping[str, Floats],
-    settings: Mapping[str, Any],
-    budget: float,
+    entrant: Entrant, problem: Problem, law: str, answers: Sequence[Floats], budget: float, start: Floats
 ) -> Lines:
-    """Run a solver's file (a name in `solvers`, or a path) in a process of its own, on one thread.
+    """Run a solver's file in a process of its own, on one thread; see `run`.
 
-    It runs `warm` first, which is not counted. answers: "own", and "neo" where it is compared, [mm], (n, 3); budget:
-    processor time [s] of the solve. The process is ended where its solve takes twice that and GRACE, or what comes
-    before SET_UP_LIMIT.
+    It runs a small problem first, which is not counted. The process is ended where its solve takes twice the budget and
+    GRACE, or what comes before SET_UP_LIMIT.
     """
     with tempfile.TemporaryDirectory() as folder:
-        problem, order, out = (Path(folder) / name for name in ("problem.npz", "order.json", "out.jsonl"))
-        np.savez(problem, **asdict(arrays), **{f"{ANSWER_ARRAY}{name}": answer for name, answer in answers.items()})
-        np.savez(problem.with_name(WARM), **asdict(warm))
-        order.write_text(json.dumps({"settings": settings, "budget_s": budget}))
+        arrays, order, out = (Path(folder) / name for name in ("problem.npz", "order.json", "out.jsonl"))
+        np.savez(arrays, **asdict(problem.arrays(start)), **{ANSWERS: np.stack(answers)})
+        np.savez(arrays.with_name(WARM), **asdict(problem.warm.arrays()))
+        order.write_text(json.dumps({"settings": entrant.options, "budget_s": budget}))
         path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
         pinned = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        command = [find_python(solver), "-m", "solvers", solver, str(problem), str(order), str(out)]
+        command = [find_python(entrant.file), "-m", "solvers", entrant.file, *map(str, (arrays, order, out))]
         with open(Path(folder) / "words", "w+") as words:
             process = subprocess.Popen(
                 command, cwd=folder, env={**os.environ, **pinned, "PYTHONPATH": path}, stdout=words, stderr=words
@@ -154,25 +108,29 @@ def run_outside(
             ended = _wait(process, out, budget)
             words.seek(0)
             last = (words.read().strip().splitlines() or [""])[-1]
-        lines = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
         if process.returncode and not ended:
             ended = f"its process ended with {process.returncode}: {last}"
-    return Lines(lines, ended)
+        lines = Lines([json.loads(line) for line in out.read_text().splitlines()] if out.exists() else [], ended)
+    if missing := lines.find("missing"):
+        names = " ".join(pin for pin in entrant.packages if pin.partition("==")[0] in missing)
+        raise MissingDependencyError(f"{entrant.solver}: not installed; pip install {names}, or see docs/arena.md")
+    if refused := lines.find("refused"):
+        raise NotModelledError(f"{entrant.solver}: {refused}")
+    if not lines.lines:
+        raise SoftdecaError(f"{entrant.solver}: {ended or 'it wrote nothing'}")
+    return lines
 
 
 def _wait(process: subprocess.Popen, out: Path, budget: float) -> str:
     """Wait for the end of a run; kill it where it has long spent its time; the reason, or ""."""
-    last, most = time.monotonic() + WALL * (SET_UP_LIMIT + 2 * budget + GRACE), SET_UP_LIMIT
-    stage, before = "warm-up", 0.0
+    solve = 2 * budget + GRACE
+    last, stage, before, most = time.monotonic() + WALL * (SET_UP_LIMIT + solve), "set-up", 0.0, SET_UP_LIMIT
     try:
         while process.poll() is None:
             time.sleep(0.2)
             used = _processor_time(process.pid)
-            ended = out.read_text() if out.exists() else ""
-            if stage == "warm-up" and '"warm-up"' in ended:
-                stage = "set-up"
-            if stage == "set-up" and '"set-up"' in ended:
-                stage, before, most = "solve", used, 2 * budget + GRACE
+            if stage == "set-up" and out.exists() and '"set-up"' in out.read_text():
+                stage, before, most = "solve", used, solve
             if used - before > most or time.monotonic() > last:
                 return f"no end of its {stage} in {used - before:.0f} s"
     finally:
@@ -191,25 +149,15 @@ def _processor_time(pid: int) -> float:
 
 
 def run_own(
-    scene: Scene,
-    warm: Scene,
-    skin: Ints,
-    answers: Mapping[str, Floats],
-    budget: float,
-    *,
-    start: Floats | None = None,
-    **how: Any,
+    entrant: Entrant, problem: Problem, law: str, answers: Sequence[Floats], budget: float, start: Floats
 ) -> Lines:
-    """Run a solver of `softdeca.reference.prepare` by its options `how`, in this process; see `run_outside`.
-
-    Errors are of the vertices `skin`; start: positions [mm], (n, 3), by default rest.
-    """
+    """Run a solver of `softdeca.reference.prepare` in this process; see `run`."""
     begin = time.process_time()
-    prepare(warm, **how).solve(max_iterations=WARM_ITERATIONS)
+    prepare(problem.warm.scene(law), **entrant.options).solve(max_iterations=WARM_ITERATIONS)
     before = {"phase": "warm-up", "cpu_s": time.process_time() - begin}
-    out = io.StringIO()
-    clock = Clock(scene.vertices if start is None else start, skin, answers, budget, out)
-    prepared = prepare(scene, **how)
+    scene, out = problem.scene(law), io.StringIO()
+    clock = Clock(start, problem.skin, answers, budget, out)
+    prepared = prepare(scene, **entrant.options)
     clock.end("set-up")
 
     def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
@@ -222,27 +170,19 @@ def run_own(
     return Lines([*lines, {"linear_iterations": solution.detail.get("linear_iterations")}], ended)
 
 
-def _check(lines: Lines, entrant: Entrant) -> None:
-    """Raise MissingDependencyError for absent packages, NotModelledError for a problem that was refused."""
-    if missing := lines.find("missing"):
-        names = " ".join(pin for pin in entrant.packages if pin.partition("==")[0] in missing)
-        raise MissingDependencyError(f"{entrant.solver}: not installed; pip install {names}, or see docs/arena.md")
-    if refused := lines.find("refused"):
-        raise NotModelledError(f"{entrant.solver}: {refused}")
-    if not lines.lines:
-        raise SoftdecaError(f"{entrant.solver}: {lines.ended or 'it wrote nothing'}")
-
-
 def find_budget(tets: int) -> float:
     """Find the budget [s] of a solve of so many linear tets."""
     return next(seconds for most, seconds in BUDGETS if tets <= most)
 
 
 def summarise(lines: Lines) -> dict[str, Any]:
-    """Give a row's values: phases, time and work to accuracies, the error at the end and the curve."""
+    """Give a row's values: phases, time and work to accuracies, the error at the end and the curve.
+
+    answer: the number of the answer at which the run ends; errors are to that.
+    """
     # Imports are the warm-up's.
     phases = {line["phase"]: line["cpu_s"] for line in reversed(lines.lines) if "phase" in line}
-    trace = [line for line in lines.lines if "own" in line]
+    trace = [line for line in lines.lines if "errors" in line]
     values: dict[str, Any] = {
         "clock_s": lines.find("clock_s"),
         "imports_s": phases.get("imports", 0.0),
@@ -254,23 +194,22 @@ def summarise(lines: Lines) -> dict[str, Any]:
         "versions": ", ".join(f"{name} {number}" for name, number in lines.find("versions", {}).items()),
     }
     if not trace:
-        empty: dict[str, Any] = dict.fromkeys(("max_mm", "mean_mm", "to_tenth_s", "to_hundredth_s"))
+        empty: dict[str, Any] = dict.fromkeys(("answer", "max_mm", "mean_mm", "to_tenth_s", "to_hundredth_s"))
         return values | empty | {"error_mm": [], "seconds": [], "work": []}
-    seconds, largest = [line["cpu_s"] for line in trace], [line["own"][1] for line in trace]
+    answer = int(np.argmin([largest for _, largest in trace[-1]["errors"]]))
+    seconds, largest = [line["cpu_s"] for line in trace], [line["errors"][answer][1] for line in trace]
     work = [line["work"] for line in trace]
     arrivals = [find_arrival(largest, accuracy) for accuracy in ACCURACIES]
     reached = [None if k is None else seconds[k] for k in arrivals]
-    kept = _thin(len(trace))
+    kept = (np.unique(np.geomspace(1, len(trace), POINTS).round().astype(int)) - 1).tolist()
     return values | {
+        "answer": answer,
         "solve_s": seconds[-1],
         "wall_s": trace[-1]["wall_s"],
         "iterations": work[-1],
         "linear_iterations": lines.find("linear_iterations"),
-        "first_mm": largest[0],
-        "mean_mm": trace[-1]["own"][0],
+        "mean_mm": trace[-1]["errors"][answer][0],
         "max_mm": largest[-1],
-        "floor_mm": min(largest),
-        **({"neo_max_mm": trace[-1]["neo"][1]} if "neo" in trace[-1] else {}),
         "to_tenth_s": reached[TENTH],
         "to_hundredth_s": reached[HUNDREDTH],
         "seconds_to": reached,
@@ -279,9 +218,3 @@ def summarise(lines: Lines) -> dict[str, Any]:
         "work": [work[k] for k in kept],
         "error_mm": [largest[k] for k in kept],
     }
-
-
-def _thin(count: int) -> Sequence[int]:
-    """Choose points of a curve of so many: the first, the last, and some evenly in the logarithm of their number."""
-    chosen: list[int] = (np.unique(np.geomspace(1, count, POINTS).round().astype(int)) - 1).tolist()
-    return chosen

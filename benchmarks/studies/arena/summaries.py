@@ -80,25 +80,18 @@ CLAIMS = (
 )  # fmt: skip
 
 
-def find_time(row: Row, index: int, *, prepared: bool = False) -> float | None:
-    """Give set-up (its median) and solve [s] to the accuracy of that number; None where it was not reached.
+def find_best(rows: Sequence[Row], solver: str, law: str, index: int) -> dict[str, float]:
+    """Give the least time [s] with set-up of a solver's settings from rest to the accuracy of that number, by problem.
 
-    Without set-up where the solver is `prepared`.
+    inf where it was not reached.
     """
-    reached = row.values.get("seconds_to")
-    seconds: float | None = reached[index] if reached else None
-    if seconds is None:
-        return None
-    return seconds + (0.0 if prepared else float(np.median(row.values["set_up_s"])))
-
-
-def find_best(rows: Sequence[Row], solver: str, law: str, index: int, *, prepared: bool = False) -> dict[str, float]:
-    """Give the least time [s] of a solver's settings from rest to an accuracy, by problem; inf where not reached."""
     best: dict[str, float] = {}
     for row in rows:
-        if (row.values["solver"], row.values["law"], row.values["start"]) == (solver, law, REST):
-            seconds = find_time(row, index, prepared=prepared)
-            best[row.case] = min(np.inf if seconds is None else seconds, best.get(row.case, np.inf))
+        values = row.values
+        if (values["solver"], values["law"], values["start"]) == (solver, law, REST):
+            reached = (values.get("seconds_to") or [None] * len(ACCURACIES))[index]
+            seconds = np.inf if reached is None else values["set_up_s"] + reached
+            best[row.case] = min(seconds, best.get(row.case, np.inf))
     return best
 
 
@@ -116,9 +109,19 @@ def judge_claims(rows: Sequence[Row]) -> Table:
     return Table("Claims", ["claim", "source", "energy", "holds on"], lines)
 
 
-def tabulate_times(rows: Sequence[Row]) -> Table:
-    """Tabulate each solver's processor time from rest to the accuracies."""
-    return _tabulate_arrivals(rows, "seconds_to", "Processor time of the solve to an accuracy", " [s]")
+def rank_solvers(rows: Sequence[Row]) -> list[str]:
+    """Tell who was first to 0.01 mm on each problem, among solvers of one law."""
+    times: dict[tuple[str, str], dict[str, float]] = {}
+    for solver, law in dict.fromkeys((row.values["solver"], row.values["law"]) for row in rows):
+        for case, seconds in find_best(rows, solver, law, HUNDREDTH).items():
+            if seconds < np.inf:
+                times.setdefault((case, law), {})[solver] = seconds
+    sentences = []
+    for (case, law), among in times.items():
+        ranked = sorted(among.items(), key=lambda item: item[1])[:4]
+        if len(ranked) > 1:
+            sentences.append(f"{case}, {law}: {', '.join(f'{title} {seconds:.2g} s' for title, seconds in ranked)}")
+    return sentences
 
 
 def tabulate_best(rows: Sequence[Row], what: str, cases: Mapping[str, str]) -> Table:
@@ -129,21 +132,24 @@ def tabulate_best(rows: Sequence[Row], what: str, cases: Mapping[str, str]) -> T
     lines = []
     there = {name: case for name, case in cases.items() if any(row.case == case for row in rows)}
     for solver, law in dict.fromkeys((row.values["solver"], row.values["law"]) for row in rows):
-        times = [find_best(rows, solver, law, accuracy) for accuracy in (TENTH, HUNDREDTH)]
+        own = [
+            row for row in rows if (row.values["solver"], row.values["law"], row.values["start"]) == (solver, law, REST)
+        ]
+        times = [find_best(own, solver, law, accuracy) for accuracy in (TENTH, HUNDREDTH)]
         line: list = [solver, law]
         for case in there.values():
-            ends = [
-                row.values["max_mm"]
-                for row in rows
-                if row.case == case and (row.values["solver"], row.values["law"]) == (solver, law)
-                and row.values["start"] == REST and row.values["max_mm"] is not None
-            ]  # fmt: skip
+            ends = [row.values["max_mm"] for row in own if row.case == case and row.values["max_mm"] is not None]
             reached = [best.get(case, np.inf) for best in times]
             line += [*(seconds if seconds < np.inf else None for seconds in reached), min(ends, default=None)]
         if any(cell is not None for cell in line[2:]):
             lines.append(tuple(line))
     head = [f"{name}: {column}" for name in there for column in ("to 0.1 mm [s]", "to 0.01 mm [s]", "end [mm]")]
     return Table(f"{what}: time with set-up, best setting", ["solver", "law", *head], lines)
+
+
+def tabulate_times(rows: Sequence[Row]) -> Table:
+    """Tabulate each solver's processor time from rest to the accuracies."""
+    return _tabulate_arrivals(rows, "seconds_to", "Processor time of the solve to an accuracy", " [s]")
 
 
 def tabulate_work(rows: Sequence[Row]) -> Table:

@@ -23,8 +23,8 @@ import numpy as np
 
 from .protocol import WARM_BUDGET, ArenaProblem, Clock, RefusalError, SpentError
 
-ANSWER = "answer_"
-"""How arrays of a problem's file begin that are answers."""
+ANSWERS = "answers"
+"""Array (k, n, 3) of a problem's file, of which errors are measured."""
 WARM = "warm.npz"
 """File beside a problem's, of the small one that a solver runs first."""
 
@@ -55,7 +55,7 @@ def read_versions(packages: tuple[str, ...]) -> dict[str, str | None]:
 def warm_up(solver: ModuleType, problem: ArenaProblem, settings: Any, out: TextIO) -> None:
     """Run a solver on a small problem; a line of `out` says what it took, with imports."""
     inside = io.StringIO()
-    clock = Clock(problem.start, problem.skin, {}, WARM_BUDGET, inside)
+    clock = Clock(problem.start, problem.skin, (), WARM_BUDGET, inside)
     begin = time.process_time()
     with suppress(Exception):  # the counted run says what is wrong
         solver.run(problem, settings, clock)
@@ -68,7 +68,7 @@ def main(file: str, problem_path: str, settings_path: str, out_path: str) -> Non
     """Run it; lines of JSON in the file at `out_path` say how it went, also where it fails."""
     solver, problem = load(file), ArenaProblem.read(Path(problem_path))
     with np.load(problem_path) as arrays:
-        answers = {name.removeprefix(ANSWER): arrays[name] for name in arrays if name.startswith(ANSWER)}
+        answers = arrays[ANSWERS]
     order = json.loads(Path(settings_path).read_text())
     with open(out_path, "w", buffering=1) as out:  # a run that is killed leaves its lines
         versions = read_versions(solver.PACKAGES)

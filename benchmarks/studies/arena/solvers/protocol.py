@@ -111,13 +111,12 @@ class Clock:
     """Processor time [s] of a run by phase, and the errors of what it shows.
 
     Phases end by `end`: "imports", "set-up", "compilation". What comes after is the solve, whose errors are written a
-    line each, as they come: a run that is killed leaves what it had. Measuring and writing do not count. The first line
-    is the step by which the system's clock advances: where a process' time is limited, this is some milliseconds.
+    line each, as they come: mean and largest distance to each answer. A run that is killed leaves what it had.
+    Measuring and writing do not count. The first line is the step by which the system's clock advances: where a
+    process' time is limited, this is some milliseconds.
     """
 
-    def __init__(
-        self, start: Floats, skin: NDArray[np.int64], answers: Mapping[str, Floats], budget: float, out: TextIO
-    ):
+    def __init__(self, start: Floats, skin: NDArray[np.int64], answers: Sequence[Floats], budget: float, out: TextIO):
         self._skin, self._answers, self._budget, self._out = skin, answers, budget, out
         self._write({"clock_s": _measure_step()})
         self._begin, self._paused = time.process_time(), 0.0
@@ -145,10 +144,8 @@ class Clock:
         if not np.isfinite(x).all():
             self._write(line | {"error": "positions are not finite"})
             return False
-        for name, answer in self._answers.items():
-            away = np.linalg.norm(x - answer, axis=1)[self._skin]
-            line[name] = [float(away.mean()), float(away.max())]
-        self._write(line)
+        away = [np.linalg.norm(x - answer, axis=1)[self._skin] for answer in self._answers]
+        self._write(line | {"errors": [[float(each.mean()), float(each.max())] for each in away]})
         moves = True
         self._looks += 1
         if seconds > WAIT * self._marked_at and self._looks >= LOOKS:
