@@ -102,9 +102,9 @@ def added_files() -> tuple[Path, ...]:
 def add_law(name: str, of_moduli: Callable[[float, float], EnergyLaw], problems: tuple[Problem, ...] = ()):
     """Let studies have a law of Lamé's moduli mu and lmbda [kPa] at rest.
 
-    Verification has its `problems`, and work-precision has a face of it. Raises InputError for a name that is taken,
-    for what is no EnergyLaw of these moduli at rest, and for one whose formula is no energy of them
-    (`materials.consistency`).
+    Verification has its `problems`, work-precision a face of it, material a cube, and agreement faces, by `--law`.
+    Raises InputError for a name that is taken, for what is no EnergyLaw of these moduli at rest, and for one whose
+    formula is no energy of them (`materials.consistency`).
     """
     if name in _laws:
         raise InputError(f"law {name!r} was added already")

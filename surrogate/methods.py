@@ -307,6 +307,13 @@ def solve_by(
     return Method(name, use_solver(known, cells), "simulator", colour, "s", cells, known)
 
 
+def solve_law(law: str, solver: str = FENICSX) -> Method:
+    """Return the method that solves faces of a law by FEniCSx or scikit-fem, such as one that a file has added."""
+    name = f"{solver}, {law}"
+    how = {FENICSX: "fenicsx", SKFEM: "skfem"}[solver]
+    return METHODS[name] if name in METHODS else solve_by(name, how, "#b8860b", law=law, near=True)
+
+
 NEO_HOOKEAN: FaceLaw = "neo-Hookean"
 METHODS: Mapping[str, Method] = {
     method.name: method

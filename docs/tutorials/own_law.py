@@ -18,23 +18,14 @@
 # Verification poses the file's problems with the others.
 
 # %%
-import numpy as np
-
+from softdeca.benchmarks.contest import run_contest, summarise
+from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.arena.study import WorkPrecision
 from softdeca.benchmarks.studies.verification import Verification
-from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import (
-    Parameters,
-    add_file,
-    apply_law,
-    facial_scene,
-    problems,
-    solve,
-)
-from softdeca.reference.added import added_laws
+from softdeca.reference import add_file, problems
+from softdeca.surrogate import methods
 
 add_file("gent.py")
-gent = added_laws()["Gent"].of_moduli
 for problem in problems.added_problems():
     for solver in problem.solvers:
         outcome = problems.run(problem, solver)
@@ -44,30 +35,9 @@ for problem in problems.added_problems():
         assert outcome.passed
 
 # %% [markdown]
-# ## A face of it
-#
-# `apply_law` puts the law in the place of projective dynamics' energy, with the moduli that each layer
-# has.
-
-# %%
-space = identities.Anny()
-code, skin = space.sample(np.random.default_rng(0))
-head = fit_head(load_template(level=1), skin)
-shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.8}))[0]
-scene = facial_scene(head, Parameters(), shape)
-fast = solve(scene)
-face = solve(apply_law(scene, gent), solver="fenicsx", start=fast.positions)
-n = len(head.bone)
-apart = np.linalg.norm(face.positions[:n] - fast.positions[:n], axis=1)
-print(
-    f"{face.reason}\nPD to Gent's law, skin wrap: mean {apart.mean():.3f} mm, largest {apart.max():.2f} mm"
-)
-assert face.converged
-
-# %% [markdown]
 # ## In the studies
 #
-# The same file gives both studies their rows:
+# The same file gives verification and `work-precision` their rows:
 
 # %%
 for command, study in (
@@ -79,6 +49,26 @@ for command, study in (
         f"softdeca bench --add gent.py {command:<25} {len(tasks):>3} rows, such as: {tasks[0]}"
     )
     assert tasks
+
+# %% [markdown]
+# ## Beside the others, on a face
+#
+# Which law is a face's? `softdeca bench --add gent.py agreement --law Gent` has Gent's law beside projective dynamics
+# (PD), the neo-Hookean law, the network and its rivals, on every expression and effect, with the stress of each layer.
+# `softdeca bench --add gent.py material` has it beside the package's laws on a cube. Here is one expression of that
+# study, on a coarse head: how far each method's skin is from that of Gent's law, of the motion.
+
+# %%
+case = Agreement(level=1, laws=("Gent",)).make_case("jawOpen*0.8")
+gent = methods.solve_law("Gent")
+rivals = [methods.PD, methods.FENICSX_NEO_HOOKEAN, methods.BLENDSHAPES]
+rows = run_contest(case, rivals, truths=[gent])
+apart = summarise(rows, "method", truth=gent.name)
+for rival in rivals:
+    print(
+        f"{rival:<22} {100 * apart[rival].share:5.1f} %, mean {apart[rival].everywhere:.3f} mm"
+    )
+assert apart[methods.FENICSX_NEO_HOOKEAN].share < apart[methods.BLENDSHAPES].share
 
 # %% [markdown]
 # A law of the package itself is such a file in `reference/materials/`, named in the `__init__.py` there. It has no

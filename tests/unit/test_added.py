@@ -8,6 +8,8 @@ import pytest
 
 from softdeca.benchmarks import studies
 from softdeca.benchmarks.harness import run
+from softdeca.benchmarks.studies.agreement.material import Material
+from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.verification import Hard, Verification
 from softdeca.lhm import InputError
 from softdeca.reference import (
@@ -52,6 +54,16 @@ def test_the_law_of_a_file_is_right_by_both_solvers(solver):
     for problem in posed:
         outcome = problems.run(problem, solver)
         assert outcome.passed and outcome.error < 1e-10
+
+
+def test_a_law_of_a_file_stands_beside_the_others_on_a_face_and_on_a_cube():
+    with pytest.raises(InputError, match="unknown law 'Gent'"):
+        Agreement(laws=("Gent",)).tasks()
+    add_file(LAW)
+    truths = Agreement(laws=("Gent",)).list_truths("jawOpen")
+    assert [truth.name for truth in truths][2:] == [methods.FENICSX_NEO_HOOKEAN, "FEniCSx, Gent"]
+    beside = Material().measure(next(task for task in Material().tasks() if task.method == "Gent"))
+    assert beside["tiny"] < 5.0 < beside["large"]
 
 
 def test_the_derivatives_of_the_law_are_those_of_its_energy():

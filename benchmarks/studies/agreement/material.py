@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
+from ....reference.added import added_laws
 from ....reference.materials import (
     Corotated,
     EnergyLaw,
@@ -39,7 +40,7 @@ STRETCHES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.995, 1.005, 1.05, 1.1, 1.2, 1.3, 1
 
 @dataclass(frozen=True)
 class Material(Study):
-    """Poisson's ratios and modes of deformation by law."""
+    """Poisson's ratios and modes of deformation by law, with those that files have added."""
 
     name = "material"
     heading = "Which material does the fast simulator stand for?"
@@ -64,13 +65,16 @@ class Material(Study):
         """List each Poisson's ratio and mode by each law; SceneError for a ratio out of range."""
         for ratio in self.poisson:
             lame(1.0, ratio)
-        return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in MODES for law in LAWS]
+        return [
+            Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in MODES for law in (*LAWS, *added_laws())
+        ]
 
     def measure(self, task: Task) -> Values:
         """Measure stresses of both at every stretch, and the largest differences by strain."""
         ratio, mode = task.case.removeprefix("nu = ").split(", ")
         mu, lmbda = lame(1.0, float(ratio))
-        material = LAWS[task.method](1.0, float(ratio))
+        added = added_laws().get(task.method)
+        material = added.of_moduli(mu, lmbda) if added else LAWS[task.method](1.0, float(ratio))
         law = ByRotation(material) if isinstance(material, Corotated) else ByInvariants(material)
         pd = Strain(np.array([2.0 * mu]), np.ones(1)), Volume(np.array([3.0 * lmbda]), np.ones(1))
         energies: tuple[Sequence[Law], Sequence[Law]] = pd, [law]

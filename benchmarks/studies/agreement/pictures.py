@@ -12,7 +12,8 @@ from ....animation.plots import subplots, to_png
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head.head import LayeredHead
 from ....reference import Face
-from ....surrogate.methods import BLENDSHAPES, FENICSX_NEO_HOOKEAN, NETWORK, PD, SETTLED
+from ....reference.added import added_laws
+from ....surrogate.methods import BLENDSHAPES, FENICSX_NEO_HOOKEAN, NETWORK, PD, SETTLED, solve_law
 from ...contest import Made
 from ..cases import Case
 from ..measures import distances
@@ -50,7 +51,8 @@ def draw_case(face: Face, case: Case, frames: Frames) -> dict[str, bytes]:
 def draw_beside(face: Face, case: Case, frames: Frames) -> bytes:
     """Draw the blendshapes, PD's skin, and how far the law's and each method's are from PD's: PNG."""
     skin, pd = face.skin, frames[PD].skin
-    shown = [name for name in (FENICSX_NEO_HOOKEAN, BLENDSHAPES, SETTLED, NETWORK) if name in frames]
+    laws = (FENICSX_NEO_HOOKEAN, *(solve_law(law).name for law in added_laws()))
+    shown = [name for name in (*laws, BLENDSHAPES, SETTLED, NETWORK) if name in frames]
     errors = {name: distances(frames[name].skin, pd) for name in shown}
     simulated = skin.with_vertices(pd)
     panels = [Panel(BLENDSHAPES, skin.with_vertices(face.blend(case.weights))), Panel("simulated (PD)", simulated)]

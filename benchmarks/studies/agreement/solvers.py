@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -155,14 +155,14 @@ WATCHED = Method(m.PD, watch_pd)
 FROM_PD = m.solve_by(FENICSX_FROM_PD, "fenicsx", "#d62728", tolerance=WARM, near=True)
 
 
-def list_solvers(case: Case) -> list[Method]:
-    """List the solvers of a case; scikit-fem and plain PD check expressions and loads alone."""
+def list_solvers(case: Case, laws: Sequence[str]) -> list[Method]:
+    """List the solvers of a case by PD's energy and by laws; scikit-fem and plain PD check expressions and loads."""
     if case.contact:
         solvers = [Method(m.FENICSX, freeze_contact)]
     else:
-        solvers = [m.METHODS[m.FENICSX], FROM_PD, m.METHODS[m.FENICSX_NEO_HOOKEAN]]
+        solvers = [m.METHODS[m.FENICSX], FROM_PD, *map(m.solve_law, laws)]
     if case.is_plain:
-        solvers += [Method(m.PD_PLAIN, run_plain), m.METHODS[m.SKFEM], m.METHODS[m.SKFEM_NEO_HOOKEAN]]
+        solvers += [Method(m.PD_PLAIN, run_plain), m.METHODS[m.SKFEM], *(m.solve_law(law, m.SKFEM) for law in laws)]
     if case.scene is None:
         solvers.append(Method(OTHER_START, start_elsewhere))
     if case.without is not None:

@@ -16,14 +16,15 @@ from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Face, Parameters
+from ....reference.added import added_laws
 from ....surrogate import methods as m
-from ....surrogate.methods import Method
+from ....surrogate.methods import NEO_HOOKEAN, Method
 from ....surrogate.runtime import Surrogate
 from ... import contest
 from ...contest import Contest, Made, collect_rows, list_failures
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..cases import CASES, get_case
-from ..person import WHOSE, OfPerson, find_network
+from ..person import WHOSE, OfPerson, check_known, find_network
 from .insides import LAYERS, compare_insides
 from .pictures import draw_case
 from .solvers import FENICSX_FROM_PD, FROM_PD, OTHER_START, WATCHED, WITHOUT, FaceOfScene, list_solvers
@@ -83,11 +84,15 @@ class Agreement(Contest, OfPerson):
     cases: tuple[str, ...] = option(
         (), f"one of {', '.join(CASES)}, or an expression as jawOpen*0.5+cheekPuff; repeat for several  [all]"
     )
+    laws: tuple[str, ...] = option(
+        (), "a law that --add has, beside PD's and neo-Hookean; repeat for several", name="--law"
+    )
     weights: str = option("", "weights of `softdeca train`  [those that are shipped]")
 
     def list_cases(self) -> Sequence[str]:
-        """Name the cases; InputError for an unknown space, case or expression."""
+        """Name the cases; InputError for an unknown space, law, case or expression."""
         self.check()
+        check_known("law", self.laws, added_laws())
         return [get_case(name).name for name in dict.fromkeys(self.cases or CASES)]
 
     def tasks(self) -> Sequence[Task]:
@@ -114,11 +119,16 @@ class Agreement(Contest, OfPerson):
         """List solvers, and where targets hold the skin, methods at the price of blendshapes."""
         case = get_case(name)
         ready = {} if case.scene is not None else m.ready_methods(self.network(), beyond="clamp")
-        return [*list_solvers(case), *ready.values()]
+        return [*list_solvers(case, self._laws), *ready.values()]
 
     def list_truths(self, name: str) -> Sequence[str | Method]:
-        """List PD, and where FEniCSx can, its answer from there and the law's."""
-        return [WATCHED] if get_case(name).contact else [WATCHED, FROM_PD, m.FENICSX_NEO_HOOKEAN]
+        """List PD, and where FEniCSx can, its answer from there and each law's."""
+        return [WATCHED] if get_case(name).contact else [WATCHED, FROM_PD, *map(m.solve_law, self._laws)]
+
+    @property
+    def _laws(self) -> tuple[str, ...]:
+        """The hyperelastic laws by name."""
+        return (NEO_HOOKEAN, *self.laws)
 
     def network(self) -> Surrogate | None:
         """Load the network that was asked for, or what is shipped for the space."""
@@ -177,10 +187,13 @@ class Agreement(Contest, OfPerson):
         for what, apart, bound in (
             ("PD to FEniCSx, same energy, each settled by itself", find_nearest(lines), 1e-6),
             ("scikit-fem to FEniCSx, PD's energy", find_inside(lines, m.SKFEM, FENICSX_FROM_PD), 1e-8),
-            (
-                "scikit-fem to FEniCSx, neo-Hookean",
-                find_inside(lines, m.SKFEM_NEO_HOOKEAN, m.FENICSX_NEO_HOOKEAN),
-                1e-8,
+            *(
+                (
+                    f"scikit-fem to FEniCSx, {law}",
+                    find_inside(lines, m.solve_law(law, m.SKFEM).name, m.solve_law(law).name),
+                    1e-8,
+                )
+                for law in self._laws
             ),
         ):
             if apart:
@@ -226,7 +239,8 @@ class Agreement(Contest, OfPerson):
                 f"PD's energy has two minima on {', '.join(names)}: FEniCSx, or PD from another start, ends in the "
                 "other. FEniCSx stays at PD's answer there."
             )
-        for method in (m.FENICSX_NEO_HOOKEAN, m.NETWORK, m.DERIVATIVES, m.SETTLED, m.BLENDSHAPES):
+        laws = [m.solve_law(law).name for law in self._laws]
+        for method in (*laws, m.NETWORK, m.DERIVATIVES, m.SETTLED, m.BLENDSHAPES):
             means = [line["to"][m.PD]["everywhere"] for line in lines if line["method"] == method and line["to"]]
             if means:
                 sentences.append(f"The skin by {method} is at most {max(means):.3f} mm from PD's on average.")
@@ -257,7 +271,7 @@ class Agreement(Contest, OfPerson):
         titles = ["case", "method", "mean [mm]", "max [mm]", "share"]
         note = "Shares are by the ruler of surrogates, over vertices that more than bones move."
         tables.append(Table("Skins beside PD's", titles, skins, note))
-        return [*tables, tabulate_law(lines)]
+        return [*tables, *(tabulate_law(lines, law) for law in self._laws)]
 
 
 SKIN = ("everywhere", "farthest", "share")
@@ -304,18 +318,19 @@ def find_nearest(lines: Sequence[Mapping]) -> dict[str, float]:
     return {case: min(apart, from_pd.get(case, apart)) for case, apart in from_rest.items()}
 
 
-def tabulate_law(lines: Iterable[Mapping]) -> Table:
-    """Tabulate what the law changes inside: vertices, stress of each layer, and the mandible's place."""
+def tabulate_law(lines: Iterable[Mapping], law: str) -> Table:
+    """Tabulate what a law changes inside: vertices, stress of each layer, and the mandible's place."""
+    by_law = m.solve_law(law).name
     titles = ["case", "vertices, mean [mm]", "max [mm]", "mandible [mm]", "turn [degrees]"]
-    titles += [f"{layer}, {law} [kPa]" for layer in LAYERS for law in ("neo-Hookean", m.PD)]
+    titles += [f"{layer}, {name} [kPa]" for layer in LAYERS for name in (law, m.PD)]
     cells = []
-    for case, law in ((line["case"], line) for line in lines if line["method"] == m.FENICSX_NEO_HOOKEAN):
+    for case, line in ((line["case"], line) for line in lines if line["method"] == by_law):
         pd = next(line for line in lines if (line["case"], line["method"]) == (case, m.PD))
-        to = law["to"].get(m.PD)
+        to = line["to"].get(m.PD)
         if to is not None:
-            stresses = (to["stress"], pd["to"][m.FENICSX_NEO_HOOKEAN]["stress"])
+            stresses = (to["stress"], pd["to"][by_law]["stress"])
             each = [stress[layer]["mean"] for layer in LAYERS for stress in stresses]
             inside, jaw = to["inside"], to["mandible"]
             cells.append((case, inside["mean"], inside["max"], jaw["mm"], jaw["degrees"], *each))
     note = "Von Mises stress of the tets, mean by volume, without the membrane. The mandible is free."
-    return Table("Inside: the neo-Hookean law and PD", titles, cells, note)
+    return Table(f"Inside: the {law} law and PD", titles, cells, note)
