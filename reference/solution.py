@@ -11,7 +11,6 @@ from enum import Enum
 from functools import cached_property
 from pathlib import Path
 
-import meshio
 import numpy as np
 
 from ..lhm.base.checks import finite
@@ -297,6 +296,8 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     and `first_piola` (nine components, row by row); NaN for what is not finite, as Cauchy's stress of a flat tet.
     Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.
     """
+    import meshio
+
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")

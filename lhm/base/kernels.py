@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -11,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 
@@ -18,15 +21,53 @@ def njit(**options: Any) -> Callable[[Callable], CPUDispatcher]:
     """Return `numba.njit` of these options; a kept function is compiled anew once any of its sources has changed.
 
     numba itself looks at the file of the function alone, not at those of functions and constants that it takes in.
+    Of several processes one compiles a kept function, and the others wait for it.
     """
 
     def compile_when_called(function: Callable) -> CPUDispatcher:
         kernel = numba.njit(**options)(function)
         if options.get("cache"):
             kernel._cache._cache_file._source_stamp = _digest(sys.modules[function.__module__])
+            _compile_once(kernel)
         return kernel
 
     return compile_when_called
+
+
+def _compile_once(kernel: CPUDispatcher) -> None:
+    """Let one process at a time look for a kernel in the cache, or compile it."""
+    path, compile_kernel = Path(kernel._cache.cache_path, f"{kernel._cache._impl.filename_base}.lock"), kernel.compile
+
+    def compile_alone(signature: Any) -> Any:
+        # Other threads wait here, not for the file: one that compiles a caller would need it from within.
+        with global_compiler_lock, _hold(path):
+            return compile_kernel(signature)
+
+    kernel.compile = compile_alone
+
+
+_HELD: set[Path] = set()
+
+
+@contextmanager
+def _hold(path: Path) -> Iterator[None]:
+    """Hold a file's lock, which other processes wait for; not again where this one has it, as recursion does."""
+    if path in _HELD:
+        yield
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = open(path, "a")
+    except OSError:  # where numba cannot write either
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        _HELD.add(path)
+        try:
+            yield
+        finally:
+            _HELD.remove(path)
 
 
 @cache

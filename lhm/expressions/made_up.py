@@ -19,8 +19,8 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
+import scipy
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 
 from ..base.errors import InputError, MissingDependencyError, quote
 from ..base.limits import SPEECH_LETTERS
@@ -293,7 +293,7 @@ class _Face:
         """A stationary Ornstein-Uhlenbeck process around 0 with this correlation time, smoothed, shape (frames,)."""
         keep = float(np.exp(-1.0 / (seconds * self.rate)))
         noise = self.rng.standard_normal(self.frames + 1) * np.sqrt(1.0 - keep**2)
-        walk = lfilter([1.0], [1.0, -keep], noise[1:], zi=[keep * noise[0] / np.sqrt(1.0 - keep**2)])[0]
+        walk = scipy.signal.lfilter([1.0], [1.0, -keep], noise[1:], zi=[keep * noise[0] / np.sqrt(1.0 - keep**2)])[0]
         return deviation * self.smooth(walk, min(0.1 * seconds, 0.1))
 
     def smooth(self, values: Floats, seconds: float) -> Floats:
@@ -439,9 +439,9 @@ def _sway(rng: np.random.Generator, frames: int, constant: float) -> Floats:
     pole = float(np.exp(-1.0 / constant))
     poles = np.poly([pole] * TALKER.passes)
     ahead = int(np.ceil(15.0 * constant)) + 1
-    answer = lfilter([1.0], poles, np.eye(1, ahead)[0])
+    answer = scipy.signal.lfilter([1.0], poles, np.eye(1, ahead)[0])
     noise = rng.standard_normal((ahead + frames, 3))
-    return lfilter([1.0], poles, noise, axis=0)[ahead:] / np.linalg.norm(answer)
+    return scipy.signal.lfilter([1.0], poles, noise, axis=0)[ahead:] / np.linalg.norm(answer)
 
 
 def speech(text: str, *, pace: float = PACE) -> Take:

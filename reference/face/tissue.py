@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import trimesh
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -260,11 +259,13 @@ def bone_points(head: LayeredHead, *, most: int = 2000, policy: TissuePolicy = P
 
 def eyeballs(head: LayeredHead, *, radius: float = EYE_RADIUS) -> tuple[Attachment, ...]:
     """Two spheres [mm] that touch the middle of the lids from behind; SceneError for a head without that region."""
+    from trimesh.creation import icosphere
+
     if not np.any(head.regions.get("lids", False)):
         raise SceneError("eyeballs: the head has no region 'lids'")
     lids = head.skin_wrap.vertices[head.regions["lids"]]
     middle = 0.5 * (lids[:, 0].min() + lids[:, 0].max())
-    sphere = np.asarray(trimesh.creation.icosphere(1, radius).vertices)
+    sphere = np.asarray(icosphere(1, radius).vertices)
     centres = [lids[side].mean(axis=0) - [0.0, 0.0, radius] for side in (lids[:, 0] > middle, lids[:, 0] <= middle)]
     return tuple(Attachment(sphere + centre) for centre in centres)
 

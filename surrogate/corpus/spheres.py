@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import trimesh
 from scipy.sparse import identity
 
 from ...lhm.base.mesh import Floats, Surface
@@ -30,7 +29,9 @@ class Spheres:
 
     @cached_property
     def _unit(self) -> tuple[Floats, np.ndarray]:
-        sphere = trimesh.creation.icosphere(self.subdivisions)
+        from trimesh.creation import icosphere
+
+        sphere = icosphere(self.subdivisions)
         return np.array(sphere.vertices), np.array(sphere.faces)
 
     @cached_property

@@ -20,11 +20,11 @@ def count_cases(*words, folder: Path) -> dict[str, int]:
 
 
 def test_every_bad_argument_or_option_ends_in_a_line(tmp_path):
-    counts = count_cases(HERE / "any_inputs.py", "--every", "8", "--drawn", "150", folder=tmp_path)
+    counts = count_cases(HERE / "any_inputs.py", "--every", "12", "--drawn", "100", folder=tmp_path)
     assert counts["defects"] == 0 < counts["refused"]
 
 
 def test_files_of_every_format_are_refused_in_a_line_or_read_as_finite():
-    counts = count_cases("-m", "tests.fuzz", "--mutants", "10", "--seed", "0", folder=HERE.parents[1])
+    counts = count_cases("-m", "tests.fuzz", "--mutants", "6", "--seed", "0", folder=HERE.parents[1])
     # Mutants that are all refused, or all accepted, would test one way only.
     assert counts["found"] == 0 < 0.05 * counts["refused"] < counts["accepted"] < 20 * counts["refused"]

@@ -74,7 +74,7 @@ def drawn(head):
 
 def boxes():
     """Scenes with options: each gives what crosses the border between processes in a way of its own."""
-    small, large = (5, 5, 5), (10, 10, 10)
+    small, large = (5, 5, 5), (7, 7, 7)
     neo = Hyperelastic(NeoHookean.from_young(10.0, 0.4))
     plain, few = stretched(large, neo), stretched(small, neo)
     rows = np.arange(len(plain.vertices)).reshape(-1, large[2] + 1)

@@ -11,7 +11,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import h5py
-import meshio
 import numpy as np
 
 from ..errors import InputError
@@ -44,6 +43,8 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
     numbers in an .h5 file of its name, tets and their tags in the grid `mesh`, triangles and theirs in `surfaces`, as
     `XDMFFile.read_mesh` and `read_meshtags` of DOLFINx take them.
     """
+    import meshio
+
     path = Path(path)
     kind = _kind(path)
     if kind == XDMF:
