@@ -32,7 +32,7 @@ from ..surrogate import BoundSurrogate, Surrogate, certify
 from ..surrogate.certified import ACCURACY
 from ..surrogate.methods import BLENDSHAPES, bind_cheaply
 from .export import WRITERS, RigFormat, named_take, refine_rig
-from .frames import Frame, certified_frames, rig_frames, simulated_frames
+from .frames import Frame, certified_frames, foresee, rig_frames, simulated_frames
 from .pictures import drawn_surface
 from .preview import GIF_SECONDS, Preview, check_preview, choose_frames, render_frames, write_preview
 
@@ -122,7 +122,9 @@ def animate(wanted: Animation, face: Face, take: Take, surrogate: Surrogate, pro
             sequence = Sequence(face, time_step=1.0 / take.rate, dynamic=wanted.dynamic)
             frames = simulated_frames(sequence, take, wanted.accuracy)
         else:
-            frames = certified_frames(certify(face, surrogate), take, wanted.accuracy)
+            certified = certify(face, surrogate)
+            progress(foresee(certified, take, wanted.accuracy), 0.0)
+            frames = certified_frames(certified, take, wanted.accuracy)
     progress("settling: neutral face", 1.0)
     bind_seconds = time.perf_counter() - begin
 

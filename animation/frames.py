@@ -9,6 +9,7 @@ import numpy as np
 
 from ..lhm.base.errors import SoftdecaError
 from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.progress import describe_duration
 from ..lhm.expressions import Take, rotations
 from ..reference import Sequence, Solution
 from ..reference.face.dynamics import extrapolate_turns
@@ -16,6 +17,8 @@ from ..reference.face.sequence import TOLERANCE
 from ..surrogate import BoundRig
 from ..surrogate.certified import POLICY, CertifiedFace, find_counted
 
+SURVEYED = 12
+"""Frames of a take by which its price is foreseen."""
 TIGHTER, TIGHTEST = 0.1, 1e-9
 """A frame of the simulator that is not within the accuracy goes on to this times its tolerance, down to the least."""
 
@@ -40,6 +43,23 @@ def rig_frames(method: str, rig: BoundRig, take: Take, dynamic: bool) -> Iterato
         moving.begin(take.weights[0], base=extrapolate_turns(bases))
     for number, weights in enumerate(take.weights):
         yield moving.frame(weights, base=None if bases is None else bases[number]), record
+
+
+def foresee(face: CertifiedFace, take: Take, accuracy: float) -> str:
+    """Say how many frames of a take need contact solved for, and how long all take: by SURVEYED frames of it."""
+    count, surveyed = len(take.times), np.unique(np.linspace(1, len(take.times) - 1, SURVEYED).astype(int))
+    touching = np.array([face.touches(take.weights[k].astype(np.float64)) for k in surveyed])
+    seconds = 0.0
+    for kind in (surveyed[touching], surveyed[~touching]):
+        if len(kind):
+            k = kind[len(kind) // 2]
+            before = face.frame(take.weights[max(k - 1, 0)], accuracy)
+            frame = face.frame(take.weights[k], accuracy, after=before)
+            seconds += frame.seconds * count * len(kind) / len(surveyed)
+    share = (
+        f"about {touching.mean():.0%} of {count} touch, and are simulated" if touching.any() else f"{count}, corrected"
+    )
+    return f"frames: {share}; some {describe_duration(seconds)}"
 
 
 def certified_frames(face: CertifiedFace, take: Take, accuracy: float) -> Iterator[Frame]:

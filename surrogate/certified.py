@@ -10,8 +10,9 @@ It is estimated from forces: a frame's tets are placed, and Newton's step says h
 `reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network has seen are
 told as well.
 
-Where a face has contact and a frame's surfaces touch, the frame is the simulator's own, and its error that of Newton's
-step with the pairs that push. Whether they touch is asked where the frame's tets are.
+Where a face has contact and a frame's surfaces touch, the simulator parts them, from the frame before, as far as the
+accuracy asks. Its error is that of Newton's step with the pushes as they are, raised. Whether surfaces touch is asked
+where the frame's tets begin, and where they end.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class DialPolicy:
     direct: float = 0.2  # an accuracy below this share of the rough error is sought by L-BFGS at once
     margin: float = 0.5  # of an accuracy that a round aims at: the error falls about as the residual does
     apart: float = 1.0  # [mm] mean distance of a frame from its first order; other faces' are farther
-    begun: float = 1e-4  # gradient norm, likewise, at which the error of a frame with contact is first told
+    begun: float = 1e-3  # gradient norm, likewise, at which the error of a frame with contact is first told
     converged: float = 1e-6  # gradient norm over that of the targets' springs, each 1 mm long
     most_solves: int = 2000  # of a frame: lids that are pressed into each other find no rest
     doubt: float = 3.0  # what is not certain is off by at most this factor, but for some in a hundred
@@ -73,8 +74,8 @@ class CertifiedFrame(Reached):
 
     skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. errors (n,)
     [mm] are each vertex' own, whether it counts or not. certain: False where the estimate may be far off. method, in
-    the order of price: derivatives, network + derivatives, corrected, converged. seconds: what it took. solves:
-    with one of the two matrices.
+    the order of price: derivatives, network + derivatives, corrected, in contact, converged. seconds: what it took.
+    solves: with one of the two matrices.
     """
 
     skin: Floats32
@@ -122,23 +123,35 @@ class CertifiedFace:
         """
         accuracy = number("accuracy", accuracy, least=FINEST, most=COARSEST, unit="mm")
         seconds = None if seconds is None else number("seconds", seconds, least=0.0, unit="s")
-        for frame in self._correct(weights, after, accuracy):
+        begin = time.perf_counter()
+        known = check_weights(weights).astype(np.float64)
+        if seconds is None and self.touches(known, after):
+            return self._solve_in_contact(known, accuracy, after, begin)
+        for frame in self._correct(known, after, accuracy, begin):
             is_late = seconds is not None and frame.seconds >= seconds
             if frame.bound <= accuracy or is_late:
                 break
-        if not self._touches(frame):
+        if not self.face.derivatives.prepared.touches(frame.positions):
             return frame
-        return replace(frame, certain=False) if is_late else self._solve_in_contact(frame, accuracy, after)
+        if is_late:
+            return replace(frame, certain=False)
+        return self._solve_in_contact(known, accuracy, after, begin, frame.solves)
+
+    def touches(self, weights: Floats, after: Reached | None = None) -> bool:
+        """Tell whether surfaces in contact touch where a frame of weights (52,) begins; see `frame`."""
+        return self.face.derivatives.prepared.touches(self._start(weights, after))
 
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
 
         Arguments and errors are those of `frame`.
         """
-        for frame in self._correct(weights, after, None):
-            if self._touches(frame):
+        begin = time.perf_counter()
+        known = check_weights(weights).astype(np.float64)
+        for frame in self._correct(known, after, None, begin):
+            if self.face.derivatives.prepared.touches(frame.positions):
                 yield self._guess(frame)
-                yield self._solve_in_contact(frame, FINEST, after)
+                yield self._solve_in_contact(known, FINEST, after, begin, frame.solves)
                 return
             yield frame
 
@@ -152,43 +165,42 @@ class CertifiedFace:
         error = float(errors[counted].mean())
         return replace(frame, skin=skin, error=error, errors=errors, certain=False, method=self.method)
 
-    def _touches(self, frame: CertifiedFrame) -> bool:
-        return self.face.derivatives.prepared.touches(frame.positions)
-
-    def _solve_in_contact(self, frame: CertifiedFrame, accuracy: float, after: Reached | None) -> CertifiedFrame:
+    def _solve_in_contact(
+        self, weights: Floats, accuracy: float, after: Reached | None, begin: float, solves: int = 0
+    ) -> CertifiedFrame:
         """Solve a frame whose surfaces touch, from the frame before or the neutral face, to an accuracy [mm]."""
-        begin, linear, skin = time.perf_counter(), self.face.derivatives, self.face.head.skin_from_wrap
-        scene = self.face.scene(frame.weights)
+        linear, skin = self.face.derivatives, self.face.head.skin_from_wrap
+        scene = self.face.scene(weights)
         start = linear.answer.positions if after is None else after.positions
-        share, solves = POLICY.converged if accuracy <= FINEST else POLICY.begun, frame.solves
+        share = POLICY.converged if accuracy <= FINEST else POLICY.begun
         wrap = slice(len(self.face.head.bone))
         while True:
             solution = linear.prepared.solve(
                 scene, start=start, absolute=share * spring_norm(scene), max_iterations=POLICY.most_solves
             )
             left, certain = linear.prepared.estimate_left(solution.positions, linear.tangent, wrap, scene)
-            parted, solves = self.face.skin_after(frame.weights, solution.positions), solves + solution.iterations
+            parted, solves = self.face.skin_after(weights, solution.positions), solves + solution.iterations
             errors = np.linalg.norm(skin @ left[wrap], axis=1)
-            counted = find_counted(parted + skin @ left[wrap], self.face.blend(frame.weights) + self.face.carried)
-            ended = replace(
-                frame,
+            counted = find_counted(parted + skin @ left[wrap], self.face.blend(weights) + self.face.carried)
+            ended = CertifiedFrame(
+                weights=weights,
                 positions=solution.positions,
                 skin=parted.astype(np.float32),
                 error=float(errors[counted].mean()),
                 errors=errors.astype(np.float32),
                 certain=certain and solution.converged,
-                method="converged",
-                seconds=frame.seconds + time.perf_counter() - begin,
+                method="converged" if share <= POLICY.converged else "in contact",
+                seconds=time.perf_counter() - begin,
                 solves=solves,
             )
             if ended.bound <= accuracy or share <= POLICY.converged or not solution.converged:
                 return ended
             start, share = solution.positions, POLICY.further * share
 
-    def _correct(self, weights, after: Reached | None, accuracy: float | None) -> Iterator[CertifiedFrame]:
+    def _correct(
+        self, known: Floats, after: Reached | None, accuracy: float | None, begin: float
+    ) -> Iterator[CertifiedFrame]:
         """Yield the best frame so far after each round: Newton's step, L-BFGS to the accuracy, and the error anew."""
-        begin = time.perf_counter()
-        known = check_weights(weights).astype(np.float64)
         correction = Correction(self.face, known, self._start(known, after))
         correction.smooth(1)
         if accuracy is not None:
@@ -216,11 +228,11 @@ class CertifiedFace:
             correction.smooth(POLICY.most_smoothing, until=goal)
             ahead = correction.newton_step()
 
-    def _start(self, weights: Floats, after: Reached | None) -> Floats | None:
+    def _start(self, weights: Floats, after: Reached | None) -> Floats:
         """Return the first order, and on it the correction of the frame before."""
-        if after is None:
-            return None
         start = predict(self.face, weights)
+        if after is None:
+            return start
         if np.shape(after.positions) != start.shape:
             shape = np.shape(after.positions)
             raise InputError(f"after: a frame of another face, with vertices of shape {shape}, not {start.shape}")

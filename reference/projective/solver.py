@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -175,13 +175,18 @@ class ProjectivePrepared:
             times=recorder.times(self.spent),
         )
 
-    def freeze_contact(self, positions: Floats, scene: Scene | None = None) -> Scene:
+    def freeze_contact(self, positions: Floats, scene: Scene | None = None, *, pressed: bool = False) -> Scene:
         """Return a scene whose Contact is that of the pairs near at positions [mm], shape (n, 3), as Gaps.
 
-        There it has the same energy, and as long as no other pair comes near: for solvers that look for none. A scene
-        without Contact is left as it is; scene as of `solve`.
+        There it has the same energy, and as long as no other pair comes near: for solvers that look for none. With
+        `pressed` the pairs are only those that push. A scene without Contact is left as it is; scene as of `solve`.
         """
-        return self._freeze(positions, self.scene if scene is None else scene)
+        scene = self.scene if scene is None else scene
+        if self.contact is None:
+            return scene
+        gaps = self.contact.freeze(positions, pressed=pressed)
+        others = (term for term in scene.terms if not isinstance(term, Contact))
+        return replace(scene, terms=(*others, *([gaps] if len(gaps.pairs) else [])))
 
     def tangent(
         self,
@@ -201,29 +206,18 @@ class ProjectivePrepared:
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
         positions = np.where(held, values, solution.positions)
-        return self._tangent_at(positions, scene, linear_solver=linear_solver)
+        energy, coordinates = self.energy.for_scene(scene), self.system.coordinates
+        if self.contact is not None:
+            scene = self.freeze_contact(positions, scene, pressed=True)
+            pairs = Pairs.from_scene(scene)
+            others = tuple(part for part in energy.parts if not isinstance(part, Pairs))
+            energy = Energy(others if pairs is None else (*others, pairs))  # which has the scene's own Gaps, too
+        place = coordinates.start(positions - scene.vertices)
+        return Tangent.from_scene(scene, energy, coordinates, place, linear_solver=linear_solver)
 
     def touches(self, positions: Floats) -> bool:
         """Tell whether surfaces in Contact are too near at positions [mm], shape (n, 3), or cross."""
         return self.contact is not None and self.contact.touches(positions)
-
-    def _freeze(self, positions: Floats, scene: Scene, *, pressed: bool = False) -> Scene:
-        """Put the pairs near at positions [mm], or only those that push, in the place of a scene's Contact."""
-        if self.contact is None:
-            return scene
-        gaps = self.contact.freeze(positions, pressed=pressed)
-        others = (term for term in scene.terms if not isinstance(term, Contact))
-        return replace(scene, terms=(*others, *([gaps] if len(gaps.pairs) else [])))
-
-    def _tangent_at(self, positions: Floats, scene: Scene, **how: Any) -> Tangent:
-        """Factor the exact Hessian at positions [mm], with that of the pairs that are pressed there."""
-        energy, coordinates = self.energy.for_scene(scene), self.system.coordinates
-        if self.contact is not None:
-            scene = self._freeze(positions, scene, pressed=True)
-            pairs = Pairs.from_scene(scene)
-            others = tuple(part for part in energy.parts if not isinstance(part, Pairs))
-            energy = Energy(others if pairs is None else (*others, pairs))  # which has the scene's own Gaps, too
-        return Tangent.from_scene(scene, energy, coordinates, coordinates.start(positions - scene.vertices), **how)
 
     def estimate_left(
         self, positions: Floats, tangent: Tangent, vertices: Ints | slice, scene: Scene | None = None
@@ -231,21 +225,24 @@ class ProjectivePrepared:
         """Estimate how far vertices still are from a scene's minimum [mm], shape (n, 3), by a tangent of near by.
 
         vertices: those that count; scene as of `solve`. Also returns whether the estimate is good (`newton_step`).
-        Where surfaces touch, the tangent of near by says nothing, and one is made there. SceneError for a tangent of
-        other unknowns.
+        Where surfaces touch, their pushes are held as they are: the pairs' stiffness, left out, would shorten the way,
+        and what it turns is covered by a factor, `NewtonStepPolicy.pushed`. SceneError for a tangent of other unknowns.
         """
         scene = self.scene if scene is None else scene
-        coordinates, work = self.system.coordinates, _Work(self.system)
+        coordinates, work, energy = self.system.coordinates, _Work(self.system), self.energy.for_scene(scene)
         if tangent.coordinates.size != coordinates.size:
             raise SceneError(f"tangent: it has {tangent.coordinates.size} unknowns, the scene {coordinates.size}")
-        if self.touches(positions):
-            own = self._tangent_at(positions, scene)
-            gradient = coordinates.pull(own.energy.evaluate(own.place.u)[1], own.place)
-            return coordinates.move(own.place, -own.solve(gradient)).u - own.place.u, own.is_exact
-        problem = Objective(work.on(self.energy.for_scene(scene)), coordinates.move, work.by(tangent), bounded=False)
-        point = problem.at(coordinates.start(positions - scene.vertices))
-        ahead = newton_step(problem, point, vertices, self.policy.newton_step)
-        return coordinates.move(point.place, ahead.step).u - point.u, ahead.is_near
+        pushes = np.zeros_like(positions) if self.contact is None else self.contact.find_pushes(positions)
+
+        def at(place: Place) -> Point:
+            value, gradient = energy.evaluate(place.u)
+            return Point(place, value - float(np.sum(pushes * place.u)), coordinates.pull(gradient - pushes, place))
+
+        objective = Objective(at, coordinates.move, work.by(tangent), bounded=False)
+        point = objective.at(coordinates.start(positions - scene.vertices))
+        ahead = newton_step(objective, point, vertices, self.policy.newton_step)
+        left = coordinates.move(point.place, ahead.step).u - point.u
+        return (self.policy.newton_step.pushed * left if pushes.any() else left), ahead.is_near
 
 
 def prepare(scene: Scene, *, method: Method = "lbfgs", policy: ProjectivePolicy = POLICY) -> ProjectivePrepared:
