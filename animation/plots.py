@@ -31,30 +31,6 @@ def draw_learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
     return to_png(figure)
 
 
-LEAST_SECONDS = 1e-3
-"""Where a method without a bind stands."""
-
-
-def plot_costs(scores: Sequence):
-    """Mean error [mm] of methods (`evaluate.Score`) against seconds before the first frame, and of one frame."""
-    figure, axes = subplots(1, 2, figsize=(10, 4.2), sharey=True)
-    axes[0].set_title("a person's head and the bind; squares: the simulator runs", fontsize=8)
-    axes[0].set(xlabel="before the first frame [s]", ylabel="mean error of moving vertices [mm]")
-    axes[1].set(xlabel="one frame, with its blendshapes [ms]")
-    for score in scores:
-        before = 1e-3 * ((score.head_ms or 0.0) + score.bind_ms)
-        for axis, cost in zip(axes, (max(before, LEAST_SECONDS), score.frame_ms), strict=True):
-            axis.scatter(cost, score.mean, marker="s" if score.simulates else "o")
-            # Above the mark and centred, since a name beside one leaves the axes.
-            axis.annotate(score.method, (cost, score.mean), (0, 6), textcoords="offset points", ha="center", fontsize=7)
-    for axis in axes:
-        axis.set(xscale="log", yscale="log")
-        low, high = axis.get_xlim()
-        axis.set_xlim(low / 4.0, high * 4.0)
-        axis.margins(y=0.15)
-    return figure
-
-
 def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float] = (6.4, 4.8), **more):
     """A figure and its axes, as pyplot.subplots makes them, in the style that all share; Matplotlib loads here."""
     plt = _pyplot()

@@ -29,19 +29,18 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
+from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats
 from ..lhm.expressions import sample_weights
 from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
-from ..reference.added import NotModelledError
 from ..surrogate import Surrogate
 from ..surrogate import methods as m
 from ..surrogate.corpus.mixture import STATIC, draw
 from ..surrogate.corpus.people import People, people_from_text
 from ..surrogate.methods import Method, SolvedRig, get_cells, on_cells
-from ..surrogate.ruler import DEFAULT, kind_of, measure
-from .harness.study import Column, Row, Study, Task, Values
+from ..surrogate.ruler import DEFAULT, MOVES, kind_of, measure
+from .harness.study import Column, Row, Study, Task, Values, describe_failure
 
 EVERY = "every method"
 """The method of a task in which all methods of a case run."""
@@ -128,7 +127,7 @@ def _run(case: Case, method: Method) -> tuple[list[Made | None], list[dict[str, 
         rig = method.bind(face)
         about["bind_s"] = time.process_time() - begin
     except Exception as error:
-        status, reason = _describe(error)
+        status, reason = describe_failure(error)
     for number, weights in enumerate(case.weights):
         row = {**about, "frame": number, "status": status, "reason": reason, "frame_s": None, "told": {}, "to": {}}
         rows.append(row)
@@ -140,20 +139,13 @@ def _run(case: Case, method: Method) -> tuple[list[Made | None], list[dict[str, 
             skin = np.array(rig.frame(weights), dtype=np.float64)
             row["frame_s"] = time.process_time() - begin
         except Exception as error:
-            row["status"], row["reason"] = _describe(error)
+            row["status"], row["reason"] = describe_failure(error)
             continue
         last = rig.last if isinstance(rig, SolvedRig) else None
         if last is not None:
             row["told"] = dict(last.told)
         made[-1] = Made(skin, None if last is None else last.positions, rig)
     return made, rows
-
-
-def _describe(error: Exception) -> tuple[str, str]:
-    """Status and reason of a failure."""
-    skipped = isinstance(error, MissingDependencyError | NotModelledError)
-    reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
-    return "skipped" if skipped else "failed", " ".join(reason.split())
 
 
 _warmed: dict[tuple[str, str], float] = {}
@@ -170,11 +162,11 @@ def _warm_up(method: Method, warm: Case) -> float:
 
 
 def compare_skins(
-    face: Face, weights: Floats, own: Made, true: Made, *, inside: np.ndarray | None = None
+    face: Face, weights: Floats, own: Made, true: Made, *, inside: np.ndarray | None = None, whole: bool = False
 ) -> dict[str, Any]:
     """Measure a skin's distances [mm] to a true one, where that moves beyond scaled bones and everywhere.
 
-    inside: a mask (n,) of the vertices that count; None is all.
+    inside: a mask (n,) of the vertices that count; None is all. whole: give `errors`, those of each moving vertex, too.
 
     mean, p95, largest, moved, share, vertices: see `surrogate.ruler`; None where nothing moves. everywhere, farthest:
     mean and largest distance over all vertices.
@@ -182,8 +174,9 @@ def compare_skins(
     counted = slice(None) if inside is None else inside
     error = np.linalg.norm(own.skin - true.skin, axis=1)[counted]
     motion = np.linalg.norm(true.skin - face.blend(weights) - face.carried, axis=1)[counted]
-    figures = asdict(measure(error, motion))
+    figures: dict[str, Any] = asdict(measure(error, motion))
     figures = {key: value if np.isfinite(value) else None for key, value in figures.items()}
+    figures |= {"errors": error[motion > MOVES].astype(np.float32)} if whole else {}
     return figures | {"everywhere": float(error.mean()), "farthest": float(error.max())}
 
 
@@ -191,19 +184,24 @@ def compare_skins(
 class Summary:
     """Rows of one group that are done and, with a truth, have distances to it; `frames` are (case, frame) of them all.
 
-    share: all errors over all motion. mean, largest [mm]: over vertices that move. everywhere, farthest [mm]: over
-    all. Times [s] are medians over the same frames, NaN where one of these has none: head, bind and frame.
+    mean, largest [mm]: of errors over vertices that move, by `moved` on average. everywhere, farthest [mm]: over all.
+    Times [s] are medians over the same frames, NaN where one of these has none: head, bind and frame.
     """
 
     frames: frozenset[tuple[str, int]]
-    share: float
     mean: float
+    moved: float
     largest: float
     everywhere: float
     farthest: float
     head: float
     bind: float
     frame: float
+
+    @property
+    def share(self) -> float:
+        """All errors over all motion."""
+        return self.mean / self.moved
 
     @property
     def first(self) -> float:
@@ -223,12 +221,15 @@ def summarise(rows: Iterable[Mapping], by: str, truth: str = "") -> dict[Any, Su
 def _summarise(rows: Sequence[Mapping], truth: str) -> Summary:
     to = [row["to"][truth] for row in rows] if truth else []
     moving = [each for each in to if each["vertices"]]
-    errors, motion = (sum(each[key] * each["vertices"] for each in moving) for key in ("mean", "moved"))
-    vertices = sum(each["vertices"] for each in moving)
+    vertices = [each["vertices"] for each in moving]
+    mean, moved = (
+        float(np.average([each[key] for each in moving], weights=vertices)) if moving else np.nan
+        for key in ("mean", "moved")
+    )
     return Summary(
         frames=frozenset((row["case"], row["frame"]) for row in rows),
-        share=errors / motion if moving else np.nan,
-        mean=errors / vertices if moving else np.nan,
+        mean=mean,
+        moved=moved,
         largest=max((each["largest"] for each in moving), default=np.nan),
         everywhere=float(np.mean([each["everywhere"] for each in to])) if to else np.nan,
         farthest=max((each["farthest"] for each in to), default=np.nan),

@@ -21,9 +21,8 @@ TITLE = "is the fast simulator right, and how far is the network from it?"
 
 def choose_studies(faces: Faces, out: Path, *, small: bool = False) -> Sequence[RunRequest]:
     """List the studies, each with its folder of `out`. `small`: fewer cases of each."""
-    parts = (faces, ""), (Verification(), "two layers" if small else "")
-    hard = Hard(solvers=("projective",)), "flattened" if small else ""
-    return [RunRequest(study, out / study.name, match) for study, match in (*parts, hard)]
+    studies = {faces: "", Verification(): "two layers", Hard(solvers=("projective",)): "flattened"}
+    return [RunRequest(study, out / study.name, part if small else "") for study, part in studies.items()]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from ..reference.face.tissue import CellKind
 from .certified import ACCURACY, CertifiedFace
 from .corpus.face import KeptFace
 from .corpus.plan import CorpusPlan
+from .corpus.reading import Faces
 from .corpus.simulator import solve_frame
 from .rigs.bound import BoundSurrogate
 from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
@@ -87,6 +88,20 @@ class Method:
     mark: str = "s"
     cells: CellKind | None = None
     solver: Solver | None = None
+
+
+class Learns(Protocol):
+    """A method that learns from a corpus' training faces before it binds others."""
+
+    needs: Needs
+
+    def fit(self, faces: Faces) -> None:
+        """Learn."""
+        ...
+
+    def bind(self, face: KeptFace, /) -> Rig:
+        """Bind a face."""
+        ...
 
 
 def get_live(face: AnyFace) -> Face:

@@ -1,9 +1,7 @@
-"""Methods on a corpus' sequences: Eq. 21 over each method's static answers, beside dynamic projective dynamics."""
+"""Methods on a corpus' sequences: Eq. 21 over each method's static answers, and methods that play whole sequences."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -16,24 +14,21 @@ from .corpus.face import KeptFace
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE
 from .corpus.reading import Row, Table
-from .evaluate import Answers, Contender, Score, Trial, by_frame, measure_frames
 from .methods import Method
 from .rigs.inertia import DynamicRig, Looseness
 from .rigs.rig import Needs
-from .trials import CorpusTrials
-
-STILL = "dynamic, by its static answer"
+from .trials import Player, Trial, play
 
 
-def in_motion(method: Method, looseness: Looseness, mean: Surface) -> Contender:
-    """Answer with Eq. 21 over a method's frames, by the swing that its rig has learned, or where people are loose.
+def move(method: Method, trial: Trial, looseness: Looseness, mean: Surface) -> Method:
+    """Make a method of Eq. 21 over another's frames, by the swing that its rig has learned, or where people are loose.
 
     A sequence begins at the method's own static answer with the simulation's velocity; the head turns as it did there.
     """
+    row = trial.sequence
+    assert row is not None
 
-    def answer(trial: Trial) -> Answers:
-        face, row = trial.face, trial.sequence
-        assert row is not None
+    def bind(face: KeptFace) -> Player:
         rig = method.bind(face)
         learned = getattr(rig, "swing", None)
         swing = swing_where_loose(looseness, face, mean) if learned is None else learned
@@ -41,14 +36,9 @@ def in_motion(method: Method, looseness: Looseness, mean: Surface) -> Contender:
         turned = row["rotations"].astype(np.float64)
         velocity = RATE * (row["before"][0].astype(np.float64) - row["before"][1])
         moving.begin(trial.weights[0], velocity=velocity, base=extrapolate_turns(turned))
-        skins, seconds = [], []
-        for weights, base in zip(trial.weights, turned, strict=True):
-            begin = time.process_time()
-            skins.append(moving.frame(weights, base=base))
-            seconds.append(time.process_time() - begin)
-        return Answers(np.stack(skins) - face.blend(trial.weights).astype(np.float32), None, seconds)
+        return Player(moving.frame(w, base=base) for w, base in zip(trial.weights, turned, strict=True))
 
-    return Contender(method.name, answer, method.needs)
+    return replace(method, bind=bind)
 
 
 def swing_where_loose(looseness: Looseness, face: KeptFace, mean: Surface) -> Swing:
@@ -75,38 +65,8 @@ class Plays(Protocol):
         ...
 
 
-def as_played(name: str, method: Plays, table: Table) -> Contender:
-    """Answer with a method that plays whole sequences of a table, fitted."""
-
-    def answer(trial: Trial) -> Answers:
-        assert trial.sequence is not None
-        begin = time.process_time()
-        corrected = method.play(trial.sequence, table)
-        return Answers(corrected, None, [(time.process_time() - begin) / len(corrected)] * len(corrected))
-
-    return Contender(name, answer, method.needs)
-
-
-def evaluate_motion(methods: Sequence[Method], tested: CorpusTrials, looseness: Looseness) -> list[Score]:
-    """Score each method, which is ready, over all frames of the sequences: of kinds DYNAMIC, and STILL without inertia.
-
-    Raises what `CorpusTrials.moving` and `measure_frames` raise.
-    """
-    moving = [in_motion(method, looseness, tested.faces.mean) for method in methods]
-    distances = measure_frames([*moving, *map(by_frame, methods)], tested.moving())
-    scores = distances.scores(distances.parts())
-    return scores[: len(moving)] + [replace(score, kind=STILL) for score in scores[len(moving) :]]
-
-
-def evaluate_played(name: str, method: Plays, tested: CorpusTrials) -> Score:
-    """Score a method that learns sequences alone, of kind DYNAMIC: fitted to those of training people.
-
-    It begins with the two skins that the simulation had before. Raises what `Table` raises.
-    """
-    begin = time.process_time()
-    method.fit(tested.table("sequences", "train"))
-    fitted = time.process_time() - begin
-    trials = tested.moving(only_differentiated=False)
-    distances = measure_frames([as_played(name, method, tested.table("sequences"))], trials)
-    (score,) = distances.scores(distances.parts())
-    return replace(score, fit_seconds=fitted)
+def play_sequence(name: str, method: Plays, trial: Trial, table: Table) -> Method:
+    """Make a method of one that plays whole sequences of a table, fitted; it begins with two true skins."""
+    row = trial.sequence
+    assert row is not None
+    return replace(play(name, trial, lambda: method.play(row, table)), needs=method.needs)

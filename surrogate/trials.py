@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,28 +14,50 @@ from ..lhm.base.mesh import Floats32
 from .corpus.face import Heads, KeptFace
 from .corpus.folder import Corpus
 from .corpus.plan import Split
-from .corpus.reading import Faces, Table
+from .corpus.reading import Faces, Row, Table
 from .corpus.shard import FEM_LAWS
-from .evaluate import Answers, Contender, Trial
+from .methods import Method
 
 SIMULATOR = "projective dynamics"
 AGAINST = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}
 """The part of frames whose truth is FEniCSx' answer by a law."""
-DYNAMIC = "dynamic"
 
 
 @dataclass(frozen=True, eq=False)
-class ReferenceFrame:
-    """A frame with an answer of FEniCSx: weights (52,), and T - S (n, 3) [mm] `simulated` by PD and of FEniCSx' `law`.
+class Trial:
+    """Frames of one face of a corpus to answer: weights (F, 52), their `truth` T - S (F, n, 3) [mm].
 
-    face: the number of its face in the corpus.
+    number: of the face among those tested, or of the sequence. part: a name that groups trials. sequence: the corpus'
+    row where the frames follow one another. simulated: projective dynamics' T - S, where another truth stands.
     """
 
-    law: str
-    face: int
+    number: int
+    face: KeptFace
     weights: Floats32
-    simulated: Floats32
-    fenicsx: Floats32
+    truth: Floats32
+    part: str = ""
+    sequence: Row | None = None
+    simulated: Floats32 | None = None
+
+
+@dataclass(eq=False)
+class Player:
+    """A rig that gives skins (n, 3) [mm] in their order, whatever the weights."""
+
+    skins: Iterator[np.ndarray]
+
+    def frame(self, weights) -> np.ndarray:
+        """Give the next skin."""
+        return next(self.skins)
+
+
+def play(name: str, trial: Trial, corrections: Callable[[], Iterable[np.ndarray]]) -> Method:
+    """Make a method of T - S (n, 3) [mm] of a trial's frames, which are made when they are asked for."""
+
+    def bind(face: KeptFace) -> Player:
+        return Player(s + correction for s, correction in zip(face.blend(trial.weights), corrections(), strict=True))
+
+    return Method(name, bind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,24 +104,27 @@ class CorpusTrials:
         """Read the static frames of the faces, or of those of some numbers."""
         return static_trials(self.faces, chosen)
 
-    def moving(self, *, only_differentiated: bool = True) -> Iterator[Trial]:
-        """Read the sequences; by default only those of faces with derivatives. InputError where there is none."""
+    def moving(self) -> Iterator[Trial]:
+        """Read the sequences of faces with derivatives. InputError where there is none."""
         table = self.table("sequences")
-        keys = list(map(tuple, table.groups.tolist()))
         number_of = {key: k for k, key in enumerate(map(tuple, self.faces.groups.tolist()))}
-        chosen = [k for k, key in enumerate(keys) if key in number_of or not only_differentiated]
+        chosen = [(k, number_of[key]) for k, key in enumerate(map(tuple, table.groups.tolist())) if key in number_of]
         if not chosen:
             who = self.split or "whole"
             raise InputError(f"corpus {self.folder}: no sequence of the {who} split is of a face with derivatives")
-        for k in chosen:
-            row, face = table[k], self.faces.face(number_of[keys[k]]) if only_differentiated else table.face(k)
-            yield Trial(face, row["weights"], row["corrected"].astype(np.float32), DYNAMIC, row)
+        for k, face in chosen:
+            row = table[k]
+            yield Trial(k, self.faces.face(face), row["weights"], row["corrected"].astype(np.float32), sequence=row)
 
-    def read_references(self) -> Iterator[ReferenceFrame]:
-        """Read the frames of the faces that FEniCSx solved, too, one after another."""
+    def by_fenicsx(self) -> Iterator[Trial]:
+        """Read the frames that FEniCSx solved, too, as trials by law, whose truth is its answer.
+
+        InputError where no such frame is of a face with derivatives.
+        """
         table, statics = self.table("references"), self.table("statics")
         face_of = {key: index for index, key in enumerate(map(tuple, self.faces.groups.tolist()))}
         static_of = {key: index for index, key in enumerate(map(tuple, statics.rows.tolist()))}
+        grouped: dict[tuple[str, int], list[tuple[Row, Row]]] = {}
         for row in (table[k] for k in range(len(table))):
             index = static_of.get((int(row["identity"]), int(row["static"])))
             if index is None:
@@ -107,27 +132,15 @@ class CorpusTrials:
             static = statics[index]
             face = face_of.get((int(row["identity"]), int(static["group"])))
             if face is not None:
-                simulated, truth = (source["corrected"].astype(np.float32) for source in (static, row))
-                yield ReferenceFrame(row["law"].decode(), face, static["weights"], simulated, truth)
-
-    def by_fenicsx(self) -> Iterator[Trial]:
-        """Read these frames as trials by law, whose truth is FEniCSx' answer, and which SIMULATED answers.
-
-        InputError where no frame with references has derivatives.
-        """
-        grouped: dict[tuple[str, int], list[ReferenceFrame]] = {}
-        for frame in self.read_references():
-            grouped.setdefault((frame.law, frame.face), []).append(frame)
+                grouped.setdefault((row["law"].decode(), face), []).append((static, row))
         if not grouped:
             raise InputError(f"corpus {self.folder}: no frame with an answer of FEniCSx has derivatives")
-        for (law, index), frames in grouped.items():
-            weights, truth = np.stack([f.weights for f in frames]), np.stack([f.fenicsx for f in frames])
-            known = {SIMULATOR: np.stack([frame.simulated for frame in frames])}
-            yield Trial(self.faces.face(index), weights, truth, AGAINST[law], known=known)
-
-
-SIMULATED = Contender(SIMULATOR, lambda trial: Answers(trial.known[SIMULATOR]), "simulator")
-"""Projective dynamics' own answers, which trials of FEniCSx have."""
+        for (law, face), pairs in grouped.items():
+            weights = np.stack([static["weights"] for static, _ in pairs])
+            simulated, truth = (
+                np.stack([row["corrected"] for row in rows]).astype(np.float32) for rows in zip(*pairs, strict=True)
+            )
+            yield Trial(face, self.faces.face(face), weights, truth, AGAINST[law], simulated=simulated)
 
 
 def static_trials(faces: Faces, chosen: Sequence[int] | None = None) -> Iterator[Trial]:
@@ -135,4 +148,4 @@ def static_trials(faces: Faces, chosen: Sequence[int] | None = None) -> Iterator
     for index in range(len(faces)) if chosen is None else chosen:
         frames = faces.frames(index)
         if len(frames.weights):
-            yield Trial(faces.face(index), frames.weights, frames.corrected.astype(np.float32))
+            yield Trial(index, faces.face(index), frames.weights, frames.corrected.astype(np.float32))

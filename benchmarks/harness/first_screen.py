@@ -7,7 +7,6 @@ missing is left out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -102,14 +101,11 @@ def find_front(found: Mapping[str, Summary], seconds: str) -> list[str]:
 
 
 def _tell_costs(lines: Lines) -> str:
-    """Name the front of error and time, to converged finite elements where these are there, else to PD."""
-    truth = m.FENICSX_P2 if any(m.FENICSX_P2 in line["to"] for line in lines) else m.PD
-    found = summarise_far(lines) if truth == m.FENICSX_P2 else summarise(lines, "method", truth)
-    if truth == m.PD:
-        found |= {name: each for name, each in summarise_own(lines).items() if name in found}
+    """Name the front of error and time, to converged finite elements where these are there, else to the simulator."""
+    far = summarise_far(lines)
+    found, whom = (far, "converged finite elements") if far else (summarise_own(lines), "the simulator")
     if len(found) < 2:
         return ""
-    whom = "converged finite elements" if truth == m.FENICSX_P2 else "the simulator"
     sentences = []
     for seconds, what in (("frame", "a frame of a face that is ready"), ("first", "the first frame of a new face")):
         front = ", ".join(
@@ -127,38 +123,34 @@ def _tell_costs(lines: Lines) -> str:
     return " ".join(sentences)
 
 
-def find_losses(lines: Lines, by: str) -> list[tuple[str, str, float, float]]:
-    """Find groups in which the network is no nearer than a simple rival to the simulator that it learned.
+def find_losses(lines: Lines, by: str, truth: str) -> list[tuple[str, str, float, float]]:
+    """Find groups in which the network is no nearer to a truth than a simple rival on faces of the same cells.
 
-    Each is the group, the rival, its share and the network's. Rivals are on faces of the network's cells.
+    Each is the group, the rival, its share and the network's.
     """
-    truths = {find_simulator(line) for line in lines if line["method"] == m.NETWORK}
+    cells = {line["cells"] for line in lines if line["method"] == m.NETWORK}
+    alike = [line for line in lines if line["cells"] in cells or line["method"] == m.CARRIED]
     lost = []
-    for truth, group in product(truths, dict.fromkeys(line[by] for line in lines)):
-        own = [line for line in lines if line[by] == group and (m.PD in line["to"] or m.PD_TETS in line["to"])]
-        there = {(line["method"], line["cells"]) for line in own}
-        cells = "tets" if truth == m.PD_TETS else "prisms"
-        settled = [name for name in (m.SETTLED, m.SETTLED_TETS) if (name, cells) in there]
-        # A study whose faces are of tets has them for the simulator, too.
-        known = truth if any(truth in line["to"] for line in own) else m.PD
-        found = summarise(own, "method", known)
-        rivals = [name for name in (*settled, m.CARRIED) if name in found]
-        if m.NETWORK in found and rivals:
-            rival = min(rivals, key=lambda name: found[name].share)
-            if found[rival].share <= found[m.NETWORK].share:
-                lost.append((group, rival, found[rival].share, found[m.NETWORK].share))
+    for group in dict.fromkeys(line[by] for line in lines):
+        found = summarise([line for line in alike if line[by] == group], "method", truth)
+        rivals = [name for name in (m.SETTLED, m.SETTLED_TETS, m.CARRIED) if name in found]
+        rival = min(rivals, key=lambda name: found[name].share, default=None)
+        if rival and m.NETWORK in found and found[rival].share <= found[m.NETWORK].share:
+            lost.append((group, rival, found[rival].share, found[m.NETWORK].share))
     return lost
 
 
 def _tell_losses(lines: Lines) -> str:
-    kinds = {line["kind"] for line in lines if line["method"] == m.NETWORK}
+    of_network = [line for line in lines if line["method"] == m.NETWORK]
+    if not of_network:
+        return ""
     lost = [
         f"{kind} ({rival} misses {_percent(share)}, network {_percent(own)})"
-        for kind, rival, share, own in find_losses(lines, "kind")
+        for kind, rival, share, own in find_losses(lines, "kind", find_simulator(of_network[0]))
     ]
     if lost:
         return f"The network loses to a simple rival on these kinds of p: {', '.join(lost)}."
-    return f"The network beats the simple rivals on each of {len(kinds)} kinds of p." if kinds else ""
+    return f"The network beats the simple rivals on each of {len({line['kind'] for line in of_network})} kinds of p."
 
 
 def tabulate(lines: Lines) -> list[Table]:
@@ -177,7 +169,7 @@ def tabulate(lines: Lines) -> list[Table]:
         ("Error to converged finite elements, and cost", summarise_far(lines)),
     ):
         body = [
-            (name, cells[name], each.share, each.mean, _leave_out_nan(each.first), each.frame, len(each.frames))
+            (name, cells[name], each.share, each.mean, each.first, each.frame, len(each.frames))
             for name, each in sorted(found.items(), key=lambda item: item[1].share)
         ]
         tables += [Table(caption, head, body, note)] if body else []
@@ -206,22 +198,29 @@ def draw_figure(lines: Lines) -> str:
         "to its simulator": summarise_own(lines),
         "to converged elements": summarise_far(lines),
     }
-    panels = {title: found for title, found in panels.items() if len(found) > 1}
-    if not panels:
-        return ""
-    drawn, axes = subplots(1, len(panels), figsize=(12, 4.4))
+    shown = {
+        title: {name: (each.share, each.frame, each.first) for name, each in found.items()}
+        for title, found in panels.items()
+        if len(found) > 1
+    }
+    return draw_costs(shown) if shown else ""
+
+
+def draw_costs(panels: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> str:
+    """Draw methods in panels by title, as SVG: share of the motion, and seconds of a frame and of a face's first."""
+    drawn, axes = subplots(1, len(panels), figsize=(3.0 + 4.5 * len(panels), 4.4))
     labelled: set[str] = set()
     for axis, (title, found) in zip(np.atleast_1d(axes), panels.items(), strict=True):
-        for name, each in found.items():
-            colour, mark, share = m.get_method(name).colour, m.get_method(name).mark, max(100 * each.share, 1e-4)
+        for name, (share, frame, first) in found.items():
+            method, height = m.get_method(name), max(100 * share, 1e-4)
             label = None if name in labelled else name
             labelled.add(name)
-            axis.plot(each.frame, share, mark, mec=colour, mfc="white", ms=8)
-            if np.isfinite(each.first):
-                axis.plot([each.frame, each.first], [share] * 2, color=colour, lw=1.2, alpha=0.5)
-            axis.plot(each.first, share, mark, color=colour, ms=8, label=label)
+            axis.plot(frame, height, method.mark, mec=method.colour, mfc="white", ms=8)
+            if np.isfinite(first):
+                axis.plot([frame, first], [height] * 2, color=method.colour, lw=1.2, alpha=0.5)
+            axis.plot(first, height, method.mark, color=method.colour, ms=8, label=label)
         axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="missed of the motion [%]", title=title)
-        widen_axis(axis, [max(100 * each.share, 1e-4) for each in found.values()])
+        widen_axis(axis, [max(100 * share, 1e-4) for share, *_ in found.values()])
     drawn.legend(loc="outside right upper", fontsize=10)
     return to_svg(drawn)
 
@@ -233,10 +232,6 @@ def _percent(share: float) -> str:
 def _count(summary: Summary) -> str:
     faces = len({case for case, _ in summary.frames})
     return f"{len(summary.frames)} frames of {faces} {'face' if faces == 1 else 'faces'}"
-
-
-def _leave_out_nan(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _format_seconds(value: float) -> str:

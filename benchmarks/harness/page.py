@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
 from ...lhm.base.provenance import is_dirty
@@ -35,18 +35,20 @@ def render_study(study: Study, results: Results, folder: Path) -> str:
 def collect_content(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     """Collect what a page shows of a study."""
     done = [row for row in results.rows if row.done]
+    gates = [(describe_gate(gate), gate["value"], gate["bound"], gate["passed"]) for gate in results.gates]
+    failed = [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done]
     return {
         "name": study.name,
         "heading": study.heading or study.question,
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
-        "gates": [(describe_gate(gate), gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
+        "gates": Table("Statements", ["statement", "measured", "bound", "reached"], gates),
         "figures": study.pictures(done) if done else {},
         "pictures": {caption: encode_panels(png) for row in done for caption, png in read_files(row, folder, ".png")},
         "pages": {caption: page.decode() for row in done for caption, page in read_files(row, folder, ".html")},
         "tables": study.tables(done) if done else [],
         "rows": tabulate_rows(study, done),
-        "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
+        "failed": Table("What could not be measured", ["case", "method", "", "why"], failed),
         "options": list(results.options.items()),
         "machine": [
             *tabulate_machine(results.machine),
@@ -113,19 +115,39 @@ def encode_panels(png: bytes) -> list[str]:
     return encoded
 
 
-def render_template(template: str, **content: Any) -> str:
-    """Render a page from a template of this folder; an unknown name is an error."""
+def _escape_latex(text: str) -> str:
+    return "".join(SPECIAL.get(sign, sign) for sign in text)
 
-    def cell(value: Any) -> str | Markup:
-        if isinstance(value, bool):
-            return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
-        return format_cell(value)
 
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+def _show_cell(value: Any) -> str | Markup:
+    if isinstance(value, bool):
+        return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
+    return format_cell(value)
+
+
+@cache
+def _open_templates() -> Environment:
+    """Open the templates of this folder, in which an unknown name is an error."""
+    folder = FileSystemLoader(Path(__file__).parent)
+    opened = Environment(
+        loader=folder, autoescape=select_autoescape(["html"]), undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters["cell"] = cell
-    return environment.get_template(template).render(**content)
+    opened.filters |= {
+        "cell": _show_cell,
+        "plain": format_cell,
+        "latex": lambda value: _escape_latex(format_cell(value)),
+    }
+    return opened
+
+
+def render_template(template: str, **content: Any) -> str:
+    """Render a page from a template of this folder."""
+    return _open_templates().get_template(template).render(**content)
+
+
+def to_markdown(table: Table) -> str:
+    """Write a table as GitHub shows it, its caption above and its note beneath."""
+    return str(_open_templates().get_template("table.md").module.table(table))
 
 
 def tabulate_machine(machine: Mapping) -> list[Sequence]:
@@ -138,45 +160,10 @@ def format_cell(value: Any) -> str:
     """Format a cell as plain text: three digits, whole numbers from a thousand on, en dash for nothing."""
     if isinstance(value, bool):
         return "yes" if value else "NO"
-    if value is None:
+    if value is None or value != value:
         return "–"
     if isinstance(value, float):
         if 1e3 <= abs(value) < 1e6:
             return f"{value:,.0f}"
         return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
     return str(value)
-
-
-def to_markdown(table: Table) -> str:
-    """Write a table as GitHub shows it, its caption above and its note beneath."""
-    rows = [
-        [format_cell(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (table.head, *table.rows)
-    ]
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    lines.insert(1, "|" + "---|" * len(table.head))
-    note = f"\n{table.note}\n" if table.note else ""
-    return f"**{table.caption}**\n\n" + "\n".join(lines) + "\n" + note
-
-
-def to_latex(table: Table, label: str) -> str:
-    """Write a table for the package booktabs, the first column left, the others right; `label` is for references."""
-
-    def escape(plain: str) -> str:
-        return "".join(SPECIAL.get(sign, sign) for sign in plain)
-
-    name = re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
-    return "\n".join(
-        [
-            r"\begin{table}",
-            rf"\caption{{{escape(table.caption)}}}\label{{tab:{name}}}",
-            rf"\begin{{tabular}}{{l{'r' * (len(table.head) - 1)}}}",
-            r"\toprule",
-            " & ".join(escape(title) for title in table.head) + r" \\",
-            r"\midrule",
-            *(" & ".join(escape(format_cell(cell)) for cell in row) + r" \\" for row in table.rows),
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
-            "",
-        ]
-    )

@@ -17,10 +17,10 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ...lhm.base.errors import MissingDependencyError, SoftdecaError, is_interrupt
-from ...reference.added import NotModelledError, add_file, added_files
+from ...lhm.base.errors import is_interrupt
+from ...reference.added import add_file, added_files
 from ...surrogate.corpus.schedule import without_interrupts
-from .study import Study, Task, Values
+from .study import Study, Task, Values, describe_failure
 
 MEGABYTE = 1e6
 
@@ -194,17 +194,13 @@ def _begin(files: Sequence[Path]) -> None:
 def _measure(job: Job) -> Outcome:
     reset_peak()
     begin, spent = time.perf_counter(), read_cpu_seconds()
+    status, reason, values = "done", "", {}
     try:
         with threadpool_limits(1):
             values = job.study.measure(job.task)
-    except (MissingDependencyError, NotModelledError) as error:
-        return Outcome(job, "skipped", str(error))
     except (Exception, SystemExit) as error:  # a SystemExit of a study that a file adds would end the command
         if is_interrupt(error):
             raise KeyboardInterrupt from error
-        reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
-        seconds, cpu = time.perf_counter() - begin, read_cpu_seconds() - spent
-        return Outcome(job, "failed", " ".join(reason.split()), seconds=seconds, cpu=cpu)
+        status, reason = describe_failure(error)
     seconds, cpu = time.perf_counter() - begin, read_cpu_seconds() - spent
-    memory = peak_megabytes() if job.study.alone else None
-    return Outcome(job, "done", values=values, seconds=seconds, cpu=cpu, memory_mb=memory)
+    return Outcome(job, status, reason, values, seconds, cpu, peak_megabytes() if job.study.alone else None)

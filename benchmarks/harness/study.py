@@ -8,7 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 from ...lhm.base import provenance
+from ...lhm.base.errors import MissingDependencyError, SoftdecaError
 from ...lhm.head.gates import Direction, is_within
+from ...reference.added import NotModelledError
 
 Values = Mapping[str, Any]
 """The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures and HTML pages are bytes under
@@ -174,6 +176,13 @@ class Study(ABC):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw figures as SVG text, by caption."""
         return {}
+
+
+def describe_failure(error: BaseException) -> tuple[str, str]:
+    """Describe what a task or a method raised: its status, "skipped" or "failed", and the reason."""
+    skipped = isinstance(error, MissingDependencyError | NotModelledError)
+    reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
+    return "skipped" if skipped else "failed", " ".join(reason.split())
 
 
 def at_most(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from softdeca.benchmarks.contest import summarise
+from softdeca.benchmarks.studies.surrogate.scores import CORPUS, run_trials
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
@@ -23,7 +25,6 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import ready_methods
 from softdeca.surrogate.networks.modal_training import ModalTraining, train_modal
 from softdeca.surrogate.trials import static_trials
@@ -87,9 +88,9 @@ assert last < first
 
 # %%
 methods = ready_methods(Surrogate(weights))
-for score in evaluate([*methods.values()], static_trials(test)):
-    if score.kind == "all":
-        print(f"{score.method:<34} mean {score.mean:.4f} mm, {100 * score.share:.1f} %")
+rows = run_trials(static_trials(test), *methods.values())
+for name, found in summarise(rows, "method", CORPUS).items():
+    print(f"{name:<34} mean {found.mean:.4f} mm, {100 * found.share:.1f} %")
 
 # %% [markdown]
 # ## Use

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softdeca.benchmarks.studies.surrogate.scores import DYNAMIC, STILL, score_moved, score_played, score_referenced
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
@@ -12,11 +13,9 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import by_frame, measure_frames
 from softdeca.surrogate.methods import BLENDSHAPES, CARRIED, DERIVATIVES, METHODS, Method, use_network
-from softdeca.surrogate.motion import STILL, evaluate_motion, evaluate_played
 from softdeca.surrogate.rigs.inertia import Looseness
-from softdeca.surrogate.trials import AGAINST, DYNAMIC, SIMULATED, CorpusTrials
+from softdeca.surrogate.trials import AGAINST, SIMULATOR, CorpusTrials
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
@@ -38,25 +37,27 @@ def corpus(tmp_path_factory):
 
 def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
     looseness = Looseness.from_people(PEOPLE, count=8)
-    scores = evaluate_motion(READY, CorpusTrials(corpus, "train", heads=HEADS), looseness)
-    found = {(score.method, score.kind): score for score in scores}
-    assert len(found) == 6 and all(score.frames % 16 == 0 and score.frame_ms > 0 for score in scores)
+    tested = CorpusTrials(corpus, "train", heads=HEADS)
+    scores = [line for method in READY for line in score_moved(method, tested, looseness)]
+    found = {(score["method"], score["kind"]): score for score in scores}
+    assert len(found) == 6 and all(score["frames"] % 16 == 0 and score["frame_ms"] > 0 for score in scores)
     own = found["derivatives", DYNAMIC]
     # These spheres are loose everywhere: without inertia the same answers are far off.
-    assert own.mean < 0.2 * found["derivatives", STILL].mean
-    assert own.share < 0.2 and found["bones carried", STILL].share == pytest.approx(1.0)
+    assert own["mean"] < 0.2 * found["derivatives", STILL]["mean"]
+    assert own["share"] < 0.2 and found["bones carried", STILL]["share"] == pytest.approx(1.0)
 
 
 def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
     from softdeca.surrogate.networks.snp import TRAINING, SubspacePhysics
 
-    score = evaluate_played("SNP", SubspacePhysics(replace(TRAINING, steps=5)), CorpusTrials(corpus, heads=HEADS))
-    assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
-    # Eleven people tell little of a twelfth; what it was shown it has learned.
     train = Table(corpus, "sequences", "train")
     method = SubspacePhysics(replace(TRAINING, steps=300))
     method.fit(train)
+    (score,) = score_played("SNP", method, CorpusTrials(corpus, heads=HEADS))
+    assert (score["method"], score["kind"]) == ("SNP", DYNAMIC)
+    assert score["frames"] % 16 == 0 and score["frame_ms"] > 0
+    # Eleven people tell little of a twelfth; what it was shown it has learned.
     row = dict(train[0])
     assert np.abs(method.play(row, train) - row["corrected"]).mean() < 0.4 * np.abs(row["corrected"]).mean()
     before = method.play(row, train)
@@ -78,8 +79,8 @@ def test_learned_coefficients_of_eq_21_follow_sequences(corpus):
     )
     looseness = Looseness.from_people(PEOPLE, count=8)
     method = Method("network", use_network(Surrogate(weights)))
-    moving, still = evaluate_motion([method], CorpusTrials(corpus, "train", heads=HEADS), looseness)
-    assert moving.mean < 0.98 * still.mean  # most of either is what so small a network leaves of statics
+    moving, still = score_moved(method, CorpusTrials(corpus, "train", heads=HEADS), looseness)
+    assert moving["mean"] < 0.98 * still["mean"]  # most of either is what so small a network leaves of statics
     face = Faces(corpus, "train").face(0)
     bound = Surrogate(weights).learned_swing(face)
     rates = bound.recurrence(1.0 / 60.0)
@@ -102,24 +103,22 @@ def test_a_gru_between_perceptron_and_gradients_learns_sequences(corpus):
 
 
 def score_by_fenicsx(tested):
-    table = measure_frames([SIMULATED, *map(by_frame, READY)], tested.by_fenicsx())
-    return table.scores(table.parts())
+    lines = [line for method in (None, *READY) for line in score_referenced(method, tested)]
+    return {(line["method"], line["kind"]): line for line in lines}
 
 
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
-    scores = score_by_fenicsx(CorpusTrials(corpus, None, heads=HEADS))
-    assert {score.kind for score in scores} <= set(AGAINST.values())
-    found = {(score.method, score.kind): score for score in scores}
-    simulated = found["projective dynamics", AGAINST["PD"]]
-    assert simulated.mean < 0.01 and simulated.frame_ms is None
-    assert simulated.mean <= found["derivatives", AGAINST["PD"]].mean
+    found = score_by_fenicsx(CorpusTrials(corpus, None, heads=HEADS))
+    assert {kind for _, kind in found} <= set(AGAINST.values())
+    simulated = found[SIMULATOR, AGAINST["PD"]]
+    assert simulated["mean"] < 0.01 and simulated["mean"] <= found["derivatives", AGAINST["PD"]]["mean"]
     # Methods answer with skins in single precision, 4e-6 mm at 100 mm, of which S is taken.
-    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0, rel=1e-5)
+    assert found["bones carried", AGAINST["PD"]]["share"] == pytest.approx(1.0, rel=1e-5)
 
 
 def test_a_corpus_without_neo_hookean_answers_is_scored_by_the_other_law(corpus, monkeypatch):
     """A p that varies over the face has no neo-Hookean counterpart."""
     tested = CorpusTrials(corpus, None, heads=HEADS)
-    frames = [frame for frame in tested.read_references() if frame.law == "PD"]
-    monkeypatch.setattr(CorpusTrials, "read_references", lambda self: frames)
-    assert {score.kind for score in score_by_fenicsx(tested)} == {AGAINST["PD"]}
+    trials = [trial for trial in tested.by_fenicsx() if trial.part == AGAINST["PD"]]
+    monkeypatch.setattr(CorpusTrials, "by_fenicsx", lambda self: trials)
+    assert {kind for _, kind in score_by_fenicsx(tested)} == {AGAINST["PD"]}

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from softdeca.benchmarks.contest import summarise
+from softdeca.benchmarks.studies.surrogate.scores import CORPUS, run_trials
 from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer, least_gradients
 from softdeca.reference import Face, Parameters
@@ -16,7 +18,6 @@ from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.corpus.spheres import Spheres
-from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.methods import BLENDSHAPES, METHODS, NETWORK, ready_methods
 from softdeca.surrogate.networks.frames import FrameSource
 from softdeca.surrogate.networks.gradient_training import (
@@ -139,9 +140,10 @@ def test_least_gradients_reproduce_the_simulated_skins(samples):
 
 
 def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weights, faces):
-    scores = evaluate([ready_methods(Surrogate(weights))[NETWORK], METHODS[BLENDSHAPES]], static_trials(faces["test"]))
-    network, nothing = (score for score in scores if score.kind == "all")
-    assert network.method == "network" and network.frames == 20
+    methods = ready_methods(Surrogate(weights))[NETWORK], METHODS[BLENDSHAPES]
+    scores = summarise(run_trials(static_trials(faces["test"]), *methods), "method", CORPUS)
+    network, nothing = scores[NETWORK], scores[BLENDSHAPES]
+    assert len(network.frames) == 20
     assert network.everywhere < nothing.everywhere / 1.5
     held, training = set(weights.note.held), set(faces["train"].groups[:, 0].tolist())
     assert held < training and len(training - held) == weights.note.people == len(weights.people)

@@ -4,7 +4,7 @@ import json
 import re
 
 from softdeca.benchmarks.harness import Table
-from softdeca.benchmarks.harness.page import to_latex, to_markdown
+from softdeca.benchmarks.harness.page import render_template, to_markdown
 from softdeca.benchmarks.studies.verification import Verification
 
 
@@ -36,5 +36,5 @@ def test_a_table_as_markdown_and_latex():
         "| a_b & c | 1.2e-04 |",
         "| yes | – |",
     ]
-    text = to_latex(table, "laws, by hand")
-    assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-by-hand}" in text
+    text = render_template("tables.tex", sections={"laws": {"tables": [], "rows": table}})
+    assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-1}" in text

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.studies.surrogate.gates import BOUNDS, TRIVIAL, make_gates
+from softdeca.benchmarks.studies.surrogate.scores import ALL, GROUPS, UNSCALED, measure_wait, run_trials, score
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scale_skull
@@ -18,7 +19,6 @@ from softdeca.surrogate.corpus.mixture import STATIC, select_static
 from softdeca.surrogate.corpus.people import people_from_text
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate, measure_bind
 from softdeca.surrogate.methods import CARRIED, DERIVATIVES, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, SETTLED
 from softdeca.surrogate.ruler import (
     MOVES,
@@ -112,18 +112,20 @@ def faces(tmp_path_factory):
 
 def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces):
     methods = [METHODS[name] for name in (CARRIED, SETTLED, DERIVATIVES)]
-    costs = {method.name: measure_bind(method, [faces.face(0)]) for method in methods}
-    scores = {(score.method, score.kind): score for score in evaluate(methods, static_trials(faces), costs)}
+    lines = score(run_trials(static_trials(faces), *methods), {group: group for group in GROUPS})
+    scores = {(line["method"], line["kind"]): line for line in lines}
     kinds = {kind for _, kind in scores}
     assert {ALL, UNSCALED, "materials", *STRENGTHS} <= kinds
     for kind in kinds:
-        assert scores["bones carried", kind].share == pytest.approx(1.0, rel=1e-4)  # skins in single precision
+        assert scores["bones carried", kind]["share"] == pytest.approx(1.0, rel=1e-4)  # skins in single precision
     settled = scores["settled + blendshapes", "materials"]
     # Without an effect nothing settles, so that rival is blendshapes.
-    assert settled.share == pytest.approx(1.0, abs=0.02) and 0.0 < settled.mean < settled.p95 < settled.largest
-    assert sum(scores["bones carried", name].frames for name in STRENGTHS) == scores["bones carried", ALL].frames
-    linear = scores["derivatives", ALL]
-    assert linear.bind_ms == costs[DERIVATIVES].bind_ms > costs[CARRIED].bind_ms and linear.head_ms > 0.0
+    assert settled["share"] == pytest.approx(1.0, abs=0.02)
+    assert 0.0 < settled["mean"] < settled["p95"] < settled["largest"]
+    frames = [scores["bones carried", name]["frames"] for name in STRENGTHS]
+    assert sum(frames) == scores["bones carried", ALL]["frames"]
+    carried, _, linear = (measure_wait(method, [faces.face(0)]) for method in methods)
+    assert linear.bind > carried.bind and linear.head > 0.0
 
 
 def test_a_corpus_keeps_how_bones_carry_and_a_face_without_a_head_is_refused_by_name(faces):
@@ -150,16 +152,16 @@ def test_a_kept_face_is_the_live_one_to_what_a_corpus_rounds(faces):
     np.testing.assert_allclose(kept, live, atol=1e-2)
 
 
-def _committed() -> list[Score]:
+def _committed():
     rows = json.loads((RESULTS / "study.json").read_text())["rows"]
-    return [Score(**line) for row in rows for line in row["values"]["rows"]]
+    return [line for row in rows for line in row["values"]["rows"]]
 
 
 @pytest.mark.parametrize("rival", TRIVIAL)
 def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
     scores = _committed()
-    planted = [score for score in scores if score.method != NETWORK]
-    planted += [replace(score, method=NETWORK) for score in scores if score.method == rival]
+    planted = [line for line in scores if line["method"] != NETWORK]
+    planted += [line | {"method": NETWORK} for line in scores if line["method"] == rival]
     by_kind = make_gates(planted)[:-1]
     assert len(by_kind) == len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
 
@@ -167,6 +169,6 @@ def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
 @pytest.mark.parametrize("rival", [*TRIVIAL, DERIVATIVES])
 def test_derivatives_without_a_network_fail_the_gate_of_both(rival):
     scores = _committed()
-    planted = [score for score in scores if score.method != NETWORK_AND_DERIVATIVES]
-    planted += [replace(score, method=NETWORK_AND_DERIVATIVES) for score in scores if score.method == rival]
+    planted = [line for line in scores if line["method"] != NETWORK_AND_DERIVATIVES]
+    planted += [line | {"method": NETWORK_AND_DERIVATIVES} for line in scores if line["method"] == rival]
     assert not make_gates(planted)[-1]["passed"]

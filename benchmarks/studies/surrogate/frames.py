@@ -6,78 +6,49 @@ import numpy as np
 
 from ....animation.contact_sheet import draw_face_strip
 from ....animation.pictures import Panel
-from ....lhm.base.errors import InputError
-from ....lhm.base.mesh import Floats, Floats32
-from ....lhm.base.progress import OnProgress
-from ....surrogate.corpus.reading import Faces
-from ....surrogate.corpus.shard import FEM_LAWS
-from ....surrogate.methods import FENICSX, NETWORK, SETTLED, Method
-from ....surrogate.ruler import kind_of_coefficients, measure
+from ....surrogate.methods import NETWORK, SETTLED, Method
+from ....surrogate.ruler import kind_of_coefficients
+from ....surrogate.trials import CorpusTrials
 from .methods import NetworkExam
+from .scores import CORPUS, run_trials
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""
 SIZE = 230
 
 
-def draw_worst_frames(exam: NetworkExam, progress: OnProgress) -> list[bytes]:
-    """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each.
-
-    Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
-    """
+def draw_worst_frames(exam: NetworkExam) -> list[bytes]:
+    """Draw the worst frame of each of the SHOWN worst faces, the worst first: a PNG of panels for each."""
     faces, network, settled = exam.tested.faces, exam.methods[NETWORK], exam.methods[SETTLED]
-    solved: dict[tuple[int, bytes], Floats32] = {}
-    try:
-        for known in exam.tested.read_references():
-            if known.law == FEM_LAWS[0]:
-                solved[known.face, known.weights.tobytes()] = known.fenicsx
-    except InputError:
-        solved = {}  # a corpus without references
     rows = []
-    for number, (worst, frame, error) in enumerate(find_worst_frames(faces, network)):
-        face, frames = faces.face(worst), faces.frames(worst, np.array([frame]))
-        skin, weights_now = face.skin, frames.weights[0]
-        blended = face.blend(weights_now)
-        truth, carried = frames.corrected[0].astype(np.float64), face.carried
-        own, still = (method.bind(face).frame(weights_now) - blended for method in (network, settled))
+    for number, frame, error in find_worst_frames(exam.tested, network):
+        face, frames = faces.face(number), faces.frames(number, np.array([frame]))
+        skin, weights = face.skin, frames.weights[0]
+        blended = face.blend(weights)
+        truth = blended + frames.corrected[0].astype(np.float64)
+        own, still = (method.bind(face).frame(weights) for method in (network, settled))
+        carried = blended + face.carried
         top = max(0.5, float(np.percentile(np.linalg.norm(truth - carried, axis=1), 99.0)))
-        simulated = skin.with_vertices(blended + truth)
-
-        def off(answer: Floats | Floats32, truth: Floats = truth) -> Floats:
-            return np.linalg.norm(answer - truth, axis=1)
-
         panels = [
             Panel("blendshapes: S", skin.with_vertices(blended)),
-            Panel(f"T: {kind_of_coefficients(face.coefficients)}", simulated),
-            Panel(f"network {error:.2f} mm", skin.with_vertices(blended + own)),
-            Panel("|bones carried - T|", simulated, off(carried), top),
-            Panel("|settled face - T|", simulated, off(still), top),
-            Panel("|network - T|", simulated, off(own), top),
+            Panel(f"T: {kind_of_coefficients(face.coefficients)}", skin.with_vertices(truth)),
+            Panel(f"network {error:.2f} mm", skin.with_vertices(own)),
+            *(
+                Panel(f"|{name} - T|", skin.with_vertices(truth), np.linalg.norm(answer - truth, axis=1), top)
+                for name, answer in (("bones carried", carried), ("settled face", still), ("network", own))
+            ),
         ]
-        answer = solved.get((worst, weights_now.tobytes()))
-        if answer is not None:
-            panels.insert(2, Panel(FENICSX, skin.with_vertices(blended + answer)))
-            panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
-        rows.append(draw_face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
-        progress("pictures", (number + 1) / SHOWN)
+        rows.append(draw_face_strip(panels, skin, weights.astype(np.float64), SIZE))
     return rows
 
 
-def find_worst_frames(faces: Faces, method: Method) -> list[tuple[int, int, float]]:
+def find_worst_frames(tested: CorpusTrials, method: Method) -> list[tuple[int, int, float]]:
     """Find the faces with the worst frames of a method, the worst first: face, frame there and its mean error [mm].
 
     Errors are over the vertices that move.
     """
-    worst = []
-    for index in range(len(faces)):
-        face, frames = faces.face(index), faces.frames(index)
-        if not len(frames.weights):
-            continue
-        truth, rig = frames.corrected.astype(np.float32), method.bind(face)
-        blended = face.blend(frames.weights)
-        answers = np.stack([rig.frame(weights) for weights in frames.weights])
-        errors = np.linalg.norm(answers - blended - truth, axis=2)
-        motions = np.linalg.norm(truth - face.carried, axis=2)
-        means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
-        worst.append((index, int(np.argmax(means)), float(np.max(means))))
-    return sorted(worst, key=lambda frame: -frame[2])[:SHOWN]
+    worst: dict[int, tuple[int, int, float]] = {}
+    for row in run_trials(tested.static(), method):
+        found = row["number"], row["frame"], row["to"][CORPUS]["mean"] or 0.0
+        worst[found[0]] = max(worst.get(found[0], found), found, key=lambda each: each[2])
+    return sorted(worst.values(), key=lambda frame: -frame[2])[:SHOWN]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
-from ....surrogate.evaluate import ALL, UNSCALED, Score
 from ....surrogate.methods import CARRIED, DERIVATIVES, NETWORK, NETWORK_AND_DERIVATIVES, SETTLED
 from ....surrogate.ruler import DEFAULT, KINDS
 from ...harness.study import at_most
+from .scores import ALL, UNSCALED, Line
 
 TRIVIAL = CARRIED, SETTLED
 """Rivals without learning, of which no one gives derivatives: nothing may lose to them."""
@@ -28,40 +28,35 @@ Derivatives at rest know of no contact, which the corpus has, and the network ha
 """
 
 
-def make_gates(scores: Iterable[Score], *, has_derivatives: bool = True) -> list[dict]:
-    """Bound the network's share by kind, and that of network + derivatives over the derivatives', if it has any."""
-    shares = {(score.method, score.kind): score.share for score in scores}
+def make_gates(scores: Iterable[Line]) -> list[dict]:
+    """Bound the network's share by kind, and that of network + derivatives over the derivatives'."""
+    shares = find_shares(scores)
     kinds = {kind for _, kind in shares} | {ALL}
     both, derivatives = shares.get((NETWORK_AND_DERIVATIVES, ALL)), shares.get((DERIVATIVES, ALL))
     ratio = None if both is None or derivatives is None else both / derivatives
-    gates = [
-        at_most(f"network's share of |T - carried(S)|, {kind}", shares.get((NETWORK, kind)), bound)
-        for kind, bound in BOUNDS.items()
-        if kind in kinds
-    ]
-    if has_derivatives:
-        gates.append(at_most("share of network + derivatives over the derivatives'", ratio, ADDED))
-    return gates
-
-
-def find_defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
-    """Find where the network loses to a trivial rival: kind, rival, and the shares of both."""
-    shares = {(score.method, score.kind): score.share for score in scores}
     return [
-        (kind, rival, shares[NETWORK, kind], shares[rival, kind])
-        for kind in (ALL, *KINDS)
-        if kind != DEFAULT
-        for rival in TRIVIAL
-        if (NETWORK, kind) in shares and shares.get((rival, kind), float("inf")) <= shares[NETWORK, kind]
+        *(
+            at_most(f"network's share of |T - carried(S)|, {kind}", shares.get((NETWORK, kind)), bound)
+            for kind, bound in BOUNDS.items()
+            if kind in kinds
+        ),
+        at_most("share of network + derivatives over the derivatives'", ratio, ADDED),
     ]
 
 
-def describe_defeats(scores: Sequence[Score]) -> str:
-    """Say where the network loses to a trivial rival; empty where it does not."""
-    lost = find_defeats(scores)
-    if not lost:
-        return ""
-    lost = "; ".join(
-        f"{kind}: network {100 * own:.1f} %, {rival} {100 * other:.1f} %" for kind, rival, own, other in lost
-    )
-    return f"The network loses to a rival without learning on: {lost}.\n"
+def find_shares(scores: Iterable[Line]) -> dict[tuple[str, str], float]:
+    """Find the share by method and kind."""
+    return {(score["method"], score["kind"]): score["share"] for score in scores}
+
+
+def describe_defeats(scores: Iterable[Line]) -> str:
+    """Say on which kinds the network loses to a trivial rival; empty where it does not."""
+    shares = find_shares(scores)
+    lost = [
+        f"{kind}: network {100 * shares[NETWORK, kind]:.1f} %, {rival} {100 * shares[rival, kind]:.1f} %"
+        for kind in (ALL, *KINDS)
+        for rival in TRIVIAL
+        if kind != DEFAULT and (NETWORK, kind) in shares and (rival, kind) in shares
+        and shares[rival, kind] <= shares[NETWORK, kind]
+    ]  # fmt: skip
+    return f"The network loses to a rival without learning on: {'; '.join(lost)}." if lost else ""

@@ -1,4 +1,4 @@
-"""Methods that are compared with the simulator on a corpus' people: the surrogate, and rivals that learn, too."""
+"""The people of a corpus on whom a network is tested, beside rivals, those that learn, too."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-from ....lhm.base.errors import InputError
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
-from ....surrogate.evaluate import Cost, Learns, measure_bind
-from ....surrogate.methods import VERTICES_ONLY, Method, ready_methods
+from ....surrogate.methods import VERTICES_ONLY, Learns, Method, ready_methods
 from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
@@ -25,13 +23,6 @@ def list_learners() -> Mapping[str, Callable[[float | None], Learns]]:
     from ....surrogate.networks.vertices_only import TRAINING, VerticesOnly
 
     return {VERTICES_ONLY: lambda hours: VerticesOnly(replace(TRAINING, hours=hours))}
-
-
-def parse_people(people: str) -> Split | None:
-    """Return the split that "test", or "all", names; InputError for another word."""
-    if people not in ("test", "all"):
-        raise InputError(f"people {people!r}: there are test, all")
-    return None if people == "all" else "test"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,32 +46,17 @@ class NetworkExam:
 
     @property
     def looseness(self) -> Looseness | None:
-        """Looseness of people: the weights' own, or the shipped network's where that is of the same mesh."""
-        own, shipped = self.network.weights, load_network(None).weights
+        """Looseness of people, for sequences: the weights' own, or the shipped network's where its mesh is the same.
+
+        None for a corpus without sequences, too.
+        """
+        own, shipped = self.network.weights, Surrogate.load().weights
+        if not self.tested.corpus.plan.sequences:
+            return None
         return own.looseness or (shipped.looseness if own.template == shipped.template else None)
-
-    @property
-    def has_motion(self) -> bool:
-        """Whether the corpus has sequences, and somebody knows where its people are loose."""
-        return bool(self.tested.corpus.plan.sequences) and self.looseness is not None
-
-    def measure_cost(self, method: Method) -> dict[str, Cost]:
-        """Measure what a bind costs, by the method's name; nothing where nobody fits the heads that it needs."""
-        if method.needs == "nothing":
-            return {}
-        try:
-            return {method.name: measure_bind(method, self.tested.spread(2))}  # some 5 s
-        except InputError:
-            return {}
 
 
 @lru_cache(maxsize=2)
 def open_exam(corpus: Path, split: Split | None, weights: Path | None, partial: bool) -> NetworkExam:
     """Open an exam; the same object for the same arguments, so that tasks of one process share what it has read."""
-    return NetworkExam(CorpusTrials(corpus, split, partial), load_network(weights))
-
-
-@lru_cache(maxsize=2)
-def load_network(path: Path | None) -> Surrogate:
-    """Read weights; None is the shipped network."""
-    return Surrogate.load(path)
+    return NetworkExam(CorpusTrials(corpus, split, partial), Surrogate.load(weights))

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
 from ....lhm.expressions import parse_weights
@@ -130,7 +129,7 @@ class Split(OfPerson, Contest):
             f"{' - '.join(PARTS[key])} {mean:.3f} mm ({100.0 * mean / motion:.1f} %)" for key, mean in parts.items()
         )
         largest = " - ".join(PARTS[max(parts, key=lambda key: parts[key])])
-        lost = [f"{effect}: the network loses to {rival}." for effect, rival, _, _ in find_losses(lines, "case")]
+        lost = [f"{effect}: the network loses to {rival}." for effect, rival, _, _ in find_losses(lines, "case", m.PD)]
         return " ".join(
             [f"Simulation moves the skin by {motion:.2f} mm on average beyond what bones carry. Parts: {told}.",
              f"Most is {largest}.", *lost]
@@ -150,26 +149,6 @@ class Split(OfPerson, Contest):
             Table("Parts of the error, mean over the skin [mm]", titles, body),
             Table("Share of |T - carried(S)| that methods leave", ["effect", m.NETWORK, *RIVALS], shares),
         ]
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw the parts as bars, a group per effect."""
-        lines = collect_rows(rows)
-        effects = list(dict.fromkeys(line["kind"] for line in lines))
-        parts = [_measure_parts([line for line in lines if line["kind"] == effect]) for effect in effects]
-        if not any(parts):
-            return {}
-        figure, axis = subplots(figsize=(10, 0.5 * len(effects) + 1.6))
-        places, left = np.arange(len(effects)), np.zeros(len(effects))
-        for key, pair in PARTS.items():
-            sizes = np.array([each.get(key, 0.0) for each in parts])
-            axis.barh(places, sizes, left=left, height=0.7, label=" - ".join(pair))
-            left += sizes
-        axis.set_yticks(places, effects, fontsize=8)
-        axis.invert_yaxis()
-        axis.set_xlabel("mean over the skin's vertices [mm]")
-        figure.legend(loc="outside upper center", ncol=2)
-        axis.grid(False, axis="y")
-        return {"Mean distances, one after another.": to_svg(figure)}
 
 
 def _measure_parts(lines: Sequence[Mapping]) -> dict[str, float]:

@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from ....animation.plots import plot_costs, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
-from ....lhm.base.progress import silent
 from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.corpus.plan import PRESETS
-from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
-from ....surrogate.methods import NETWORK, SNP, Method
-from ....surrogate.motion import evaluate_motion, evaluate_played
+from ....surrogate.methods import NETWORK, SNP
 from ....surrogate.networks.weights import TrainingNote
 from ....surrogate.ruler import MOVES
-from ....surrogate.trials import SIMULATED, SIMULATOR
+from ....surrogate.trials import SIMULATOR
+from ...harness.first_screen import CAPTION, draw_costs
 from ...harness.study import Column, Row, Study, Table, Task, Values
+from ..person import check_known
 from .frames import draw_worst_frames
 from .gates import describe_defeats, make_gates
-from .methods import NetworkExam, list_learners, open_exam, parse_people
-from .table_1 import NOTE, TRIVIAL, describe_table, list_trained, tabulate, tabulate_shares, train_and_score
-
-EXTERNAL = "external"
-"""Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
+from .methods import NetworkExam, list_learners, open_exam
+from .scores import ALL, GROUPS, Line, measure_wait, run_trials, score, score_moved, score_played, score_referenced
+from .table_1 import (
+    EXTERNAL,
+    NOTE,
+    TRIVIAL,
+    describe_table,
+    list_trained,
+    tabulate,
+    tabulate_shares,
+    train,
+    train_and_score,
+)
 
 
 @dataclass(frozen=True)
@@ -81,65 +85,55 @@ class SurrogateOnCorpus(Study):
 
     def tasks(self) -> Sequence[Task]:
         """List each question by each method; InputError for no corpus, weights of another mesh, bad options."""
-        return [Task(case, name) for case, question in self._ask().items() for name in question.methods]
+        return [Task(case, name) for case, (names, _) in self._ask().items() for name in names]
 
     def measure(self, task: Task) -> Values:
         """Measure a method's scores on the frames of a question, and what is told once of the corpus."""
-        question = self._ask()[task.case]
+        _, score_method = self._ask()[task.case]
         exam = self._open(self.corpus, self.people)
-        if task.case == self._name_table():
-            others = self._open(self.external, "all").tested if self.external else None
-            scored = train_and_score(exam, task.method, self.hours, others)
-        else:
-            scored = {"rows": [asdict(score) for score in question.score(question.exam, task.method)]}
         values: Values = {
-            **scored,
-            "people": len(np.unique(exam.tested.faces.groups[:, 0])),
+            **score_method(task.method),
+            "people": len(exam.tested.faces.people),
             "trained_on": asdict(exam.network.weights.note),
             "learned_from": len(exam.network.weights.people),
         }
-        if task == Task(self._name_corpus(), NETWORK):
-            return {**values, **self._describe(exam)}
-        return values
-
-    def _describe(self, exam: NetworkExam) -> Values:
-        """Tell what the corpus is, and draw the worst frames."""
-        corpus = exam.tested.corpus
-        strips = enumerate(draw_worst_frames(exam, silent), start=1)
-        return {
-            "corpus": {name: corpus.manifest[name] for name in OWNER}
-            | {"seed": corpus.plan.seed, "made_with": dict(corpus.made_with)},
-            **{f"worst frame of the {number}. worst face": strip for number, strip in strips},
+        if task != Task(self._name_corpus(), NETWORK):
+            return values
+        made = exam.tested.corpus
+        about = {name: made.manifest[name] for name in OWNER} | {
+            "seed": made.plan.seed,
+            "made_with": dict(made.made_with),
         }
+        strips = enumerate(draw_worst_frames(exam), start=1)
+        return values | {"corpus": about} | {f"worst frame of the {number}. worst face": png for number, png in strips}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bound the shipped network's shares on its own corpus, so that no trivial rival passes; see `make_gates`."""
-        scores = _read_scores(rows)
         about = next((row.values["corpus"] for row in rows if "corpus" in row.values), None)
         if self.weights or about is None or about["seed"] != PRESETS["study"].seed:
             return []
-        return make_gates(scores)
+        return make_gates(_list_scores(rows))
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell first where the network loses, then share and cost of each."""
-        scores = _read_scores(rows)
+        lines = _list_scores(rows)
         sentences = [
-            f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _describe_cost(score)
-            for score in scores
-            if score.kind == ALL
+            f"{line['method']} {100 * line['share']:.1f} % ({line['mean']:.3f} mm)" + _describe_cost(line)
+            for line in lines
+            if line["kind"] == ALL
         ]
         table = describe_table([row for row in rows if row.case == self._name_table()])
         if not sentences:
             return table
-        people, trainings = rows[0].values["people"], _read_note(rows[0]).trainings
+        about = rows[0].values
+        trainings = TrainingNote(**about["trained_on"]).trainings
         # An open exam has refused people that the weights name.
-        unseen = "that" if rows[0].values.get("learned_from") else "of whom nobody says that"
+        unseen = "that" if about.get("learned_from") else "of whom nobody says that"
         frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
-        known = f"{frames:,} static frames and the derivatives of {faces:,} faces"
         parts = (
-            describe_defeats(scores).strip(),
-            f"{people} people {unseen} training has not seen ({known}). Share left of the motion that bones alone do "
-            f"not explain: {'; '.join(sentences)}.",
+            describe_defeats(lines),
+            f"{about['people']} people {unseen} training has not seen ({frames:,} static frames and the derivatives "
+            f"of {faces:,} faces). Share left of the motion that bones alone do not explain: {'; '.join(sentences)}.",
             table,
         )
         return " ".join(part for part in parts if part)
@@ -150,9 +144,13 @@ class SurrogateOnCorpus(Study):
         return [tabulate(rows), tabulate_shares(rows)] if rows else []
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw mean error against the cost before the first frame, and per frame."""
-        known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
-        return {"Error against cost.": to_svg(plot_costs(known))} if known else {}
+        """Draw shares against the cost before the first frame, and per frame."""
+        costs = {
+            line["method"]: (line["share"], 1e-3 * line["frame_ms"], 1e-3 * (_find_wait(line) + line["frame_ms"]))
+            for line in _list_scores(rows)
+            if line["kind"] == ALL and line["bind_ms"] is not None
+        }
+        return {CAPTION: draw_costs({"to the simulator": costs})} if costs else {}
 
     def _name_table(self) -> str:
         """Name the rows of Table 1."""
@@ -164,94 +162,82 @@ class SurrogateOnCorpus(Study):
         return "unseen people" if re.fullmatch(r"corpus-[0-9a-f]+-[0-9a-f]+", name) else name
 
     def _open(self, corpus: str, people: str) -> NetworkExam:
+        check_known("people", [people], ("test", "all"))
         weights = Path(self.weights) if self.weights else None
-        return open_exam(Path(corpus), parse_people(people), weights, self.partial)
+        return open_exam(Path(corpus), None if people == "all" else "test", weights, self.partial)
 
     def _ask(self) -> dict[str, Question]:
-        """Questions by case: static frames, sequences and FEniCSx' answers of the corpus, another corpus."""
+        """Ask, by case, of static frames, sequences and FEniCSx' answers of the corpus, and of another corpus."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
         if not 0.0 <= self.hours <= 1000.0:
             raise InputError(f"--train: expected 0 to 1000 hours, got {self.hours:g}")
         exam, corpus = self._open(self.corpus, self.people), self._name_corpus()
         learners = tuple(list_learners()) if self.rivals else ()
-        asked = {corpus: Question(exam, score_static, (*exam.methods, *learners))}
-        if exam.has_motion:
+        asked: dict[str, Question] = {corpus: ((*exam.methods, *learners), partial(score_static, exam))}
+        if exam.looseness is not None:
             also = (SNP,) if self.rivals else ()
-            asked[f"{corpus}, in motion"] = Question(exam, score_moving, (*exam.methods, *also))
+            asked[f"{corpus}, in motion"] = (*exam.methods, *also), partial(score_moving, exam)
         if exam.tested.corpus.plan.references:
-            asked[f"{corpus}, against FEniCSx"] = Question(exam, score_referenced, (SIMULATOR, *exam.methods))
+            asked[f"{corpus}, against FEniCSx"] = (SIMULATOR, *exam.methods), partial(score_laws, exam)
+        other = self._open(self.external, "all") if self.external else None
         if self.hours:
+            others = None if other is None else other.tested
             names = (*TRIVIAL, NETWORK, *list_trained(exam.tested))
-            asked[self._name_table()] = Question(exam, score_referenced, names)
-        if self.external:
-            other = self._open(self.external, "all")
+            asked[self._name_table()] = names, partial(train_and_score, exam, hours=self.hours, others=others)
+        if other is not None:
             case = f"{EXTERNAL}, {other.tested.folder.name}"
-            asked[case] = Question(other, score_external, tuple(other.methods))
-            if other.has_motion:
-                asked[f"{case}, in motion"] = Question(other, score_external_motion, tuple(other.methods))
+            asked[case] = tuple(other.methods), partial(score_static, other, external=True)
+            if other.looseness is not None:
+                asked[f"{case}, in motion"] = tuple(other.methods), partial(score_moving, other, external=True)
         return asked
 
 
-@dataclass(frozen=True, eq=False)
-class Question:
-    """A question of an exam: how one of the methods is scored, by its name."""
-
-    exam: NetworkExam
-    score: Callable[[NetworkExam, str], list[Score]]
-    methods: tuple[str, ...]
+Question = tuple[tuple[str, ...], Callable[[str], Values]]
+"""Names of methods, and what scores one of them."""
 
 
-def score_static(exam: NetworkExam, name: str) -> list[Score]:
-    """Score a method on static frames; one that learns is fitted to the corpus' training people first."""
-    ready = exam.methods.get(name)
-    if ready is not None:
-        return evaluate([ready], exam.tested.static(), exam.measure_cost(ready))
-    learner, begin = list_learners()[name](None), time.process_time()
-    learner.fit(exam.tested.training)
-    fitted = time.process_time() - begin
-    method = Method(name, learner.bind, learner.needs)
-    scores = evaluate([method], exam.tested.static(), exam.measure_cost(method))
-    return [replace(score, fit_seconds=fitted) for score in scores]
+def score_static(exam: NetworkExam, name: str, *, external: bool = False) -> Values:
+    """Score a method on static frames; one that learns is fitted to the corpus' training people first.
+
+    external: of another corpus all frames together are one kind.
+    """
+    method, costs = exam.methods.get(name), {}
+    if method is None:
+        method, _, costs = train(name, exam, None)
+    names = {ALL: EXTERNAL} if external else {group: group for group in GROUPS}
+    lines = score(run_trials(exam.tested.static(), method), names)
+    wait = measure_wait(method, exam.tested.spread(2))  # some 5 s
+    if wait is not None:
+        costs |= {"head_ms": 1e3 * wait.head, "bind_ms": 1e3 * wait.bind}
+    return {"rows": [line | costs for line in lines]}
 
 
-def score_moving(exam: NetworkExam, name: str) -> list[Score]:
-    """Score a method on sequences."""
+def score_moving(exam: NetworkExam, name: str, *, external: bool = False) -> Values:
+    """Score a method on sequences; one that plays them learns those of the training people first."""
     if name == SNP:
-        from ....surrogate.networks.snp import SubspacePhysics
-
-        return [evaluate_played(SNP, SubspacePhysics(), exam.tested)]
+        learner, _, cost = train(name, exam, None)
+        return {"rows": [line | cost for line in score_played(name, learner, exam.tested)]}
     assert exam.looseness is not None
-    return evaluate_motion([exam.methods[name]], exam.tested, exam.looseness)
+    lines = score_moved(exam.methods[name], exam.tested, exam.looseness)
+    return {"rows": [line | {"kind": f"{EXTERNAL}, {line['kind']}"} for line in lines] if external else lines}
 
 
-def score_referenced(exam: NetworkExam, name: str) -> list[Score]:
+def score_laws(exam: NetworkExam, name: str) -> Values:
     """Score a method, or projective dynamics, against FEniCSx, by law."""
-    contender = SIMULATED if name == SIMULATOR else by_frame(exam.methods[name])
-    table = measure_frames([contender], exam.tested.by_fenicsx())
-    return table.scores(table.parts())
+    return {"rows": score_referenced(exam.methods.get(name), exam.tested)}
 
 
-def score_external(exam: NetworkExam, name: str) -> list[Score]:
-    """Score a method on all static frames of another corpus."""
-    return [replace(score, kind=EXTERNAL) for score in score_static(exam, name) if score.kind == ALL]
+def _list_scores(rows: Sequence[Row]) -> list[Line]:
+    return [line for row in rows for line in row.values["rows"]]
 
 
-def score_external_motion(exam: NetworkExam, name: str) -> list[Score]:
-    """Score a method on the sequences of another corpus."""
-    return [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in score_moving(exam, name)]
+def _find_wait(line: Line) -> float:
+    """Time before the first frame [ms]."""
+    return (line["head_ms"] or 0.0) + line["bind_ms"]
 
 
-def _read_scores(rows: Sequence[Row]) -> list[Score]:
-    return [Score(**line) for row in rows for line in row.values["rows"]]
-
-
-def _read_note(row: Row) -> TrainingNote:
-    return TrainingNote(**row.values["trained_on"])
-
-
-def _describe_cost(score: Score) -> str:
-    if score.bind_ms is None or score.frame_ms is None:
+def _describe_cost(line: Line) -> str:
+    if line["bind_ms"] is None:
         return ""
-    before = 1e-3 * ((score.head_ms or 0.0) + score.bind_ms)
-    return f", {before:.2f} s before the first frame, {score.frame_ms:.2f} ms a frame"
+    return f", {1e-3 * _find_wait(line):.2f} s before the first frame, {line['frame_ms']:.2f} ms a frame"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,68 +12,50 @@ import numpy as np
 
 from ....lhm.base.errors import InputError
 from ....surrogate import Surrogate
+from ....surrogate import methods as m
 from ....surrogate.corpus.reading import Faces
-from ....surrogate.evaluate import ALL, Score, by_frame, evaluate, measure_frames
-from ....surrogate.methods import (
-    BLENDSHAPES,
-    CARRIED,
-    DERIVATIVES,
-    FACE_WISE,
-    NETWORK_ALIKE,
-    SETTLED,
-    SNP,
-    SOFTDECA,
-    SOFTDECA_ON_TABLES,
-    SOFTDECA_OURS,
-    SOFTSMPL_GRU,
-    SOFTSMPL_LARGE,
-    SOFTSMPL_SMALL,
-    TABLES,
-    VERTICES_ONLY,
-    AnyFace,
-    Binder,
-    Method,
-    use_network,
-)
-from ....surrogate.motion import evaluate_motion, evaluate_played
+from ....surrogate.methods import AnyFace, Binder, Method, use_network
 from ....surrogate.rigs.bound import BoundSurrogate
 from ....surrogate.ruler import KINDS
-from ....surrogate.trials import AGAINST, DYNAMIC, CorpusTrials
+from ....surrogate.trials import AGAINST, CorpusTrials
 from ...harness.study import Row, Table, Values
 from .methods import NetworkExam, list_learners
+from .scores import ALL, DYNAMIC, VARYING, run_trials, score, score_moved, score_played, score_referenced
 
 GRADIENTS = {
-    SOFTDECA: "paper",
-    SOFTDECA_OURS: "hyper",
-    SOFTDECA_ON_TABLES: "hyper",
-    SOFTSMPL_SMALL: "softsmpl-small",
-    SOFTSMPL_LARGE: "softsmpl-large",
-    FACE_WISE: "face-wise",
+    m.SOFTDECA: "paper",
+    m.SOFTDECA_OURS: "hyper",
+    m.SOFTDECA_ON_TABLES: "hyper",
+    m.SOFTSMPL_SMALL: "softsmpl-small",
+    m.SOFTSMPL_LARGE: "softsmpl-large",
+    m.FACE_WISE: "face-wise",
 }
 """Names of `softdeca train --network` by label."""
-TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, DERIVATIVES)
-LEARNED_MOTION = (SOFTDECA, SOFTDECA_OURS, SOFTDECA_ON_TABLES)
+PLAYERS = (m.SOFTSMPL_GRU, m.SNP)
+"""Methods that learn sequences, and play them."""
+TRIVIAL = (m.BLENDSHAPES, m.CARRIED, m.SETTLED, m.DERIVATIVES)
+LEARNED_MOTION = (m.SOFTDECA, m.SOFTDECA_OURS, m.SOFTDECA_ON_TABLES)
 """Networks that learn Eq. 21 where the corpus has sequences, in FOR_MOTION of the time."""
 FOR_MOTION = 0.1
 NOTE = (
     "Static frames of Table 1 are under uniform p, as the paper has them; a network that has one value of p for the "
     "whole face is not scored where p varies. Each method is trained for the same processor time, all that its "
-    "training does counted, and once for a quarter of it. SNP and the GRU begin with a sequence's two true skins, "
+    "training does counted, and once for a quarter of it. m.SNP and the GRU begin with a sequence's two true skins, "
     "others at their own answer. The floor is what would be left of the responses if L were perfect."
 )
-SEPARATE = (SOFTDECA, VERTICES_ONLY)
+SEPARATE = (m.SOFTDECA, m.VERTICES_ONLY)
 """Networks of the form z(w) L(p, h, π(i)) alone, whose z has a floor."""
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    SOFTDECA: {"static": (0.23, 7.45), "dynamic": (0.41, 9.87), "external": (0.44, 7.45)},
-    SOFTSMPL_SMALL: {"static": (1.67, 7.62)},
-    SOFTSMPL_LARGE: {"static": (0.16, 46.61)},
-    SOFTSMPL_GRU: {"dynamic": (0.22, 47.39)},
-    SNP: {"dynamic": (0.14, 46.61)},
-    FACE_WISE: {"static": (0.17, 34.92)},
-    VERTICES_ONLY: {"static": (0.16, 0.72)},
+    m.SOFTDECA: {"static": (0.23, 7.45), "dynamic": (0.41, 9.87), "external": (0.44, 7.45)},
+    m.SOFTSMPL_SMALL: {"static": (1.67, 7.62)},
+    m.SOFTSMPL_LARGE: {"static": (0.16, 46.61)},
+    m.SOFTSMPL_GRU: {"dynamic": (0.22, 47.39)},
+    m.SNP: {"dynamic": (0.14, 46.61)},
+    m.FACE_WISE: {"static": (0.17, 34.92)},
+    m.VERTICES_ONLY: {"static": (0.16, 0.72)},
 }
-"""The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for SNP, besides."""
-STATIC, VARYING, EXTERNAL = "static", "static, p over the face", "external"
+"""The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for m.SNP, besides."""
+STATIC, STATIC_VARYING, EXTERNAL = "static", "static, p over the face", "external"
 EARLY = "after a quarter of the time"
 FALLING = 0.05
 """Share of its error that a method loses by four times the time, and is then extra to be still learning."""
@@ -81,73 +63,61 @@ FALLING = 0.05
 
 def list_trained(tested: CorpusTrials) -> list[str]:
     """List the methods that a corpus' training people can teach, and the table beside them."""
-    moving = [SOFTSMPL_GRU, SNP] if tested.corpus.plan.sequences else []
-    return [TABLES, NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
+    moving = PLAYERS if tested.corpus.plan.sequences else ()
+    return [m.TABLES, m.NETWORK_ALIKE, *GRADIENTS, *moving, *list_learners()]
 
 
-def train_and_score(exam: NetworkExam, name: str, hours: float, others: CorpusTrials | None = None) -> Values:
+def train_and_score(exam: NetworkExam, name: str, *, hours: float, others: CorpusTrials | None) -> Values:
     """Train a method of `list_trained` for some processor hours, and for a quarter of them, and score it.
 
     Methods that are ready are scored. Hours count all that a training does: solving for tables, steps, validation.
     others: those of another corpus, on whom it is scored, too.
     """
     tested = exam.tested
-    about: dict[str, Any] = {"taught": len(np.unique(tested.training.groups[:, 0]))}
+    about: dict[str, Any] = {"taught": len(tested.training.people)}
     if name in SEPARATE:
         about["floor"] = measure_floor(tested.training, tested.faces, count_latent(name))
-    ready = exam.methods | {TABLES: Method(TABLES, use_tables(exam.network))}
+    ready = exam.methods | {m.TABLES: Method(m.TABLES, use_tables(exam.network))}
     if name in ready:
-        return {**about, "rows": [asdict(score) for score in _score(ready[name], exam, others)]}
-    if name in (SOFTSMPL_GRU, SNP):
-        early, _ = play(name, tested, 0.25 * hours)
-        score, steps = play(name, tested, hours)
-        return {**about, "steps": steps, "rows": [asdict(score), asdict(replace(early, kind=EARLY))]}
-    learner = LEARNERS.get(name, train_rival)
+        return {**about, "rows": _score(ready[name], exam, others)}
     rows: list[dict[str, Any]] = []
     for share in (1.0, 0.25):
-        begin = time.process_time()
-        method, told = learner(name, exam, share * hours)
-        seconds = time.process_time() - begin
-        scores = _score(method, exam, others) if share == 1.0 else score_uniform(method, tested)[:1]
-        for score in scores:
-            kind = score.kind if share == 1.0 else EARLY
-            rows.append(asdict(replace(score, kind=kind, fit_seconds=seconds)))
-        about = {**told, **about}
+        method, told, cost = train(name, exam, share * hours)
+        if name in PLAYERS:
+            lines = score_played(name, method, tested)
+        elif share == 1.0:
+            lines = _score(method, exam, others)
+        else:
+            lines = score_uniform(method, tested, varying=False)[:1]
+        rows += [line | cost | ({} if share == 1.0 else {"kind": EARLY}) for line in lines]
+        about = told | about
     return {**about, "rows": rows}
 
 
-def _score(method: Method, exam: NetworkExam, others: CorpusTrials | None) -> Iterator[Score]:
+def _score(method: Method, exam: NetworkExam, others: CorpusTrials | None) -> list[dict[str, Any]]:
     """Score a method on all kinds of frames that it can answer."""
     tested = exam.tested
-    yield from score_uniform(method, tested)
-    if method.name not in (SOFTSMPL_SMALL, SOFTSMPL_LARGE):
-        yield from score_uniform(method, tested, varying=True)
-    if exam.has_motion:
-        assert exam.looseness is not None
-        moving = evaluate_motion([method], tested, exam.looseness)
-        yield from (score for score in moving if score.kind == DYNAMIC)
+    lines = score_uniform(method, tested, varying=method.name not in (m.SOFTSMPL_SMALL, m.SOFTSMPL_LARGE))
+    if exam.looseness is not None:
+        lines += [line for line in score_moved(method, tested, exam.looseness) if line["kind"] == DYNAMIC]
     if tested.corpus.plan.references:
-        table = measure_frames([by_frame(method)], tested.by_fenicsx())
-        yield from table.scores(table.parts())
+        lines += score_referenced(method, tested)
     if others is not None:
-        outside = evaluate([method], others.static())
-        yield from (replace(score, kind=EXTERNAL) for score in outside if score.kind == ALL)
+        lines += score(run_trials(others.static(), method), {ALL: EXTERNAL})
+    return lines
 
 
 def describe_table(rows: Sequence[Row]) -> str:
     """Say who loses to a rival that learns nothing, who is nearest, and who is still learning."""
-    shares = {row.method: share for row in rows for share in _shares(row, STATIC)}
-    if SETTLED not in shares:
+    shares, late, early = (_find_shares(rows, *kinds) for kinds in ((STATIC,), (STATIC, DYNAMIC), (EARLY,)))
+    if m.SETTLED not in shares:
         return ""
-    learned = {name: share for name, share in shares.items() if name not in TRIVIAL}
-    late = {row.method: share for row in rows for share in [*_shares(row, DYNAMIC), *_shares(row, STATIC)]}
-    lost = [name for name, share in learned.items() if share >= shares[SETTLED]]
-    best = sorted(learned, key=lambda name: learned[name])
-    early = {row.method: share for row in rows for share in _shares(row, EARLY)}
+    best = sorted((name for name in shares if name not in TRIVIAL), key=lambda name: shares[name])
+    lost = [name for name in best if shares[name] >= shares[m.SETTLED]]
     falling = [name for name, share in early.items() if late[name] < (1.0 - FALLING) * share]
-    order = "; ".join(f"{name} {100 * learned[name]:.1f} %" for name in best)
-    told = f"Worse than {SETTLED} ({100 * shares[SETTLED]:.0f} %): {_names(lost)}. Shares left: {order}."
-    return told + (f" Still improving after 4 times the time: {_names(falling)}." if early else "")
+    order = "; ".join(f"{name} {shares[name]:.1f} %" for name in best)
+    told = f"Worse than {m.SETTLED} ({shares[m.SETTLED]:.0f} %): {', '.join(lost) or 'none'}. Shares left: {order}."
+    return told + (f" Still improving after 4 times the time: {', '.join(falling) or 'none'}." if early else "")
 
 
 def use_tables(network: Surrogate) -> Binder:
@@ -156,14 +126,14 @@ def use_tables(network: Surrogate) -> Binder:
     def bind(face: AnyFace) -> BoundSurrogate:
         rig = network.bind_face(face)
         if not isinstance(rig, BoundSurrogate):
-            raise InputError(f"{TABLES}: a modal network is needed, not a {network.weights.kind} one")
+            raise InputError(f"{m.TABLES}: a modal network is needed, not a {network.weights.kind} one")
         return rig.to_first_order()
 
     return bind
 
 
-Trained = tuple[Method, dict[str, Any]]
-"""A method, ready, and what is extra of its training."""
+Trained = tuple[Any, dict[str, Any]]
+"""A method, or a player of sequences, and what is said of its training."""
 
 
 def train_alike(name: str, exam: NetworkExam, hours: float) -> Trained:
@@ -179,7 +149,7 @@ def train_form(name: str, exam: NetworkExam, hours: float) -> Trained:
     from ....surrogate.networks.gradient_training import NETWORKS, train_gradients
     from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
 
-    tested, start = exam.tested, exam.network.weights if name == SOFTDECA_ON_TABLES else None
+    tested, start = exam.tested, exam.network.weights if name == m.SOFTDECA_ON_TABLES else None
     swings = name in LEARNED_MOTION and bool(tested.corpus.plan.sequences)
     still = (1.0 - FOR_MOTION) * hours if swings else hours
     weights = train_gradients(tested.training, replace(NETWORKS[GRADIENTS[name]], hours=still), start=start)
@@ -192,56 +162,58 @@ def train_form(name: str, exam: NetworkExam, hours: float) -> Trained:
     return Method(name, use_network(trained), trained.needs), {"steps": weights.note.steps, "numbers": numbers}
 
 
-def train_rival(name: str, exam: NetworkExam, hours: float) -> Trained:
-    """Train one of `list_learners`."""
+def fit_rival(name: str, exam: NetworkExam, hours: float | None) -> Trained:
+    """Fit one of `list_learners`, for some hours or its usual minutes."""
     learner = list_learners()[name](hours)
     learner.fit(exam.tested.training)
-    extra = {"steps": learner.steps} if hasattr(learner, "steps") else {}
-    return Method(name, learner.bind, learner.needs), extra
+    return Method(name, learner.bind, learner.needs), {"steps": learner.steps} if hasattr(learner, "steps") else {}
 
 
-LEARNERS: Mapping[str, Callable[[str, NetworkExam, float], Trained]] = {
-    NETWORK_ALIKE: train_alike,
-    **dict.fromkeys(GRADIENTS, train_form),
-}
-"""Trainings of the paper's networks and of ours for some hours, by label; all others are rivals."""
-
-
-def play(name: str, tested: CorpusTrials, hours: float) -> tuple[Score, int]:
-    """Train a method that learns sequences alone, and score it; returns its steps, too."""
+def fit_player(name: str, exam: NetworkExam, hours: float | None) -> Trained:
+    """Fit one of PLAYERS to sequences of the training people, for some hours or its usual steps."""
     from ....surrogate.networks import snp
     from ....surrogate.networks.softsmpl_gru import SoftSMPLInMotion
     from ....surrogate.networks.trainer import TrainerConfig
 
-    method: Any
-    if name == SNP:
-        method = snp.SubspacePhysics(replace(snp.TRAINING, hours=hours))
+    learner: Any
+    if name == m.SNP:
+        learner = snp.SubspacePhysics(replace(snp.TRAINING, hours=hours))
     else:
-        method = SoftSMPLInMotion(TrainerConfig(learning_rate=1e-3, clip=1.0, hours=hours))
-    score = evaluate_played(name, method, tested)
-    return score, method.steps
+        learner = SoftSMPLInMotion(TrainerConfig(learning_rate=1e-3, clip=1.0, hours=hours))
+    learner.fit(exam.tested.table("sequences", "train"))
+    return learner, {"steps": learner.steps}
 
 
-def score_uniform(method: Method, tested: CorpusTrials, *, varying: bool = False) -> list[Score]:
-    """Score a method on static frames under uniform p, all of them first and then by kind of p, or on the others."""
+LEARNERS: Mapping[str, Callable[..., Trained]] = {
+    m.NETWORK_ALIKE: train_alike,
+    **dict.fromkeys(GRADIENTS, train_form),
+    **dict.fromkeys(PLAYERS, fit_player),
+}
+"""Trainings of the paper's networks and of ours for some hours, by label; all others are rivals."""
+
+
+def train(name: str, exam: NetworkExam, hours: float | None) -> tuple[Any, dict[str, Any], dict[str, float]]:
+    """Train a method for some hours, or a rival as usual; beside `Trained`, the cost that lines of scores have."""
+    begin = time.process_time()
+    trained, told = LEARNERS.get(name, fit_rival)(name, exam, hours)
+    return trained, told, {"fit_seconds": time.process_time() - begin}
+
+
+def score_uniform(method: Method, tested: CorpusTrials, *, varying: bool) -> list[dict[str, Any]]:
+    """Score a method on static frames under uniform p, all of them first and then by kind of p, and on the others."""
     faces = tested.faces
-    varies = np.array([bool(faces.coefficients(k)[:, 1:].any()) for k in range(len(faces))])
-    has_frames = np.array([bool(len(rows)) for rows in faces.frames_of])
-    chosen = np.flatnonzero((varies == varying) & has_frames)
-    if not len(chosen):
-        return []
-    scores = evaluate([method], tested.static(chosen.tolist()))
-    if varying:
-        return [replace(score, kind=VARYING) for score in scores if score.kind == ALL]
-    kinds = {ALL: STATIC} | {kind: f"{STATIC}, {kind}" for kind in KINDS}
-    return [replace(score, kind=kinds[score.kind]) for score in scores if score.kind in kinds]
+    uniform = [k for k in range(len(faces)) if not faces.coefficients(k)[:, 1:].any()]
+    rows = run_trials(tested.static(None if varying else uniform), method)
+    parts = [row for row in rows if VARYING not in row["groups"]], [row for row in rows if VARYING in row["groups"]]
+    names = {ALL: STATIC} | {kind: f"{STATIC}, {kind}" for kind in KINDS}, {VARYING: STATIC_VARYING}
+    return [line for part, shown in zip(parts, names, strict=True) if part for line in score(part, shown)]
 
 
 def count_latent(name: str) -> int:
     """Count the numbers of z in a network of SEPARATE."""
     from ....surrogate.networks import gradient_training, vertices_only
 
-    if name == VERTICES_ONLY:
+    if name == m.VERTICES_ONLY:
         return vertices_only.LATENT
     return gradient_training.NETWORKS[GRADIENTS[name]].network.latent
 
@@ -267,50 +239,48 @@ def measure_floor(training: Faces, tested: Faces, latent: int) -> float:
     return left / max(whole, 1e-12)
 
 
-def _shares(row: Row, kind: str) -> list[float]:
-    return [line["share"] for line in row.values["rows"] if line["kind"] == kind]
-
-
-def _names(names: Sequence[str]) -> str:
-    return ", ".join(names) if names else "none"
+def _find_shares(rows: Sequence[Row], *kinds: str) -> dict[str, float]:
+    """Find each method's share [%] on the first of these kinds that it has."""
+    found: dict[str, float] = {}
+    for kind in kinds:
+        for row in rows:
+            for line in row.values["rows"]:
+                if line["kind"] == kind:
+                    found.setdefault(row.method, 100.0 * line["share"])
+    return found
 
 
 def tabulate(rows: Sequence[Row]) -> Table:
     """Lay Table 1 out: a line per method, the paper's error and time beside ours."""
-    shown = (("static", STATIC), ("dynamic", DYNAMIC), ("external", EXTERNAL))
+    shown = {"static": STATIC, "dynamic": DYNAMIC, "external": EXTERNAL}
     head = ["method", "steps", "fit [s]", "floor [%]", "a quarter of the time [%]"]
-    for name, _ in shown:
+    for name in shown:
         head += [f"{name}: paper [mm]", "ours [mm]", "ours [%]"]
     head += ["frame: paper [ms]", "ours [ms]"]
-    lines = []
+    floors = {row.method: 100.0 * row.values["floor"] for row in rows if "floor" in row.values}
+    early = _find_shares(rows, EARLY)
+    body = []
     for row in rows:
-        by_kind = {line["kind"]: line for line in row.values["rows"]}
-        fit = next((line["fit_seconds"] for line in by_kind.values() if line["fit_seconds"]), None)
-        cells: list[Any] = [row.method, row.values.get("steps", ""), "" if fit is None else round(fit)]
-        cells += [round(100 * row.values["floor"], 1) if "floor" in row.values else ""]
-        cells += [round(100 * by_kind[EARLY]["share"], 1) if EARLY in by_kind else ""]
-        theirs = PAPER.get(row.method, {})
-        for name, kind in shown:
+        by_kind, theirs = {line["kind"]: line for line in row.values["rows"]}, PAPER.get(row.method, {})
+        fit, frame = (
+            next((line[key] for line in by_kind.values() if line[key]), None) for key in ("fit_seconds", "frame_ms")
+        )
+        cells: list[Any] = [row.method, row.values.get("steps"), fit, floors.get(row.method), early.get(row.method)]
+        for name, kind in shown.items():
             line = by_kind.get(kind)
-            cells += [theirs[name][0] if name in theirs else ""]
-            cells += ["", ""] if line is None else [round(line["everywhere"], 3), round(100 * line["share"], 1)]
-        frame = next((line["frame_ms"] for line in by_kind.values() if line["frame_ms"]), None)
-        first = next(iter(theirs.values()), None)
-        cells += ["" if first is None else first[1], "" if frame is None else round(frame, 2)]
-        lines.append(cells)
+            cells += [theirs[name][0] if name in theirs else None]
+            cells += [None, None] if line is None else [line["everywhere"], 100.0 * line["share"]]
+        _, paper_frame = next(iter(theirs.values()), (None, None))
+        body.append([*cells, paper_frame, frame])
     note = "Errors are means over all vertices; per cent are of |T - carried(S)| over the vertices that it moves."
-    return Table("Table 1: the paper's numbers beside ours", head, lines, note)
+    return Table("Table 1: the paper's numbers beside ours", head, body, note)
 
 
 def tabulate_shares(rows: Sequence[Row]) -> Table:
     """Lay shares [%] out by kind of p, where p varies over the face, and against FEniCSx."""
-    by_row = [{line["kind"]: line["share"] for line in row.values["rows"]} for row in rows]
-    wanted = [*(f"{STATIC}, {kind}" for kind in KINDS), VARYING, *AGAINST.values()]
-    kinds = [kind for kind in wanted if any(kind in shares for shares in by_row)]
-    lines = [
-        [row.method, *(round(100 * shares[kind], 1) if kind in shares else "" for kind in kinds)]
-        for row, shares in zip(rows, by_row, strict=True)
-        if shares
-    ]
+    wanted = [*(f"{STATIC}, {kind}" for kind in KINDS), STATIC_VARYING, *AGAINST.values()]
+    shares = {kind: found for kind in wanted if (found := _find_shares(rows, kind))}
+    names = [row.method for row in rows if any(row.method in found for found in shares.values())]
+    body = [[name, *(found.get(name) for found in shares.values())] for name in names]
     note = "Against FEniCSx its answer is the truth, by projective dynamics' energy or by its own law."
-    return Table("Shares left, by kind of p and against FEniCSx [%]", ["method", *kinds], lines, note)
+    return Table("Shares left, by kind of p and against FEniCSx [%]", ["method", *shares], body, note)
