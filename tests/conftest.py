@@ -26,7 +26,15 @@ DATA = Path(os.environ.get("SOFTDECA_DATA") or Path(__file__).resolve().parents[
 """Real heads and takes, which docs/architecture.md names."""
 
 
-MAY_SKIP = ("no real data", "no Visible Male", "no bones and muscles", "another user", "docs/arena.md", "no npm")
+MAY_SKIP = (
+    "no real data",
+    "no Visible Male",
+    "no bones and muscles",
+    "another user",
+    "docs/arena.md",
+    "no npm",
+    "no datasets",
+)
 """Words of skips for what set-up does not install."""
 
 

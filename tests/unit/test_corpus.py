@@ -22,6 +22,7 @@ from softdeca.surrogate.corpus.again import count_crossings, simulate_again
 from softdeca.surrogate.corpus.card import licence_of, write_card
 from softdeca.surrogate.corpus.face import Heads
 from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.hub import to_datasets
 from softdeca.surrogate.corpus.mixture import NAMES, basis
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
@@ -278,6 +279,17 @@ def test_torch_reads_it_in_several_processes(made):
     with pytest.raises(IndexError):
         data[len(data)]
     assert CorpusDataset(made.folder, "train", table="sequences")[0]["corrected"].shape[0] == LENGTH
+
+
+def test_hugging_faces_datasets_have_every_parameter_by_its_name(made, monkeypatch, tmp_path):
+    datasets = pytest.importorskip("datasets", reason="no datasets: they are of the extra hub")
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path)
+    kept = to_datasets(made.folder)
+    table = Table(made.folder, "statics", "train")
+    assert len(kept["train"]) == len(table) and len(kept["test"])
+    row, own, given = kept["train"].with_format("numpy")[1], table[1], table.parameters(1)
+    assert row["simulated"] - row["blendshapes"] == pytest.approx(own["corrected"], abs=1e-4)
+    assert {name: float(row[name]) for name in NAMES} == pytest.approx({name: given.level(name) for name in NAMES})
 
 
 def test_a_corpus_of_heads_of_others_has_no_licence_of_ours(made):
