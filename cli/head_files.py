@@ -75,7 +75,9 @@ class WriteMesh:
         "large as their triangles",
         type=float,
     )
-    out: Path = option("out/head.msh", "file of the mesh: .msh, .vtu, .mesh, or .xdmf with an .h5 beside", type=ANY)
+    out: Path = option(
+        "out/head.msh", "file of the mesh: .msh, .vtu, .mesh, .usd, or .xdmf with an .h5 beside", type=ANY
+    )
     json: bool = option(False, "print the report as JSON")
 
     def run(self) -> int:

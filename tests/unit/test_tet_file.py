@@ -85,3 +85,24 @@ def test_gmsh_reads_it_with_its_names(tmp_path, sphere_head):
         assert len(gmsh.model.mesh.getElementsByType(4, volume)[0]) == len(sphere_head.muscle.tets)
     finally:
         gmsh.finalize()
+
+
+def test_usd_has_tets_of_the_right_hand_their_boundary_and_tissues(tmp_path, sphere_head):
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    tagged = tets_from_head(sphere_head, (2, 1))
+    write_tets(tmp_path / "head.usda", tagged)
+    stage = Usd.Stage.Open(str(tmp_path / "head.usda"))
+    body = UsdGeom.TetMesh(stage.GetDefaultPrim())
+    points = np.array(body.GetPointsAttr().Get()) / 1e-3 * UsdGeom.GetStageMetersPerUnit(stage)
+    assert points == pytest.approx(tagged.mesh.vertices, abs=1e-4)
+    assert np.array_equal(body.GetTetVertexIndicesAttr().Get(), tagged.mesh.tets)
+    assert not UsdGeom.TetMesh.FindInvertedElements(body)
+    faces = np.array(body.GetSurfaceFaceVertexIndicesAttr().Get())
+    assert len(faces) == 2 * len(sphere_head.skin.triangles), "the outside and the hollow"
+    tissues = {
+        s.GetPrim().GetName(): np.array(s.GetIndicesAttr().Get()) for s in UsdGeom.Subset.GetAllGeomSubsets(body)
+    }
+    assert tissues.keys() == {"soft_tissue", "muscle"}
+    assert np.array_equal(tissues["muscle"], np.flatnonzero(tagged.tags == MUSCLE))

@@ -1,4 +1,4 @@
-"""Tet meshes with tags in the formats of other programs: gmsh, VTK and Medit by meshio, XDMF as FEniCSx reads it."""
+"""Tet meshes with tags for other programs: gmsh, VTK and Medit by meshio, XDMF as FEniCSx reads it, and USD."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ import numpy as np
 from ..errors import InputError
 from ..mesh import Ints, TetMesh
 from .atomic import check_replaceable, replaced, write_whole
+from .usd import write_usd_tets
 
 FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".mesh": "medit"}
 TAG = {".msh": "gmsh:physical", ".vtu": "tag", ".mesh": "medit:ref"}
 XDMF = ".xdmf"
-SUFFIXES = (*FORMATS, XDMF)
+USD = (".usd", ".usdc", ".usda")
+SUFFIXES = (*FORMATS, XDMF, *USD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +39,10 @@ class TaggedTets:
 
 
 def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
-    """Write a .msh (gmsh 2.2), .vtu, .xdmf or .mesh file [mm], whole or not at all; InputError for another suffix.
+    """Write a .msh (gmsh 2.2), .vtu, .xdmf, .mesh [mm] or USD file, whole or not at all; InputError for another suffix.
 
-    Surfaces are elements beside the tets. Names go with .msh alone: the other formats have numbers only. XDMF has its
+    Surfaces are elements beside the tets. Names go with .msh and USD: the other formats have numbers only. USD, in
+    metres, has the boundary in place of the surfaces, and needs usd-core. XDMF has its
     numbers in an .h5 file of its name, tets and their tags in the grid `mesh`, triangles and theirs in `surfaces`, as
     `XDMFFile.read_mesh` and `read_meshtags` of DOLFINx take them.
     """
@@ -49,6 +52,10 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
     kind = _kind(path)
     if kind == XDMF:
         _write_xdmf(path, tagged)
+        return
+    if kind in USD:
+        tissues = {name: np.flatnonzero(tagged.tags == tag) for tag, name in tagged.names.items()}
+        write_usd_tets(path, tagged.mesh, {name: tets for name, tets in tissues.items() if len(tets)})
         return
     blocks = [("tetra", tagged.mesh.tets), *(("triangle", t) for t in tagged.surfaces.values())]
     numbers = [tagged.tags, *(np.full(len(t), tag) for tag, t in tagged.surfaces.items())]

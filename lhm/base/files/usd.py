@@ -1,14 +1,15 @@
-"""USD (.usd, .usdc or .usda, metres): a rig as UsdSkel's blend shapes, and the take that it plays."""
+"""USD (.usd, .usdc or .usda, metres): a rig as UsdSkel's blend shapes and the take that it plays, or a tet mesh."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, MissingDependencyError
+from ..mesh import Ints, TetMesh
 from .atomic import replaced
 from .morphs import MorphedSurface, MorphRig
 
@@ -30,13 +31,9 @@ def write_usd(path: str | os.PathLike[str], rig: MorphRig) -> None:
     The notes stand in the layer's customLayerData. MissingDependencyError without usd-core, InputError for a file that
     cannot be written.
     """
-    check_usd()
-    from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
+    stage = _new_stage(rig.notes)
+    from pxr import Gf, UsdSkel, Vt
 
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    stage.GetRootLayer().customLayerData = {"generator": "softdeca", **rig.notes}
     stage.SetDefaultPrim(UsdSkel.Root.Define(stage, ROOT).GetPrim())
     skeleton = UsdSkel.Skeleton.Define(stage, f"{ROOT}/skeleton")
     skeleton.CreateJointsAttr(["head"])
@@ -59,6 +56,47 @@ def write_usd(path: str | os.PathLike[str], rig: MorphRig) -> None:
     look = _define_look(stage)
     for surface in rig.surfaces:
         _add_mesh(stage, surface, names, skeleton.GetPath(), look)
+    _write(path, stage)
+
+
+def write_usd_tets(path: str | os.PathLike[str], mesh: TetMesh, tissues: Mapping[str, Ints]) -> None:
+    """Write a tet mesh [mm] as UsdGeom.TetMesh with its boundary, and a subset of tets (k,) for each tissue.
+
+    MissingDependencyError without usd-core, InputError for a file that cannot be written.
+    """
+    stage = _new_stage({})
+    from pxr import UsdGeom, Vt
+
+    body = UsdGeom.TetMesh.Define(stage, ROOT)
+    stage.SetDefaultPrim(body.GetPrim())
+    points = _vectors(METRES * mesh.vertices)
+    body.CreatePointsAttr(points)
+    body.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
+    body.CreateTetVertexIndicesAttr(Vt.Vec4iArray.FromNumpy(mesh.tets.astype(np.int32)))
+    body.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(body))
+    for name, tets in tissues.items():
+        UsdGeom.Subset.CreateGeomSubset(
+            body, name, UsdGeom.Tokens.tetrahedron, Vt.IntArray.FromNumpy(tets.astype(np.int32))
+        )
+    _write(path, stage)
+
+
+def _new_stage(notes: Mapping[str, Any]) -> Any:
+    """Begin a stage in metres with y up; MissingDependencyError without usd-core."""
+    check_usd()
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage.GetRootLayer().customLayerData = {"generator": "softdeca", **notes}
+    return stage
+
+
+def _write(path: str | os.PathLike[str], stage: Any) -> None:
+    """Write a stage, whole or not at all."""
+    from pxr import Tf
+
     with replaced(path) as temporary:
         try:
             stage.GetRootLayer().Export(str(temporary))
