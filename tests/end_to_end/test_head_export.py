@@ -85,6 +85,8 @@ def test_gltf_has_the_simulators_targets_and_tells_their_error(files, rig, face,
     for weights in (expressions.sample_weights(rng) for _ in range(EXPRESSIONS)):
         off.append(np.linalg.norm(surfaces["skin"].frame(weights) - simulated.frame(weights), axis=1))
     assert notes["largest_error_mm"] == pytest.approx(np.max(off), abs=0.02)
+    vertex = notes["largest_error_vertex"]
+    assert np.max(off, axis=0)[vertex] == pytest.approx(np.max(off), abs=0.02) and f"at vertex {vertex} (" in ended.out
     assert np.mean(off) < notes["mean_error_mm"] < 0.5 * np.max(off), "the mean is of what physics moves alone"
     scene = trimesh.load(out, process=False)
     assert set(scene.geometry) == set(NODES)
