@@ -50,8 +50,7 @@ class Face:
     parameters: local values are one per face of the skin, or `per` triangle of the wraps. code: the person's in an
     identity space, where it is known. `choices` are those of `facial_scene`, less the bones, which hang free in the
     expressions' scenes unless these say otherwise. `settling` are options of `settle`. accuracy: of the neutral answer
-    that derivatives are taken at; see `rest_among_targets`. `like` lends the symbolic work of a face of the same
-    template and choices. `on_iteration` sees how the face settles, and may end it.
+    that derivatives are taken at; see `rest_among_targets`. `on_iteration` sees how the face settles, and may end it.
 
     InputError for shapes of another size, unit or order of vertices, and for derivatives of a face that does not
     settle. What is asked raises what the simulator raises.
@@ -348,7 +347,7 @@ class Face:
         key = np.asarray(weights, dtype=np.float64).tobytes()
         if key not in self._frames:
             self._frames.clear()
-            frame = differentiate(self._rest(self.scene(weights)), accuracy=self.accuracy, like=self.like)
+            frame = differentiate(self._rest(self.scene(weights)), accuracy=self.accuracy)
             if not frame.answer.is_balanced:
                 raise InputError(f"the frame does not converge ({frame.answer.reason})")
             self._frames[key] = frame
