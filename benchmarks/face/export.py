@@ -14,7 +14,7 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ..harness import run
 from ..harness.study import Results
-from ..studies.mesh.face import CONVERGED, LEAST_BAND, LINEAR, METHODS, QUADRATIC, SAFETY, FaceBenchmark, extrapolate
+from ..studies.mesh.face import CONVERGED, LEAST_BAND, LINEAR, QUADRATIC, SAFETY, FaceBenchmark, extrapolate
 from .archive import write_archive
 from .problems import MESHES, PROBLEMS, Body
 from .score import rms
@@ -31,20 +31,21 @@ def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgre
         failed = next((f"{row.case}, {row.method}: {row.reason}" for row in results.rows if not row.done), "")
         raise InputError(f"{folder}: some answers are missing, so nothing was written ({failed})")
     bodies = study.bodies()
+    by_mesh = dict(zip(MESHES, bodies, strict=True))
     moved = {
-        (row.case, row.method): _read(folder / row.values["displacement"], bodies[METHODS[row.method].mesh])
+        (row.case, row.method): _read(folder / row.values["displacement"], by_mesh[row.method.rpartition(", ")[2]])
         for row in results.rows
         if row.method != CONVERGED
     }
     answers: dict[str, Floats] = {}
     for problem, limit in limits.items():
-        coarse, medium, fine = (moved[problem, method.name][: len(bodies[0].vertices)] for method in QUADRATIC)
+        coarse, medium, fine = (moved[problem, method][: len(bodies[0].vertices)] for method in QUADRATIC)
         converged, _ = extrapolate(coarse, medium, fine)
         answers[f"{problem}.converged"] = converged
         for name, size in (("band_mm", rms), ("largest_mm", lambda each: float(np.linalg.norm(each, axis=1).max()))):
             limit[name] = max(SAFETY * size(converged - fine), LEAST_BAND * size(converged))
-        for method in LINEAR:  # 1e-6 mm are enough, in half the bytes
-            answers[f"{problem}.linear.{MESHES[method.mesh]}"] = moved[problem, method.name].astype(np.float32)
+        for mesh, method in zip(MESHES, LINEAR, strict=True):  # 1e-6 mm are enough, in half the bytes
+            answers[f"{problem}.linear.{mesh}"] = moved[problem, method].astype(np.float32)
     return results, write_archive(path, bodies, limits, answers, ", ".join(results.commits))
 
 

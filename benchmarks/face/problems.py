@@ -16,14 +16,14 @@ from scipy.sparse import eye
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from ...lhm.base.geometry.topology import graph_laplacian, midpoints, neighbours
-from ...lhm.base.mesh import Floats, Ints, Surface, TetMesh
+from ...lhm.base.geometry.topology import graph_laplacian, neighbours
+from ...lhm.base.mesh import Floats, Ints, Surface
 from ...lhm.head.columns import fill_harmonically
 from ...lhm.head.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.head.remesh import EDGES, refine_tets
 from ...lhm.identities.cut import largest_piece
 from ...reference import Scene, materials, terms
 from ...reference.face.parameters import STANDARD_GRAVITY, TISSUE_DENSITY
+from ..studies.mesh.refine import Split, carry
 from .score import MESHES as MESHES
 
 POISSON = 0.45
@@ -104,33 +104,17 @@ class Body:
 
     def refine(self) -> Body:
         """Split every tet into eight; old vertices stay first, and children of a tet follow one another."""
-        count = len(self.vertices)
-        finer, parent = refine_tets(TetMesh(self.vertices, self.tets))
-        ends, _ = midpoints(self.tets, EDGES, count)
-        keys = ends @ [count, 1]
-
-        def split(triangles: Ints) -> Ints:
-            a, b, c = triangles.T
-            ab, bc, ca = (
-                count + np.searchsorted(keys, np.minimum(p, q) * count + np.maximum(p, q))
-                for p, q in ((a, b), (b, c), (c, a))
-            )
-            parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-            return np.stack(parts, axis=1).reshape(-1, 3)
-
-        def carry(values: Floats) -> Floats:
-            return np.concatenate([values, values[ends].mean(axis=1)])
-
+        split = Split.from_tets(self.vertices, self.tets)
         return replace(
             self,
-            vertices=finer.vertices,
-            tets=finer.tets,
-            layer=self.layer[parent],
-            held=split(self.held),
-            skin=split(self.skin),
-            patch=split(self.patch),
-            jaw=carry(self.jaw),
-            shares={name: carry(share) for name, share in self.shares.items()},
+            vertices=split.mesh.vertices,
+            tets=split.mesh.tets,
+            layer=self.layer[split.parents],
+            held=split.triangles(self.held),
+            skin=split.triangles(self.skin),
+            patch=split.triangles(self.patch),
+            jaw=carry(self.jaw, split.ends),
+            shares={name: carry(share, split.ends) for name, share in self.shares.items()},
             level=self.level + 1,
         )
 

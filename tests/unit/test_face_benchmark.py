@@ -13,7 +13,7 @@ import pytest
 from softdeca.benchmarks.face import score as scorer
 from softdeca.benchmarks.face.export import export
 from softdeca.benchmarks.face.problems import BONES, PROBLEMS
-from softdeca.benchmarks.studies.mesh.face import METHODS, tabulate_answers
+from softdeca.benchmarks.studies.mesh.face import RUNS, tabulate_answers
 from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import solve
 from softdeca.reference.solution import write_solution
@@ -92,7 +92,7 @@ def test_finer_meshes_are_the_same_body_under_the_same_loads(study):
 
 def test_every_problem_has_a_limit_and_its_band(exported):
     folder, results = exported
-    assert results.passed and {row.method for row in results.rows} == {*METHODS, "converged"}
+    assert results.passed and {row.method for row in results.rows} == {*RUNS, "converged"}
     for row in results.rows[-len(PROBLEMS) :]:
         for line in row.values["answers"]:
             name = "FEniCSx, quadratic, fine"

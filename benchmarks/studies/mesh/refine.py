@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,37 @@ from ....reference.problems.meshes import boundary_triangles
 from ....reference.terms.solids import Solid
 
 
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Tets split into eight, with the parent of each, and edges (e, 2) whose middles come after the old vertices.
+
+    Children of a tet follow one another.
+    """
+
+    mesh: TetMesh
+    parents: Ints
+    ends: Ints
+    count: int
+
+    @classmethod
+    def from_tets(cls, vertices: Floats, tets: Ints) -> Split:
+        """Split tets (m, 4)."""
+        mesh, parents = refine_tets(TetMesh(vertices, tets))
+        ends, _ = midpoints(tets, EDGES, len(vertices))
+        return cls(mesh, parents, ends, len(vertices))
+
+    def triangles(self, triangles: Ints) -> Ints:
+        """Split triangles (k, 3) of the old vertices into four each."""
+        keys = self.ends @ [self.count, 1]
+        a, b, c = triangles.T
+        ab, bc, ca = (
+            self.count + np.searchsorted(keys, np.minimum(p, q) * self.count + np.maximum(p, q))
+            for p, q in ((a, b), (b, c), (c, a))
+        )
+        parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+        return np.stack(parts, axis=1).reshape(-1, 3)
+
+
 def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
     """Split every tet of a face by tets into eight; also the edges (e, 2) whose middles come after its vertices.
 
@@ -22,33 +53,22 @@ def refine_scene(scene: Scene) -> tuple[Scene, Ints]:
     it: on boundary triangles whose corners are held. A head that is refined in place of its scene would be another
     problem: guards go by the height of a tet, and shares of flesh by paths along edges.
     """
-    count = len(scene.vertices)
-    finer, _ = refine_tets(TetMesh(scene.vertices, scene.tets))
-    ends, _ = midpoints(scene.tets, EDGES, count)
-    keys = ends @ [count, 1]
-
-    def middles(a: Ints, b: Ints) -> Ints:
-        return count + np.searchsorted(keys, np.minimum(a, b) * count + np.maximum(a, b))
-
-    def split(triangles: Ints) -> Ints:
-        a, b, c = triangles.T
-        ab, bc, ca = middles(a, b), middles(b, c), middles(c, a)
-        parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-        return np.stack(parts, axis=1).reshape(-1, 3)
+    split = Split.from_tets(scene.vertices, scene.tets)
+    finer, ends = split.mesh, split.ends
 
     def refine_term(term: Any) -> terms.Term:
         if isinstance(term, Solid):
             changes = _repeat(term, 8) | {"tets": (8 * scene.tets_of(term)[:, None] + np.arange(8)).ravel()}
             return replace(term, **changes)
         if isinstance(term, terms.SurfaceStrain | terms.Bending):
-            return replace(term, triangles=split(term.triangles), **_repeat(term, 4))
+            return replace(term, triangles=split.triangles(term.triangles), **_repeat(term, 4))
         if isinstance(term, terms.Target):
-            return _refine_springs(term, scene, ends, finer.vertices, split(term.triangles))
+            return _refine_springs(term, scene, ends, finer.vertices, split.triangles(term.triangles))
         return term
 
     held, places = scene.dirichlet()
     border = boundary_triangles(scene.tets)
-    on_held = split(border[held.all(axis=1)[border].all(axis=1)])
+    on_held = split.triangles(border[held.all(axis=1)[border].all(axis=1)])
     ids = np.unique(np.concatenate([np.flatnonzero(held.all(axis=1)), on_held.ravel()]))
     parts = [refine_term(term) for term in scene.terms if not isinstance(term, terms.Fixed)]
     parts.append(terms.Fixed(ids, carry(places, ends)[ids]))

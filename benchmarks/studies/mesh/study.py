@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ....animation.pictures import Panel, draw_strip
-from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError
 from ....lhm.base.limits import SEED, STUDIED_PEOPLE
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
@@ -19,15 +15,15 @@ from ....lhm.expressions import ARKIT, parse_weights
 from ....lhm.head.flesh import cheek_share
 from ....lhm.head.head import LayeredHead
 from ....lhm.template.template import LEVELS
-from ....reference import Face, Parameters, solve
+from ....reference import Face, Parameters
 from ....reference.face.settle import carry_by_bones, carry_skin, neutral_scene
 from ....surrogate import methods as m
 from ....surrogate.corpus.mixture import draw
 from ....surrogate.methods import METHODS, Method, Solved, SolvedRig, use_solver
 from ....surrogate.ruler import measure
-from ...contest import Case, Contest, Made, compare_skins, run_contest
+from ...contest import Case, Contest, Made, compare_skins
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
-from ..measures import distances
+from ..measures import distances, solve_to_end
 from ..person import OfPerson, Person, check_known
 from .face import extrapolate
 from .refine import carry, keep_used, refine_scene
@@ -50,8 +46,6 @@ EXPRESSIONS = (
 """Each is one person's, under random materials and effects."""
 RANDOM = 700
 """Seed of the first expression's parameters."""
-DRAWN = "volume +40 %", "3 g, 2 kPa"
-"""Effects that are drawn on the first person."""
 COARSE = 1
 """Level of the head whose cheek's quadratic tets are refined."""
 REFINED = "quadratic tets, refined twice"
@@ -103,7 +97,9 @@ class MeshError(OfPerson, Contest):
     seed: int = option(900, "seed of the first person", bound=SEED)
     effects: tuple[str, ...] = option(tuple(EFFECTS), f"one of {', '.join(EFFECTS)}; repeat for several")
     expressions: tuple[str, ...] = option(EXPRESSIONS, "as jawOpen*0.5+cheekPuff; repeat for several")
-    refined: tuple[str, ...] = option(DRAWN, "an effect by refined quadratic tets; repeat for several")
+    refined: tuple[str, ...] = option(
+        ("volume +40 %", "3 g, 2 kPa"), "an effect by refined quadratic tets; repeat for several"
+    )
     methods: tuple[str, ...] = option(MESHES, f"one of {', '.join(MESHES)}; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
@@ -111,8 +107,6 @@ class MeshError(OfPerson, Contest):
         self.check(self.expressions)
         check_known("effect", (*self.effects, *self.refined), EFFECTS)
         check_known("method", self.methods, MESHES)
-        if self.people < 1:
-            raise InputError(f"people: must be at least 1, got {self.people}")
         return [*super().tasks(), *(Task(name, REFINED) for name in self.refined)]
 
     def list_cases(self) -> Sequence[str]:
@@ -166,27 +160,8 @@ class MeshError(OfPerson, Contest):
         return Case("uncounted", "effects", lambda: _make_face(person, EFFECTS["volume -20 %"]), weights)
 
     def measure(self, task: Task) -> Values:
-        """Solve one case by its meshes, or an effect on refined ones; each is one of `rows`."""
-        if task.method == REFINED:
-            return _refine(self.person(COARSE, self.seed), task.case)
-        case = self.make_case(task.case)
-        skins: dict[str, Floats] = {}
-
-        def remember(method: str, frame: Made) -> None:
-            skins[method] = frame.skin
-
-        methods, truths = self.list_methods(task.case), self.list_truths(task.case)
-        rows = run_contest(case, methods, truths, compare=self.compare, warm=self.warm(), on_frame=remember)
-        pictures = {}
-        text, number = self._describe_cases()[task.case]
-        if text in DRAWN and number == 0 and {m.PD, m.PD_TETS, TRUTH} <= skins.keys():
-            face = case.make()
-            missed = {row["method"]: 100 * row["to"][TRUTH]["share"] for row in rows if row["to"]}
-            shown = {f"{name}: misses {missed[name]:.0f} %": skins[name] for name in (m.PD_TETS, m.PD)}
-            caption = f"{text}: how far tets and prisms are off, and how far quadratic tets move"
-            moved = skins[TRUTH] - face.blend(case.weights[0]) - face.carried
-            pictures[caption] = draw_errors(face.head, shown, skins[TRUTH], moved)
-        return {"rows": rows, **pictures}
+        """Solve one case by its meshes, each one of `rows`, or an effect on refined ones."""
+        return _refine(self.person(COARSE, self.seed), task.case) if task.method == REFINED else super().measure(task)
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
@@ -251,22 +226,6 @@ class MeshError(OfPerson, Contest):
         ]
         return [table for table in tables if table.rows]
 
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Draw what each mesh misses against its time."""
-        compared = [line for row in rows for line in self.lines(row.values) if "share" in line]
-        figure, axis = subplots(figsize=(6.4, 3.8))
-        for name in MESHES:
-            own = [line for line in compared if line["method"] == name and line["share"] is not None]
-            if own:
-                seconds, shares = (np.array([line[key] for line in own]) for key in ("seconds", "share"))
-                (dots,) = axis.plot(seconds, 100 * shares, ".", alpha=0.35)
-                axis.plot(np.median(seconds), 100 * shares.mean(), "o", color=dots.get_color(), ms=8, label=name)
-        if not axis.lines:
-            return {}
-        axis.set(xscale="log", ylim=(0.0, None), xlabel="processor time [s]", ylabel="missed, of the motion [%]")
-        axis.legend(fontsize=8)
-        return {"What a mesh misses against its time; large: mean and median.": to_svg(figure)}
-
 
 def _make_face(person: Person, p: Parameters) -> Face:
     return replace(person.face(p), choices={"bones": "prescribed"})
@@ -325,47 +284,27 @@ def _refine(person: Person, effect: str) -> Values:
     skin = used[used < len(head.bone)]
     carried = carry_by_bones(head, p)
     start = carried[used]
-    rows: list[dict[str, Any]] = []
-    answers: list[tuple[Floats, int]] = []
-    for name in ("its own mesh", "split into eight", "split into 64"):
-        if answers:
+    skins, tets = [], []
+    for mesh in ("its own mesh", "split into eight", "split into 64"):
+        if skins:
             scene, ends = refine_scene(scene)
             start = carry(start, ends)
-        begin = time.process_time()
-        solution = solve(scene, start=start, solver="fenicsx", element="P2", tolerance=TOLERANCE)
-        start = solution.positions
-        seconds = time.process_time() - begin
-        status, reason = ("done", "") if solution.converged else ("failed", solution.reason.name)
-        about = {"case": effect, "kind": "refined", "what": effect, "method": f"quadratic tets, {name}", "to": {}}
-        about |= {"status": status, "reason": reason, "told": {"iterations": solution.iterations}}
-        rows.append(about | {"bind_s": 0.0, "frame_s": seconds})
+        how = {"solver": "fenicsx", "element": "P2", "tolerance": TOLERANCE}
+        start = solve_to_end(scene, f"quadratic tets, {mesh}", start=start, **how).positions
         places = carried[: len(head.bone)].copy()
         places[skin] = start[: len(skin)]
-        moved = head.skin_from_wrap @ (places - head.skin_wrap.vertices)
-        answers.append((head.skin.vertices + moved, len(scene.tets)))
-    coarse, medium, fine = (skin for skin, _ in answers)
-    limit, order = extrapolate(coarse, medium, fine)
+        skins.append(head.skin.vertices + head.skin_from_wrap @ (places - head.skin_wrap.vertices))
+        tets.append(len(scene.tets))
+    limit, order = extrapolate(*skins)
     motion = np.linalg.norm(limit - head.skin.vertices - carry_skin(head, p), axis=1)
-    step, left = (measure(distances(medium, skin), motion).share for skin in (fine, limit))
-    return {"rows": rows, "share": step, "order": order, "left": left, "tets": [tets for _, tets in answers]}
+    step, left = (measure(distances(skins[1], other), motion).share for other in (skins[2], limit))
+    return {"rows": [], "share": step, "order": order, "left": left, "tets": tets}
 
 
 def _left_cheek(head: LayeredHead) -> np.ndarray:
     """Mask the wraps' vertices (n,) of the left cheek; the left half of a head without regions."""
     left = head.skin_wrap.vertices[:, 0] > 0.0
     return left & (cheek_share(head) > 0.0) if "lips" in head.regions else left
-
-
-def draw_errors(head: LayeredHead, skins: Mapping[str, Floats], truth: Floats, moved: Floats) -> bytes:
-    """Draw how far skins (n, 3) are from the truth, by caption, and how far that has `moved` (n, 3) [mm]: PNG."""
-    face = _find_face(head)
-    errors = {caption: distances(skin, truth) for caption, skin in skins.items()}
-    top = max(float(np.percentile(error[face], 99)) for error in errors.values())
-    panels = [Panel(caption, head.skin.with_vertices(skins[caption]), error, top) for caption, error in errors.items()]
-    motion = np.linalg.norm(moved, axis=1)
-    surface = head.skin.with_vertices(truth)
-    panels.append(Panel(f"{TRUTH}: its motion", surface, motion, float(np.percentile(motion[face], 99))))
-    return draw_strip(panels, framed=head.skin.vertices[face])
 
 
 def tell_distance(rows: Sequence[Row]) -> str:
