@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def difference(a: Floats, b: Floats, rest: Floats) -> dict[str, float]:
-    """Measure vertices' distances [mm] of positions `a` to `b`, both (n, 3): mean, rms, 95th percentile and max.
+    """Measure vertices' distances [mm] of positions `a` to `b`, both (n, 3): mean and max.
 
     relative: max over the largest displacement of `b`, which is counted from `rest`.
     """
@@ -32,8 +32,6 @@ def difference(a: Floats, b: Floats, rest: Floats) -> dict[str, float]:
     largest = largest_distance(b, rest)
     return {
         "mean": float(d.mean()),
-        "rms": float(np.sqrt(np.mean(d**2))),
-        "p95": float(np.percentile(d, 95)),
         "max": float(d.max()),
         "relative": float(d.max() / largest) if largest > 0 else float(d.max() > 0),
     }
@@ -147,9 +145,6 @@ class Stopwatch:
         return wall, cpu
 
 
-BUDGET = 30.0
-"""Seconds after which a solve is repeated no more."""
-Result = TypeVar("Result")
 TIMES = (
     Column("scene_s", "scene [s]", cost=True),
     Column("prepare_s", "prepare [s]", cost=True),
@@ -176,15 +171,6 @@ def time_solve(
     laps.append(watch.lap())
     walls = dict(zip(("scene_s", "prepare_s", "solve_s"), (wall for wall, _ in laps), strict=True))
     return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **count_work(solution)}
-
-
-def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
-    """Repeat `work` so often, at least once; less often where that takes over BUDGET."""
-    results: list[Result] = []
-    begin = time.perf_counter()
-    while not results or (len(results) < repeats and time.perf_counter() - begin < BUDGET):
-        results.append(work())
-    return results
 
 
 def count_work(solution: Solution) -> dict:

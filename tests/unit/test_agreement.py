@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softdeca.benchmarks.contest import collect_rows
 from softdeca.benchmarks.harness import Row, run
 from softdeca.benchmarks.studies.agreement.solvers import FENICSX_FROM_PD, OTHER_START
-from softdeca.benchmarks.studies.agreement.study import Agreement, collect
+from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.measures import difference, distances
 from softdeca.surrogate.methods import (
     BLENDSHAPES,
@@ -18,7 +19,6 @@ from softdeca.surrogate.methods import (
     FENICSX,
     FENICSX_NEO_HOOKEAN,
     PD,
-    PD_PLAIN,
     SETTLED,
     SKFEM,
     SKFEM_NEO_HOOKEAN,
@@ -31,7 +31,6 @@ def test_difference_is_that_of_two_points_by_hand():
     rest = np.zeros((2, 3))
     found = difference(np.array([[3.0, 4.0, 0.0], [10.0, 0, 0]]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rest)
     assert (found["mean"], found["max"], found["relative"]) == (2.5, 5.0, 0.5)
-    assert found["rms"] == pytest.approx(np.sqrt(12.5)) and found["p95"] == pytest.approx(4.75)
     assert distances(rest, rest + [0, 0, 2]).tolist() == [2.0, 2.0]
 
 
@@ -53,20 +52,20 @@ def sphere(monkeypatch):
 def test_the_study_of_a_sphere(sphere, tmp_path):
     results = run(sphere, tmp_path)
     assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
-    lines = collect(results.rows)
+    lines = collect_rows(results.rows)
     rivals = (DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
     solvers = (PD, FENICSX_FROM_PD, FENICSX_NEO_HOOKEAN, FENICSX)
     methods = dict.fromkeys(
         ("jawOpen", "rest-3-g", "rest-volume"),
-        (*solvers, PD_PLAIN, SKFEM, SKFEM_NEO_HOOKEAN, OTHER_START, *rivals),
+        (*solvers, SKFEM, SKFEM_NEO_HOOKEAN, OTHER_START, *rivals),
     )
     methods["jaw-by-bone"] = solvers
     assert [(line["case"], line["method"]) for line in lines] == [
         (case, by) for case in methods for by in methods[case]
     ]
-    assert results.passed and len(results.gates) == 8 and "in all 4 cases" in results.words
+    assert results.passed and len(results.gates) == 7 and "in all 4 cases" in results.words
     text = unescape((tmp_path / "index.html").read_text())
-    assert text.count("<iframe") == 1 and "three.js" in text and text.count('<div class="panels">') == 5
+    assert text.count('<div class="panels">') == 4
     blends = next(line for line in lines if line["method"] == BLENDSHAPES)
     # Where p is the default nothing settles, and doing nothing leaves all of the motion.
     assert blends["to"][PD]["share"] == pytest.approx(1.0, rel=1e-3)
@@ -76,7 +75,7 @@ def test_an_effect_of_a_sphere(sphere, tmp_path):
     results = run(replace(sphere, level=3, cases=("bells-palsy", "collisions")), tmp_path)
     assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
     assert results.passed and "Of 2 effects bells-palsy changes its expression most" in results.words
-    pictures = [[key for key in row.values if key != "rows"] for row in results.rows[1:-1]]
+    pictures = [[key for key in row.values if key != "rows"] for row in results.rows]
     assert [len(each) for each in pictures] == [4, 5]
 
 

@@ -138,9 +138,9 @@ def test_counts_are_the_solvers(element):
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
-    """Two heads, of which one is drawn: the folder and its results."""
+    """Two heads: the folder and its results."""
     out = tmp_path_factory.mktemp("heads")
-    return out, run(Heads(count=2, gallery=1, level=1), out, workers=1)
+    return out, run(Heads(count=2, level=1), out, workers=1)
 
 
 def test_each_head_is_that_of_its_seed(two):

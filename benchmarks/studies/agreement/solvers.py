@@ -17,14 +17,12 @@ from ....reference.face.facial import PD_ENERGY, FaceLaw, apply_law
 from ....surrogate import methods as m
 from ....surrogate.methods import Method, Solved, SolvedRig, tell_solution
 from ..cases import Case
-from ..measures import ACCURACY, TIGHT, distances, trace_solve, trace_to_itself
+from ..measures import TIGHT, distances
 
 FENICSX_FROM_PD = "FEniCSx, from PD's answer"
 OTHER_START, WITHOUT = "PD, from another start", "PD, without the effect"
 WARM = TIGHT / m.ROUGH
 """Gradient norm over its start of what starts at PD's answer to ROUGH."""
-PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
-"""Plain projective dynamics stops here [mm], below what its iterations are counted to, or after so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +52,9 @@ def watch_pd(face: Face) -> SolvedRig:
 
     def solve_frame(weights: Floats) -> Solved:
         scene = own.scene(weights)
-        solution, trace = trace_to_itself(prepare(scene), start=settled.positions)
+        solution = prepare(scene).solve(start=settled.positions, tolerance=TIGHT)
         solved = tell_solution(own, weights, solution)
-        more = {"to_001_mm": trace.iterations_to(ACCURACY), "gradient": trace.gradient[-1]}
-        return replace(solved, told={**solved.told, **more, **tell_pd(own, weights, scene, solution)})
+        return replace(solved, told={**solved.told, **tell_pd(own, weights, scene, solution)})
 
     return SolvedRig(own.skin, solve_frame, settled)
 
@@ -89,25 +86,6 @@ def measure_overlap(scene: Scene, positions: Floats) -> dict[str, Any]:
     (contact,) = scene.of(terms.Contact)
     pairs, depth = TriangleTree(positions, contact.triangles).measure_overlap()
     return {"crossings": pairs, "overlap_mm": depth}
-
-
-def run_plain(face: Face) -> SolvedRig:
-    """Bind plain PD, whose every iteration is compared with PD's answer, and which stops near it."""
-    own, settled = settle_tightly(face)
-    by_pd = watch_pd(face)
-
-    def solve_frame(weights: Floats) -> Solved:
-        solution, trace = trace_solve(
-            prepare(own.scene(weights), method="plain"),
-            by_pd.solve(weights).positions,
-            start=settled.positions,
-            enough=PLAIN_STOP,
-            max_iterations=PLAIN_LIMIT,
-        )
-        told = {"iterations": solution.iterations, "to_001_mm": trace.iterations_to(ACCURACY)}
-        return Solved(own.skin_after(weights, solution.positions), solution.positions, told)
-
-    return SolvedRig(own.skin, solve_frame, settled)
 
 
 def start_elsewhere(face: Face) -> SolvedRig:
@@ -156,13 +134,13 @@ FROM_PD = m.solve_by(FENICSX_FROM_PD, "fenicsx", "#d62728", tolerance=WARM, near
 
 
 def list_solvers(case: Case, laws: Sequence[str]) -> list[Method]:
-    """List the solvers of a case by PD's energy and by laws; scikit-fem and plain PD check expressions and loads."""
+    """List the solvers of a case by PD's energy and by laws; scikit-fem checks expressions and loads."""
     if case.contact:
         solvers = [Method(m.FENICSX, freeze_contact)]
     else:
         solvers = [m.METHODS[m.FENICSX], FROM_PD, *map(m.solve_law, laws)]
     if case.is_plain:
-        solvers += [Method(m.PD_PLAIN, run_plain), m.METHODS[m.SKFEM], *(m.solve_law(law, m.SKFEM) for law in laws)]
+        solvers += [m.METHODS[m.SKFEM], *(m.solve_law(law, m.SKFEM) for law in laws)]
     if case.scene is None:
         solvers.append(Method(OTHER_START, start_elsewhere))
     if case.without is not None:
