@@ -44,8 +44,7 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": Table("Statements", ["statement", "measured", "bound", "reached"], gates),
         "figures": study.pictures(done) if done else {},
-        "pictures": {caption: encode_panels(png) for row in done for caption, png in read_files(row, folder, ".png")},
-        "pages": {caption: page.decode() for row in done for caption, page in read_files(row, folder, ".html")},
+        "pictures": {caption: encode_panels(png) for row in done for caption, png in read_pictures(row, folder)},
         "tables": study.tables(done) if done else [],
         "rows": tabulate_rows(study, done),
         "failed": Table("What could not be measured", ["case", "method", "", "why"], failed),
@@ -88,10 +87,10 @@ def summarise_cell(value: Any) -> Any:
     return value
 
 
-def read_files(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
-    """Read the pictures or the pages of a row, by caption."""
+def read_pictures(row: Row, folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Read the pictures of a row, by caption."""
     for key, name in row.values.items():
-        if isinstance(name, str) and name.endswith(kind) and (folder / name).is_file():
+        if isinstance(name, str) and name.endswith(".png") and (folder / name).is_file():
             yield f"{row.case}, {row.method}: {key}", (folder / name).read_bytes()
 
 

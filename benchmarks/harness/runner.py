@@ -30,8 +30,6 @@ from .study import Results, Row, Study, Task, Values, at_most
 
 EVERY = 20.0
 """[s] between two looks at results while tasks run."""
-FIRST_BYTES = {".png": b"\x89PNG", ".npy": b"\x93NUMPY"}
-"""First bytes by kind of file; a file with none of them is a page."""
 
 
 @dataclass(frozen=True)
@@ -132,12 +130,11 @@ class _Run:
         return bool(self._rows)
 
     def add(self, outcome: Outcome) -> None:
-        """Keep what a task gave; pictures, pages and arrays become files, whose names stand in the row."""
+        """Keep what a task gave; pictures and arrays become files, whose names stand in the row."""
         task, values = outcome.job.task, dict(outcome.values)
         for key, value in outcome.values.items():
             if isinstance(value, (bytes, np.ndarray)):
-                content = _as_npy(value) if isinstance(value, np.ndarray) else value
-                kind = next((kind for kind, first in FIRST_BYTES.items() if content.startswith(first)), ".html")
+                content, kind = (_as_npy(value), ".npy") if isinstance(value, np.ndarray) else (value, ".png")
                 name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{task}, {key}")[:120].strip("-") + kind
                 write_whole(self._out / name, content)
                 values[key] = name
