@@ -13,8 +13,9 @@ from ...lhm.head.gates import Direction, is_within
 from ...reference.added import NotModelledError
 
 Values = Mapping[str, Any]
-"""The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures are bytes under their caption, and
-arrays stand under their name; both become files, whose names stand in their place. A NaN makes the row a failure."""
+"""The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures are bytes under their caption,
+and arrays stand under their name; both become files, whose names stand in their place. A NaN makes the row a failure.
+"""
 
 
 @dataclass(frozen=True)

@@ -131,46 +131,32 @@ def largest_distance(a: Floats, b: Floats) -> float:
     return float(distances(a, b).max())
 
 
-class Stopwatch:
-    """Wall and processor time [s] since it was made or last read."""
-
-    def __init__(self):
-        self._begin = time.perf_counter(), time.process_time()
-
-    def lap(self) -> tuple[float, float]:
-        """Give wall and processor time since the last lap."""
-        now = time.perf_counter(), time.process_time()
-        wall, cpu = now[0] - self._begin[0], now[1] - self._begin[1]
-        self._begin = now
-        return wall, cpu
-
-
 TIMES = (
     Column("scene_s", "scene [s]", cost=True),
     Column("prepare_s", "prepare [s]", cost=True),
     Column("solve_s", "solve [s]", cost=True),
-    Column("cpu_s", "processor time of all three [s]", cost=True),
+    Column("cpu_s", "all of it [s]", cost=True),
 )
+"""Processor times."""
 COUNTS = (
     Column("iterations", "iterations", cost=True),
     Column("linear_iterations", "CG iterations", cost=True),
 )
-ENDED = Column("reason", "ended")
 
 
 def time_solve(
     make: Callable[[], Scene], tolerance: float, *, start: Floats | None = None, **how
 ) -> tuple[Solution, dict]:
     """Make, prepare and solve a scene, by `how` as `prepare` takes it; the solution, and the values of the columns."""
-    watch = Stopwatch()
+    marks = [time.process_time()]
     scene = make()
-    laps = [watch.lap()]
+    marks.append(time.process_time())
     prepared = prepare(scene, **how)
-    laps.append(watch.lap())
+    marks.append(time.process_time())
     solution = prepared.solve(tolerance=tolerance, start=start)
-    laps.append(watch.lap())
-    walls = dict(zip(("scene_s", "prepare_s", "solve_s"), (wall for wall, _ in laps), strict=True))
-    return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **count_work(solution)}
+    marks.append(time.process_time())
+    times = dict(zip(("scene_s", "prepare_s", "solve_s"), np.diff(marks).tolist(), strict=True))
+    return solution, {**times, "cpu_s": marks[-1] - marks[0], **count_work(solution)}
 
 
 def count_work(solution: Solution) -> dict:

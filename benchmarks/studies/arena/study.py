@@ -93,7 +93,7 @@ class ErrorOverTime(Study):
             answers = problems.list_answers(problem, law, entrant.element)
         except SoftdecaError as without:
             raise NotModelledError(f"no answer to compare with: {without}") from None
-        begin = answers[0] if start == ANSWER else problem.vertices if problem.begin is None else problem.begin
+        begin = answers[0] if start == ANSWER else problem.vertices
         size = len(problem.tets) * (1 if entrant.element == LINEAR else 8)  # so many linear tets have its nodes
         values = run(entrant, problem, law, answers, self.budget or find_budget(size), begin)
         found = answers[values["answer"] or 0]

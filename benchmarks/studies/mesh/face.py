@@ -20,7 +20,7 @@ from ....surrogate import methods as m
 from ...face.problems import MESHES, PROBLEMS, Body, body_of, describe_measures
 from ...face.score import find_unit, measure
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most
-from ..measures import count_work
+from ..measures import COUNTS, count_work
 from ..person import person
 
 ORDERS = 0.5, 3.0
@@ -80,8 +80,7 @@ class FaceBenchmark(Study):
         Column("mean_mm", "skin, mean [mm]"),
         Column("largest_mm", "skin, largest [mm]"),
         Column("mandible_mN", "force on the mandible [mN]"),
-        Column("iterations", "iterations", cost=True),
-        Column("linear_iterations", "CG iterations", cost=True),
+        *COUNTS,
     )
     note = (
         "Neo-Hookean tissue on nested meshes, each of eight times the tets of the one before. The skin's figures are "

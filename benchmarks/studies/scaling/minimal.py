@@ -47,12 +47,7 @@ def lower_face(head: LayeredHead) -> np.ndarray:
     return head.regions["face"] & (height < height[head.regions["lids"]].min())
 
 
-ADDED: Mapping[str, Change] = {
-    "with contact of lips and lids": choose(contact=("lips", "lids")),
-    "with soft bones (Eq. 13)": choose(bones="soft"),
-    "with connecting tets to the skull": lambda face: choose(attached=bone_points(face.head))(face),
-}
-LEFT_OUT: Mapping[str, Change] = {
+CHANGES: Mapping[str, Change] = {
     "without muscle layer": choose(without=("muscle",)),
     "without softness of muscle in strain": change_parameters(muscle_strain_ratio=1.0),
     "without membrane of the skin": choose(without=("skin",)),
@@ -60,8 +55,11 @@ LEFT_OUT: Mapping[str, Change] = {
     "without tissue outside the lower face": lambda face: choose(region=lower_face(face.head))(face),
     "without free rigid mandible": choose(bones="prescribed"),
     "without gravity beyond the scan's": change_parameters(gravity=1.0, gravity_x=0.0, gravity_y=-1.0, gravity_z=0.0),
+    "with contact of lips and lids": choose(contact=("lips", "lids")),
+    "with soft bones (Eq. 13)": choose(bones="soft"),
+    "with connecting tets to the skull": lambda face: choose(attached=bone_points(face.head))(face),
 }
-"""Pieces that a scene may do without: layers, terms, regions (others are carried along), motions of bone."""
+"""Pieces that a scene may do without, layers, terms, regions (others are carried along) and motions of bone, or add."""
 ADDED_GRAVITY = "without gravity beyond the scan's"
 """Only of a case that has some."""
 
@@ -124,8 +122,7 @@ class Minimal(Contest, OfPerson):
     def list_methods(self, name: str) -> Sequence[Method]:
         """List each piece that may be left out, or added."""
         heavy = EFFECTS.get(name, Parameters()).added_gravity.any()
-        changes = {piece: change for piece, change in LEFT_OUT.items() if piece != ADDED_GRAVITY or heavy}
-        return [solve_changed(piece, change) for piece, change in {**changes, **ADDED}.items()]
+        return [solve_changed(piece, CHANGES[piece]) for piece in CHANGES if piece != ADDED_GRAVITY or heavy]
 
     def list_truths(self, name: str) -> Sequence[Method]:
         """List the whole scene."""
@@ -149,7 +146,7 @@ class Minimal(Contest, OfPerson):
         """Tell which piece alone may go."""
         spare: dict[str, list[str]] = {}
         for line in collect_rows(rows):
-            may_go = line["method"] in LEFT_OUT and WHOLE in line["to"]
+            may_go = line["method"].startswith("without") and WHOLE in line["to"]
             names = [line["method"]] if may_go and line["to"][WHOLE]["farthest"] <= ALLOWED else []
             spare.setdefault(line["case"], []).extend(names)
         parts = [f"{case} {', or '.join(names) or 'with all'}" for case, names in spare.items()]
