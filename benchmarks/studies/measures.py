@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,67 +49,18 @@ def find_arrival(errors: Sequence[float], bound: float) -> int | None:
     return first if first < len(errors) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """Per iteration, the start first: time [s], largest distance of a vertex from the truth [mm], gradient norm [1].
-
-    The gradient norm is over that of the start.
-    """
-
-    seconds: Sequence[float]
-    error: Sequence[float]
-    gradient: Sequence[float]
-
-    def iterations_to(self, bound: float) -> int | None:
-        """Give the iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
-        return find_arrival(self.error, bound)
-
-    def seconds_to(self, bound: float) -> float | None:
-        """Time [s] from which on the error stays at most `bound` [mm], None if it does not."""
-        arrival = self.iterations_to(bound)
-        return None if arrival is None else float(self.seconds[arrival])
-
-    def tolerance_for(self, bound: float) -> float | None:
-        """Give the tolerance by which this solve stops where its error comes to stay at most `bound` [mm]."""
-        arrival = self.iterations_to(bound)
-        return None if arrival is None else float(np.min(self.gradient[: arrival + 1]))
-
-
-def trace_solve(
-    prepared: Prepared,
-    truth: Floats,
-    *,
-    start: Floats | None = None,
-    tolerance: float = TIGHT,
-    max_iterations: int | None = None,
-    enough: float = -1.0,
-) -> tuple[Solution, Trace]:
-    """Solve and compare each iteration with the truth [mm], (n, 3); stop where the error is at most `enough` [mm].
-
-    What the comparison costs does not count.
-    """
-    error: list[float] = []
-
-    def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
-        error.append(largest_distance(positions, truth))
-        return error[-1] <= enough
-
-    solution = prepared.solve(start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=see)
-    return solution, _trace(solution, error)
-
-
-def trace_to_itself(
-    prepared: Prepared | ProjectivePrepared, *, start: Floats | None = None, tolerance: float = TIGHT
-) -> tuple[Solution, Trace]:
-    """Trace a tight solve to its own end, to 1e-5 mm: positions on the way are kept in float32."""
+def solve_with_tolerance(prepared: Prepared | ProjectivePrepared, tolerance: float = TIGHT) -> tuple[Solution, float]:
+    """Solve tightly; also the tolerance by which the solve stops where it comes to stay within ACCURACY of its end."""
     visited: list[np.ndarray] = []
 
     def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
         visited.append(positions.astype(np.float32))
         return False
 
-    solution = prepared.solve(start=start, tolerance=tolerance, on_iteration=see)
-    return solution, _trace(solution, [largest_distance(x, solution.positions) for x in visited])
+    solution = prepared.solve(tolerance=tolerance, on_iteration=see)
+    arrival = find_arrival([largest_distance(x, solution.positions) for x in visited], ACCURACY)
+    norms = solution.history.gradient_norm
+    return solution, float(np.min(norms[: len(norms) if arrival is None else arrival + 1]) / max(norms[0], 1e-300))
 
 
 def solve_to_end(scene: Scene, what: str, **how: Any) -> Solution:
@@ -119,11 +69,6 @@ def solve_to_end(scene: Scene, what: str, **how: Any) -> Solution:
     if not solution.is_balanced:
         raise SoftdecaError(f"{what}: {solution.reason}")
     return solution
-
-
-def _trace(solution: Solution, error: Sequence[float]) -> Trace:
-    norms = solution.history.gradient_norm
-    return Trace(solution.history.time.tolist(), error, (norms / max(norms[0], 1e-300)).tolist())
 
 
 def largest_distance(a: Floats, b: Floats) -> float:

@@ -18,10 +18,11 @@
 # %%
 import numpy as np
 
+from softdeca.benchmarks.studies.arena.entrants import Entrant
 from softdeca.benchmarks.studies.arena.laws import RIGID
 from softdeca.benchmarks.studies.arena.problems import pull_handles
+from softdeca.benchmarks.studies.arena.runs import run
 from softdeca.benchmarks.studies.arena.study import WorkPrecision
-from softdeca.benchmarks.studies.measures import trace_solve
 from softdeca.benchmarks.studies.verification import Hard, Verification
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
@@ -70,7 +71,7 @@ for case in problems.HARD:
 # ## Work-precision
 #
 # Error against time, beside projective dynamics, on the tets of a face with the energy of as-rigid-as-possible
-# deformation, which both model. The truth is a tight run, and both are stopped at 0.001 mm.
+# deformation, which both model. The truth is a tight run.
 
 # %%
 import matplotlib.pyplot as plt
@@ -79,13 +80,14 @@ space = identities.Anny()
 code, skin = space.sample(np.random.default_rng(0))
 head = fit_head(load_template(level=1), skin)
 shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.3}))[0]
-scene = pull_handles(head, shape).scene(RIGID)
-truth = prepare(scene).solve(tolerance=1e-10).positions
+problem = pull_handles(head, shape)
+truth = prepare(problem.scene(RIGID)).solve(tolerance=1e-10).positions
 figure, axis = plt.subplots(figsize=(6, 3.2))
 for solver in ("projective", NAME):
-    _, trace = trace_solve(prepare(scene, solver=solver), truth, enough=1e-3)
-    axis.loglog(trace.seconds[1:], trace.error[1:], label=solver)
-    print(f"{solver:<13} to 0.01 mm in {trace.seconds_to(0.01):.2f} s")
+    entrant = Entrant(solver, "default", RIGID, {"solver": solver})
+    found = run(entrant, problem, RIGID, [truth], 30.0, problem.vertices)
+    axis.loglog(found["seconds"][1:], found["error_mm"][1:], label=solver)
+    print(f"{solver:<13} to 0.01 mm in {found['to_hundredth_s']:.2f} s")
 axis.set(xlabel="time of the solve [s]", ylabel="largest error of a vertex [mm]")
 axis.legend(frameon=False)
 axis.grid(alpha=0.25)

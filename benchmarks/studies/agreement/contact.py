@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ....lhm.base.geometry.bvh import TriangleTree
-from ....lhm.base.limits import Bound
 from ....lhm.base.mesh import Floats
-from ....lhm.base.option import option
+from ....lhm.expressions import parse_weights
 from ....lhm.head.head import LayeredHead
-from ....reference import Face, Parameters, Reason, Scene, Solution, facial_scene, prepare, solve, terms
-from ....surrogate.methods import PD
+from ....reference import Face, Parameters, prepare, terms
+from ....surrogate import methods as m
+from ....surrogate.methods import Method, Solved, SolvedRig, tell_solution
+from ...contest import Case, Contest, Made, collect_rows, list_failures, run_contest
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances
-from ..person import OfPerson, check_known
+from ..person import OfPerson
 
 LIPS, LIDS = ("lips", "mouth"), ("lids", "eyes")
 POSES: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -26,7 +27,6 @@ POSES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "lids shut": ("eyeBlinkLeft+eyeBlinkRight", LIDS),
 }
 """Expressions in which the regions beside them would go through each other."""
-BOTH = "PD's contact and ipctk's barrier"
 BLINK, SQUINT = "eyeBlinkLeft+eyeBlinkRight", "eyeSquintLeft+eyeSquintRight"
 PRESS, SMILE = "mouthPressLeft+mouthPressRight", "mouthSmileLeft+mouthSmileRight"
 ROLLS = "mouthRollLower+mouthRollUpper"
@@ -63,7 +63,6 @@ MADE_HARDER: Mapping[str, Parameters] = {
     "3 g": Parameters(gravity=3.0),
     "more volume": Parameters(soft_volume=1.4, muscle_volume=1.3),
 }
-FRAMES = Bound("frames", 43, "there are no more", 0)
 OTHERS = (1, 2, 3)
 """Seeds of other people, beside the study's own."""
 AROUND = 5
@@ -72,56 +71,51 @@ STEPS = 4
 """Shares of the way to an expression's targets on which Newton's method meets the barrier little by little."""
 ON_THE_WAY, TOLERANCE = 1e-2, 1e-6
 """Gradient norm relative to its start, before the last share and at the end."""
-MOVES = 0.05
-"""[mm] by which contact has to move a vertex that counts."""
+FREE, BARRIER, FROM_BARRIER = "PD, without contact", "ipctk's barrier", "PD, from the barrier's answer"
+PRESSED, WHOLE = "poses", "hard frames"
+"""Kinds of cases: the tets about the regions in contact, and the whole face."""
+IN_CONTACT = m.solve_by(m.PD, "projective", "#1f77b4", tolerance=TOLERANCE)
 
 
 @dataclass(frozen=True)
-class Contact(OfPerson):
-    """Lips pressed and lids shut by PD and by a barrier."""
+class Contact(Contest, OfPerson):
+    """Lips pressed and lids shut by PD and by a barrier, and hard frames by PD with contact and without."""
 
     name = "contact"
     heading = "Are lips and lids parted as another code parts them?"
     question = "How far is PD's contact from ipctk's barrier, and what does it do on hard frames?"
-    cheap = "press, soft, PD"
+    cheap = "press, soft"
     columns = (
-        Column("overlap_mm", "overlap without contact [mm]"),
-        Column("crossings", "pairs that cross with it"),
-        Column("moved_mean_mm", "contact moves, mean [mm]"),
-        Column("moved_max_mm", "max [mm]"),
-        Column("apart_mean_mm", "PD to barrier, mean [mm]"),
-        Column("apart_max_mm", "max [mm]"),
-        Column("another_minimum_mm", "PD from rest and from the barrier's answer, max [mm]"),
-        Column("iterations_pd", "PD's iterations", cost=True),
-        Column("iterations_free", "without contact", cost=True),
-        Column("iterations_barrier", "Newton's iterations", cost=True),
-        Column("times", "time over that without contact", cost=True),
+        Column("method", "by"),
+        Column(f"{m.PD}: crossings", "pairs that cross without contact"),
+        Column(f"{m.PD}: overlap", "overlap without contact [mm]"),
+        Column(f"{FREE}: crossings", "pairs that cross with contact"),
+        Column(f"{FREE}: rms", "contact moves, RMS [mm]"),
+        Column(f"{FREE}: max", "max [mm]"),
+        Column(f"{BARRIER}: rms", "to the barrier, RMS [mm]"),
+        Column(f"{BARRIER}: max", "max [mm]"),
+        Column("frame_s", "frame [s]", cost=True),
+        Column("iterations", "iterations", cost=True),
+        Column("reason", "ended"),
     )
     note = (
         "One energy, PD's, on one mesh: the tets about lips or lids, beyond which the expression holds the face. PD "
         "keeps surfaces apart on its way from rest; scikit-fem minimises the energy with ipctk's barrier from rest on. "
         "PD starts at the barrier's answer too, and the nearer end counts: by prisms shut lids have two minima. "
-        f"Means are over vertices that contact moves by more than {MOVES:g} mm. Hard frames are of the whole face, "
-        "from rest; their time is that of the processor, prepared, the second of two solves."
+        "Distances are over the surfaces in contact. Hard frames are of the whole face, by tets, from rest. Seconds "
+        "are processor time of a frame of a prepared face."
     )
+    version = 4
 
-    version = 3
-    poses: tuple[str, ...] = option(tuple(POSES), f"one of {', '.join(POSES)}; repeat for several", name="--pose")
-    frames: int = option(43, "hard frames that PD solves with contact and without, 43 at most", bound=FRAMES)
+    def list_cases(self) -> Sequence[str]:
+        """Name each pose, and the hard frames."""
+        return [*POSES, *self._describe_hard()]
 
-    def tasks(self) -> Sequence[Task]:
-        """List each pose, and the hard frames; InputError for an unknown pose."""
-        self.check()
-        check_known("pose", self.poses, POSES)
-        frames = [Task(name, PD) for name in list(self._hard)[: self.frames]]
-        return [*(Task(pose, BOTH) for pose in self.poses), *frames]
-
-    @property
-    def _hard(self) -> Mapping[str, tuple[int | None, str, Parameters]]:
-        """Hard frames by name: the seed, the expression and p."""
-        own = {name: (None, text, Parameters()) for name, text in HARD.items()}
+    def _describe_hard(self) -> Mapping[str, tuple[int, str, Parameters]]:
+        """Give the seed, the expression and p of hard frames, by name."""
+        own = {name: (self.seed, text, Parameters()) for name, text in HARD.items()}
         harder = {
-            f"{name}, {how}": (None, HARD[name], parameters)
+            f"{name}, {how}": (self.seed, HARD[name], parameters)
             for how, parameters in MADE_HARDER.items()
             for name in ("blink, squint", "lower lip raised", "press")
         }
@@ -130,128 +124,129 @@ class Contact(OfPerson):
             for seed in OTHERS
             for name in ("blink", "both lips raised", "close, jaw open")
         }
-        return own | harder | others
+        return {f"{WHOLE}: {name}": described for name, described in (own | harder | others).items()}
+
+    def make_case(self, name: str) -> Case:
+        """Make the face about lips or lids, or the whole face of a hard frame."""
+        if name in POSES:
+            person, (text, regions) = self.person(), POSES[name]
+            choices = {"region": _find_around(person.head, regions), "contact": regions}
+            return Case(
+                name, PRESSED, lambda: Face(person.head, person.shapes, choices=choices), parse_weights(text)[None]
+            )
+        seed, text, parameters = self._describe_hard()[name]
+        person = self.person(seed=seed)
+        return Case(name, WHOLE, lambda: person.face(parameters).in_contact(), parse_weights(text)[None])
+
+    def list_methods(self, name: str) -> Sequence[Method]:
+        """List nothing beside the truths; `measure` adds PD from the barrier's answer."""
+        return []
+
+    def list_truths(self, name: str) -> Sequence[Method]:
+        """List PD without contact and in it, and of a pose the barrier."""
+        free = Method(FREE, lambda face: IN_CONTACT.bind(_without_contact(face)))
+        return [free, IN_CONTACT, *([Method(BARRIER, solve_by_barrier)] if name in POSES else ())]
+
+    def warm(self) -> Case:
+        """Blink on a coarse head."""
+        person = self.person(level=1)
+        return Case("uncounted", WHOLE, lambda: person.face(Parameters()).in_contact(), parse_weights(BLINK)[None])
 
     def measure(self, task: Task) -> Values:
-        """Compare a pose by both codes, or a hard frame with contact and without."""
-        if task.method == PD:
-            seed, text, parameters = self._hard[task.case]
-            person = self.person(seed=seed)
-            return measure_frame(person.face(parameters), person.shape(text))
-        person, (text, regions) = self.person(), POSES[task.case]
-        head, shape, near = person.head, person.shape(text), _find_around(person.head, regions)
+        """Run all methods: of a pose PD from the barrier's answer, too; of a hard frame also the price of contact."""
+        if task.case not in POSES:
+            values = super().measure(task)
+            free, touching = (row["frame_s"] for row in values["rows"])
+            return {**values, "times": touching / free if free and touching else None}
+        made: dict[str, Made] = {}
+        again = Method(FROM_BARRIER, lambda face: start_at(face, made[BARRIER].positions))
+        case, truths = self.make_case(task.case), self.list_truths(task.case)
+        return {"rows": run_contest(case, [again], truths, compare=self.compare, on_frame=made.__setitem__)}
 
-        def scene_at(share: float) -> Scene:
-            targets = head.skin.vertices + share * (shape - head.skin.vertices)
-            return facial_scene(head, Parameters(), targets, region=near, contact=regions)
-
-        return compare_contact(scene_at(1.0), solve_by_barrier(scene_at))
+    def compare(self, face: Face, weights: Floats, own: Made, true: Made) -> Mapping[str, Any]:
+        """Measure how far a frame's surface in contact is from a truth's, and its pairs that cross."""
+        (contact,) = face.scene(weights).of(terms.Contact)
+        assert own.positions is not None and true.positions is not None
+        apart = distances(own.positions, true.positions)[np.unique(contact.triangles)]
+        crossings, overlap = TriangleTree(own.positions, contact.triangles).measure_overlap()
+        rms = float(np.sqrt(np.mean(apart**2)))
+        return {"crossings": crossings, "overlap": overlap, "rms": rms, "max": float(apart.max())}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Check that PD has converged and nothing crosses, that the barrier is solved, and that PD is near it."""
-        poses = [row.values for row in rows if row.method == BOTH]
-        done = [row.values for row in rows]
+        """Check that all are solved, nothing crosses by PD in contact, and PD is near the barrier."""
+        lines = collect_rows(rows)
+        crossing = sum(to["crossings"] > 0 for to in _find(lines, m.PD, FREE).values())
         gates = [
-            at_most("answers of PD that cross", sum(values["crossings"] > 0 for values in done), 0),
-            at_most("answers of PD that have not converged", sum(not values["done"] for values in done), 0),
+            at_most("answers of PD that cross", crossing, 0),
+            at_most("answers that have not converged", len(list_failures(lines)), 0),
         ]
-        if poses:
-            failed = sum(values["reasons"][1] != str(Reason.CONVERGED) for values in poses)
-            share = max(values["apart_mean_mm"] / values["moved_mean_mm"] for values in poses)
-            gates.append(at_most("poses whose barrier was not solved", failed, 0))
-            gates.append(at_most("mean distance of PD's contact to the barrier, of what contact moves", share, 0.05))
-        return gates
+        moved = _find(lines, FREE, BARRIER)
+        shares = [apart / moved[case]["rms"] for case, apart in measure_apart(lines).items()]
+        what = "RMS distance of PD's contact to the barrier, of what contact moves"
+        return gates + ([at_most(what, max(shares), 0.05)] if shares else [])
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell how far the codes are apart in each pose."""
+        """Tell how far the codes are apart in each pose, and what contact does on hard frames."""
+        lines = collect_rows(rows)
+        moved = _find(lines, FREE, BARRIER)
         sentences = [
-            f"{row.case}: contact moves the skin by {row.values['moved_mean_mm']:.2f} mm on average, PD and the "
-            f"barrier are {row.values['apart_mean_mm']:.3f} mm apart"
-            + ("." if row.values["done"] else f"; {' and '.join(row.values['reasons'])}.")
-            for row in rows
-            if row.method == BOTH
+            f"{case}: contact moves the surface by {moved[case]['rms']:.2f} mm (RMS), PD and the barrier are "
+            f"{apart:.4f} mm apart."
+            for case, apart in measure_apart(lines).items()
         ]
-        frames = [row.values for row in rows if row.method == PD]
-        if frames:
-            touching = [values for values in frames if values["pairs"]] or frames
-            left = sum(not values["done"] for values in frames)
-            crossing = sum(values["crossings"] > 0 for values in frames)
+        hard = [line for line in lines if line["kind"] == WHOLE]
+        free, touching = _find(hard, FREE, m.PD), _find(hard, m.PD, FREE)
+        if touching:
+            times = {row.case: row.values["times"] for row in rows if "times" in row.values}
+            crossing = [case for case, to in free.items() if to["crossings"] > 0]
             sentences.append(
-                f"Of {len(frames)} hard frames {sum(values['crossings_free'] > 0 for values in frames)} cross without "
-                f"contact; with it {crossing} cross and {left} have not converged. It moves a vertex by "
-                f"{max(values['moved_max_mm'] for values in frames):.1f} mm at most, and frames that touch cost "
-                f"{np.median([values['times'] for values in touching]):.1f} times those without, in the median."
+                f"Of {len(touching)} hard frames {len(crossing)} cross without contact, and "
+                f"{sum(to['crossings'] > 0 for to in touching.values())} with it, which moves a vertex by "
+                f"{max(to['max'] for to in touching.values()):.1f} mm at most. Those frames cost "
+                f"{np.median([times[case] for case in crossing or free]):.1f} times as much with it, in the median."
             )
         return " ".join(sentences)
 
 
-def measure_frame(face: Face, skin: Floats) -> dict:
-    """Solve an expression's skin (n, 3) [mm] by PD with contact and without; `times`: what contact costs, of without.
-
-    crossings: pairs of triangles. Each is solved twice, and the second time counts.
-    """
-    answers, times = [], []
-    for each in (face, face.in_contact()):
-        scene = each.expression_scene(skin)
-        prepared = prepare(each.neutral_scene())
-        prepared.solve(scene, tolerance=TOLERANCE)
-        begin = time.process_time()
-        answers.append(prepared.solve(scene, tolerance=TOLERANCE))
-        times.append(time.process_time() - begin)
-    free, touching = answers
-    (contact,) = scene.of(terms.Contact)
-    moved = distances(free.positions, touching.positions)
-    crossings, overlap = TriangleTree(free.positions, contact.triangles).measure_overlap()
-    return {
-        "done": touching.converged,
-        "pairs": int(touching.detail["contact_pairs"]),
-        "crossings_free": crossings,
-        "overlap_mm": overlap,
-        "crossings": len(TriangleTree(touching.positions, contact.triangles).self_crossings()),
-        "moved_max_mm": float(moved.max()),
-        "iterations_pd": touching.iterations,
-        "iterations_free": free.iterations,
-        "times": times[1] / times[0],
-    }
+def _find(lines: Sequence[Mapping], method: str, truth: str) -> dict[str, Mapping[str, Any]]:
+    """Find how far a method is from a truth, by case."""
+    return {line["case"]: line["to"][truth] for line in lines if line["method"] == method and truth in line["to"]}
 
 
-def solve_by_barrier(scene_at: Callable[[float], Scene]) -> Solution:
-    """Solve a scene of a share of its motion by scikit-fem and ipctk, share by share from rest to the whole."""
-    prepared, positions = prepare(scene_at(0.0), solver="skfem"), None
-    for step in range(1, STEPS):
-        positions = prepared.solve(scene_at(step / STEPS), start=positions, tolerance=ON_THE_WAY).positions
-    return prepared.solve(scene_at(1.0), start=positions, tolerance=TOLERANCE)
+def measure_apart(lines: Sequence[Mapping]) -> dict[str, float]:
+    """Measure the RMS distance [mm] of PD to the barrier, by its nearer start."""
+    from_rest, from_barrier = (_find(lines, method, BARRIER) for method in (m.PD, FROM_BARRIER))
+    return {case: min(to["rms"], from_barrier.get(case, to)["rms"]) for case, to in from_rest.items()}
 
 
-def compare_contact(scene: Scene, by_barrier: Solution) -> dict:
-    """Solve a scene by PD with and without its Contact, and compare the barrier's answer with both.
+def _without_contact(face: Face) -> Face:
+    """Let surfaces go through each other, and through eyeballs and teeth."""
+    return replace(face, choices={key: each for key, each in face.choices.items() if key not in ("contact", "organs")})
 
-    Figures are over the vertices of the surface in contact. PD starts at rest and at the barrier's answer, and the
-    nearer end counts: lids that fold have two minima.
-    """
-    (contact,) = scene.of(terms.Contact)
-    without = replace(scene, terms=tuple(term for term in scene.terms if term is not contact))
-    ids = np.unique(contact.triangles)
-    free = solve(without, tolerance=TOLERANCE)
-    ends = [solve(scene, start=start, tolerance=TOLERANCE) for start in (None, by_barrier.positions)]
-    by_pd = min(ends, key=lambda end: distances(by_barrier.positions, end.positions)[ids].mean())
-    motion = distances(by_barrier.positions, free.positions)[ids]
-    apart = distances(by_barrier.positions, by_pd.positions)[ids]
-    counts = motion > MOVES
-    return {
-        "done": all(solution.converged for solution in (*ends, by_barrier, free)),
-        "another_minimum_mm": float(distances(ends[0].positions, ends[1].positions)[ids].max()),
-        "reasons": [str(by_pd.reason), str(by_barrier.reason)],
-        "overlap_mm": TriangleTree(free.positions, contact.triangles).measure_overlap()[1],
-        "crossings": int(by_pd.detail["contact_crossings"]),
-        "moved_mean_mm": float(motion[counts].mean()),
-        "moved_max_mm": float(motion.max()),
-        "apart_mean_mm": float(apart[counts].mean()),
-        "apart_max_mm": float(apart.max()),
-        "iterations_pd": by_pd.iterations,
-        "iterations_free": free.iterations,
-        "iterations_barrier": by_barrier.iterations,
-    }
+
+def solve_by_barrier(face: Face) -> SolvedRig:
+    """Bind scikit-fem and ipctk, share by share of the motion from rest to the whole."""
+    prepared = prepare(face.neutral_scene(), solver="skfem")
+
+    def solve_frame(weights: Floats) -> Solved:
+        positions = None
+        for step in range(1, STEPS):
+            positions = prepared.solve(
+                face.scene(step / STEPS * weights), start=positions, tolerance=ON_THE_WAY
+            ).positions
+        return tell_solution(face, weights, prepared.solve(face.scene(weights), start=positions, tolerance=TOLERANCE))
+
+    return SolvedRig(face.skin, solve_frame)
+
+
+def start_at(face: Face, start: Floats | None) -> SolvedRig:
+    """Bind PD, whose frames begin at positions (n, 3) [mm]."""
+    prepared = prepare(face.neutral_scene())
+
+    def solve_frame(weights: Floats) -> Solved:
+        return tell_solution(face, weights, prepared.solve(face.scene(weights), start=start, tolerance=TOLERANCE))
+
+    return SolvedRig(face.skin, solve_frame)
 
 
 def _find_around(head: LayeredHead, regions: Sequence[str]) -> np.ndarray:

@@ -18,7 +18,7 @@ from ....surrogate.corpus.plan import CorpusPlan
 from ....surrogate.methods import PD
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
-from ..measures import ACCURACY, TIMES, count_unfinished, largest_distance, time_solve, trace_to_itself
+from ..measures import ACCURACY, TIMES, count_unfinished, largest_distance, solve_with_tolerance, time_solve
 from ..person import OfPerson
 
 REFERENCE = 1e-9
@@ -91,9 +91,8 @@ class Throughput(OfPerson):
     def _measure_cold(self, kind: str) -> list[dict]:
         seeds = range(self.seed, self.seed + self.people)
         frames = [self._make_frame(seed, kind) for seed in seeds]
-        tight = [trace_to_itself(prepare(face.scene(weights)), tolerance=REFERENCE) for face, weights in frames]
-        needed = [trace.tolerance_for(ACCURACY) or REFERENCE for _, trace in tight]
-        tolerance = float(f"{MARGIN * min(needed):.0e}")
+        tight = [solve_with_tolerance(prepare(face.scene(weights)), REFERENCE) for face, weights in frames]
+        tolerance = float(f"{MARGIN * min(needed for _, needed in tight):.0e}")
         rows = []
         for seed, frame, (truth, _) in zip(seeds, frames, tight, strict=True):
             # A copy of the face has not settled yet.
