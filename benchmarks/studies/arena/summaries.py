@@ -21,15 +21,6 @@ CASES_OF: Mapping[str, Mapping[str, str]] = {
         "without its membrane": "face posed without its membrane, 14.5 k tets",
         "by Eq. 15": "face posed by Eq. 15, 14.5 k tets",
     },
-    "The twisted cube": {
-        "nu 0.3": "cube twisted, nu 0.3",
-        "0.4": "cube twisted, nu 0.4",
-        "0.45, all alike": "cube twisted, nu 0.45",
-        "0.49": "cube twisted, nu 0.49",
-        "0.4999": "cube twisted, nu 0.4999",
-        "half 10 times as stiff": "cube twisted, half 10 times as stiff",
-        "100 times": "cube twisted, half 100 times as stiff",
-    },
 }
 """Problems of one kind by what differs."""
 Side = tuple[str, str]
