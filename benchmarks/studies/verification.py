@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -11,7 +10,7 @@ import numpy as np
 
 from ...lhm.base.option import option
 from ...reference import Reason, problems
-from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
+from ..harness.study import Column, Row, Study, Task, Values, at_most
 from .arena.entrants import list_entrants
 from .arena.laws import NEO_HOOKEAN
 from .arena.problems import Problem, face
@@ -163,20 +162,9 @@ class Hard(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell how many are right, and how many stopped for a reason that is right to name."""
-        kinds = Counter(map(_judge, rows))
-        right, refused, wrong = (kinds[kind] for kind in KINDS)
-        return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
-
-    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Count right, refused and wrong runs by solver and element."""
-        ways = list(dict.fromkeys(row.method for row in rows))
-        outcomes = Counter((row.method, _judge(row)) for row in rows)
-        counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]
-        return [Table("By solver and element", ["solver and element", *KINDS], counts)]
-
-
-KINDS = ("right", "refused", "WRONG")
-
-
-def _judge(row: Row) -> str:
-    return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
+        right = sum(row.values["outcome"] == "passed" for row in rows)
+        passed = sum(row.values["passed"] for row in rows)
+        return (
+            f"Of {len(rows)} cases {right} are right, {passed - right} stop with the reason they should, "
+            f"{len(rows) - passed} are wrong."
+        )
