@@ -64,7 +64,6 @@ WORKERS = Bound("processes", 256, "each takes 0.2 GB or more, whatever the machi
 LEVEL = Bound("as a level", 3, "templates have three", 1)
 STUDIED_PEOPLE = Bound("people of a study", 1_000, "each is minutes of work", 1)
 STUDIED_HEADS = Bound("heads of a study", 100_000, "each is a second of work or more", 1)
-DRAWN_HEADS = Bound("heads to draw", 1_000, "each is simulated and drawn")
 UNKNOWNS = Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1)
 RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")
 
