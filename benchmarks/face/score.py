@@ -25,7 +25,6 @@ import meshio
 import numpy as np
 
 Floats = np.ndarray
-ARCHIVE = "face-benchmark.zip"
 DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
 FORMATS = {".vtu": "vtu", ".msh": "gmsh"}
 """Readers by an answer's suffix; readers of other kinds follow names of more files."""
