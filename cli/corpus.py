@@ -151,7 +151,7 @@ class Generate:
         return plan if self.people is None else replace(plan, identities=self.people), made_with
 
     def _foretell(self, corpus, progress: OnProgress) -> None:
-        """Print what a plan comes to, by the rate of the corpus that lies in `out`, or of two people."""
+        """Print what a plan comes to, by the rate of the corpus that lies in `out`, or of a person."""
         from ..surrogate.corpus.predict import Spent, predict_cost, probe
 
         plan, spent = corpus.plan, Spent.of(corpus.status())

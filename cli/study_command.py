@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
     from ..benchmarks.harness.runner import Results
     from ..benchmarks.harness.study import Study
 
-WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.jsonl. Rows in OUT are kept.
-    What failed is tried again. With PART only cases and methods that have it in their name are measured.
-    Exit status 1 if a gate is missed or a case could not be measured."""
+WRITES = """Writes OUT/index.html, its figures as OUT/figure-1.svg and so on, OUT/results.json and, as rows come,
+    OUT/rows.jsonl. Rows in OUT are kept. What failed is tried again. With PART only cases and methods that have it in
+    their name are measured. Exit status 1 if a gate is missed or a case could not be measured."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +39,29 @@ class RunOptions:
         """Run a study, print its rows and gates, and return the exit status."""
         from ..benchmarks.harness import run
 
+        before = _read_options(folder)
         with show_progress() as progress:
             results = run(study, folder, match=self.match, progress=progress)
+        if before not in (None, results.options):
+            words = (
+                "its page and results.json were of other options; their rows are kept, and come back with these options"
+            )
+            click.echo(f"softdeca: {folder}: {words}", err=True)
         if self.json:
             click.echo((folder / "results.json").read_text())
         else:
             print_results(study, results, folder)
         failed = any(row.status == "failed" for row in results.rows)
         return 1 if failed or (judged and not results.passed) else 0
+
+
+def _read_options(folder: Path) -> Mapping[str, Any] | None:
+    """Read the options of the results in a folder; None where there are none."""
+    from ..benchmarks.harness.results import read_results
+
+    with suppress(InputError):
+        return read_results(folder).get("options")
+    return None
 
 
 RUN_OPTIONS = tuple(field.name for field in list_options(RunOptions))

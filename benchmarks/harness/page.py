@@ -26,17 +26,12 @@ SPECIAL = {
 """Signs that LaTeX writes otherwise."""
 
 
-def render_study(study: Study, results: Results, folder: Path) -> str:
-    """Render a self-contained page; pictures of rows are those in the folder of the results."""
-    content = collect_content(study, results, folder)
-    return render_template("study.html", title=content["heading"], study=content)
-
-
 def collect_content(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     """Collect what a page shows of a study."""
     done = [row for row in results.rows if row.done]
     gates = [(describe_gate(gate), gate["value"], gate["bound"], gate["passed"]) for gate in results.gates]
     failed = [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done]
+    commits = ", ".join(results.commits)
     return {
         "name": study.name,
         "heading": study.heading or study.question,
@@ -49,9 +44,10 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
         "rows": tabulate_rows(study, done),
         "failed": Table("What could not be measured", ["case", "method", "", "why"], failed),
         "options": list(results.options.items()),
+        "commits": commits,
         "machine": [
             *tabulate_machine(results.machine),
-            ("commits of the rows", ", ".join(results.commits)),
+            ("commits of the rows", commits),
             *((f"decided by: {name}", digest) for name, digest in results.decided_by.items()),
         ],
     }

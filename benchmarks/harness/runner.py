@@ -24,7 +24,7 @@ from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.corpus.schedule import count_processors
 from .inputs import find_inputs
-from .page import render_study
+from .page import collect_content, render_template
 from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
 
@@ -51,9 +51,10 @@ def run(
 ) -> Results:
     """Do the tasks of a study that are not done yet, or failed; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, study version, inputs and package versions are kept. `match` chooses tasks by a part of
-    their names. `workers` processes side by side, by default all processors, and one where seconds are compared. Raises
-    InputError where nothing matches and where the folder is in use.
+    The page's figures are OUT/figure-1.svg and so on, too. Rows of the same options, study version, inputs and package
+    versions are kept. `match` chooses tasks by a part of their names. `workers` processes side by side, by default all
+    processors, and one where seconds are compared. Raises InputError where nothing matches and where the folder is in
+    use.
     """
     (results,) = run_together([RunRequest(study, out, match)], workers=workers, progress=progress)
     if isinstance(results, SoftdecaError):
@@ -165,7 +166,11 @@ class _Run:
             words = f"{len(self.tasks) + len(concluded) - len(rows)} tasks are not done yet. {words}"
         results = Results(study.name, study.question, options, self._machine, tuple(rows), gates, words, self._inputs)
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
-        write_whole(self._out / "index.html", render_study(study, results, self._out).encode())
+        content = collect_content(study, results, self._out)
+        for number, svg in enumerate(content["figures"].values(), 1):
+            write_whole(self._out / f"figure-{number}.svg", svg.encode())
+        page = render_template("study.html", title=content["heading"], study=content)
+        write_whole(self._out / "index.html", page.encode())
         return results
 
 

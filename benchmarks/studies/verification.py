@@ -161,10 +161,11 @@ class Hard(Study):
         return [at_most("cases with a fault", sum(not row.values["passed"] for row in rows), 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Tell how many are right, and how many stopped for a reason that is right to name."""
+        """Tell how many are right, how many stopped for a reason that is right to name or for another, and the rest."""
         right = sum(row.values["outcome"] == "passed" for row in rows)
         passed = sum(row.values["passed"] for row in rows)
+        wrong = sum(row.values["outcome"] == "missed" and not row.values["passed"] for row in rows)
         return (
             f"Of {len(rows)} cases {right} are right, {passed - right} stop with the reason they should, "
-            f"{len(rows) - passed} are wrong."
+            f"{len(rows) - passed - wrong} stop with another and say so, {wrong} are wrong."
         )

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .face import People
 from .folder import CorpusStatus
+from .people import people_from_text
 from .plan import LENGTH, CorpusPlan
 from .sequences import load_velocities
 from .shard import FEM_LAWS, TABLES, columns_of
@@ -66,11 +67,11 @@ class Prediction:
 
 
 def probe(plan: CorpusPlan, people: People) -> Spent:
-    """Simulate the plan's second person, with few frames; the first warms caches and does not count."""
+    """Simulate the plan's second person, with few frames; a sphere before it warms caches and does not count."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
     with TemporaryDirectory() as folder, threadpool_limits(1):
+        simulate_person(replace(small, sequences=0), people_from_text("spheres:1"), 0, None)
         begun = load_velocities(Path(folder), small, people) if plan.sequences else None
-        simulate_person(small, people, 0, begun)
         begin = time.monotonic(), time.process_time()
         seconds = simulate_person(small, people, 1, begun).seconds
         busy = (time.monotonic() - begin[0]) / (time.process_time() - begin[1])

@@ -334,6 +334,22 @@ def test_a_bar_pressed_by_a_plane_pushes_back_as_its_stiffness_says(gap, thickne
     np.testing.assert_allclose(solution.reactions[held, 1].sum(), solution.contact_forces[top, 1].sum(), rtol=1e-6)
 
 
+def test_a_block_that_falls_far_comes_to_rest_on_a_plane():
+    """It would fall by metres, of which the plane leaves half a millimetre: springs and plane then carry its weight."""
+    (X, tets), plane, weight = bar((3, 3, 3), (10, 10, 10), (0, -10, 0)), plane_above(0.05), 40.0
+    parts = [
+        terms.Strain(10.0),
+        terms.Volume(40.0),
+        terms.Gravity((0, 1e4, 0), weight / 1e7),
+        terms.Target(np.arange(len(X)), X, 1e-4),
+    ]
+    obstacle = terms.Obstacle(plane.with_vertices(10.0 * plane.vertices))
+    contact = terms.Contact(meshes.boundary_triangles(tets), obstacles=(obstacle,))
+    solution = solve(Scene(X, tets, [*parts, contact]), tolerance=1e-4)
+    carried = 1e-4 * np.sum(solution.positions - X, axis=0)[1] - solution.contact_forces.sum(axis=0)[1]
+    assert solution.converged and carried == pytest.approx(weight, rel=1e-3), solution.reason
+
+
 def test_what_slides_along_has_not_met():
     """A vertex goes far along a triangle, and one through it."""
     scene, _, upper = two_bars()

@@ -105,7 +105,7 @@ class SurrogateOnCorpus(Study):
             "made_with": dict(made.made_with),
         }
         strips = enumerate(draw_worst_frames(exam), start=1)
-        return values | {"corpus": about} | {f"worst frame of the {number}. worst face": png for number, png in strips}
+        return values | {"corpus": about} | {f"worst face no. {number}, its worst frame": png for number, png in strips}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bound the shipped network's shares on its own corpus, so that no trivial rival passes; see `make_gates`."""
@@ -127,12 +127,13 @@ class SurrogateOnCorpus(Study):
             return table
         about = rows[0].values
         trainings = TrainingNote(**about["trained_on"]).trainings
+        who = "person" if about["people"] == 1 else "people"
         # An open exam has refused people that the weights name.
         unseen = "that" if about.get("learned_from") else "of whom nobody says that"
         frames, faces = sum(note.frames for note in trainings), sum(note.all_faces for note in trainings)
         parts = (
             describe_defeats(lines),
-            f"{about['people']} people {unseen} training has not seen ({frames:,} static frames and the derivatives "
+            f"{about['people']} {who} {unseen} training has not seen ({frames:,} static frames and the derivatives "
             f"of {faces:,} faces). Share left of the motion that bones alone do not explain: {'; '.join(sentences)}.",
             table,
         )

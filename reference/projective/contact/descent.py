@@ -295,12 +295,13 @@ class ContactDescent:
         model: slope and curvature of elasticity's energy along the step; where contact's rises by more than that says
         that it falls, elasticity is not asked.
         """
-        share, policy, (slope, curvature) = 1.0, self.policy, model
+        share, least, policy, (slope, curvature) = 1.0, -1.0, self.policy, model
         rounding = problem.policy.rounding * abs(here.total.energy)
-        while share > policy.least:
+        while share > least:
             place = problem.move(here.free.place, share * step)
             x = self.find_places(place)
             met = nearby.find_free_share(here.x, x - here.x)
+            least = policy.least * met if least < 0.0 else least
             if met < 1.0:
                 share *= policy.before * met
                 continue
