@@ -23,7 +23,6 @@ from softdeca.reference import (
     terms,
 )
 from softdeca.reference.materials.material import LameLaw, MixedLaw
-from softdeca.reference.skfem.solids import ByInvariants
 from softdeca.surrogate import Surrogate, methods
 
 pytestmark = pytest.mark.usefixtures("measured_here")
@@ -64,19 +63,6 @@ def test_a_law_of_a_file_stands_beside_the_others_on_a_face_and_on_a_cube():
     assert [truth.name for truth in truths][2:] == [methods.FENICSX_NEO_HOOKEAN, "FEniCSx, Gent"]
     beside = Material().measure(next(task for task in Material().tasks() if task.method == "Gent"))
     assert beside["tiny"] < 5.0 < beside["large"]
-
-
-def test_the_derivatives_of_the_law_are_those_of_its_energy():
-    add_file(LAW)
-    law = ByInvariants(added.added_laws()["Gent"].of_moduli(1.0, 9.0))
-    rng = np.random.default_rng(0)
-    F, h = np.eye(3) + 0.2 * rng.standard_normal((4, 3, 3)), 1e-6
-    P, dP = law.stress(F), law.tangent(F)
-    for i, j in np.ndindex(3, 3):
-        step = h * np.eye(9)[3 * i + j].reshape(3, 3)
-        assert P[:, i, j] == pytest.approx((law.psi(F + step) - law.psi(F - step)) / (2 * h), abs=1e-7)
-        assert dP[..., i, j] == pytest.approx((law.stress(F + step) - law.stress(F - step)) / (2 * h), abs=1e-5)
-    assert np.isinf(law.psi(np.stack([8 * np.eye(3), -np.eye(3)]))).all()
 
 
 def test_a_solver_of_a_file_agrees_with_the_others():

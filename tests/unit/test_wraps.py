@@ -99,6 +99,6 @@ def test_valid_layers_of_wraps_that_cross(ball):
     stack = stacked(unit, 100.0, 94.0, 90.0)
     stack[2 * columns.n :] -= dent * unit  # the skull wrap passes through the others there
     valid = inner.make_valid(columns, stack)
-    skin_pairs, pairs = inner.Crossings.of(columns, valid).find(valid)
+    skin_pairs, pairs = inner.Crossings.from_wraps(columns, valid).find(valid)
     assert len(skin_pairs) == len(pairs) == 0
     assert smallest_dihedrals(valid, columns.tets).min() > 2.0

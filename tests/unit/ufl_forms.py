@@ -1,4 +1,4 @@
-"""UFL's forms of a hyperelastic law, assembled by DOLFINx: what kernels are held against."""
+"""UFL's forms of a law with a pressure, assembled by DOLFINx: kernels are held against them."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -30,7 +30,7 @@ def assemble_tangent(order, quadrature, cells, C):
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
 
-    They are of a displacement function [mm], and of a pressure's [kPa] if there is one.
+    They are of a displacement function [mm], and of a pressure's [kPa].
     """
 
     def __init__(
@@ -38,9 +38,9 @@ class HyperelasticForms:
         displacement,
         cells: Ints,
         material: Material,
-        degree: int = 1,
-        growth: Floats | float = 1.0,
-        pressure=None,
+        degree: int,
+        growth: Floats | float,
+        pressure,
     ):
         space = displacement.function_space
         self.cells, self._degree, self._domain = cells, degree, space.mesh

@@ -36,10 +36,10 @@ def symbols(material: Material, domain) -> SimpleNamespace:
     return SimpleNamespace(**values)
 
 
-def density(displacement, cells: Ints, material: Material, growth: Floats | float, pressure=None):
+def density(displacement, cells: Ints, material: Material, growth: Floats | float, pressure):
     """A law's growth psi(F growth^(-1/3)), and the F that it can be derived by, as UFL's expressions.
 
-    With a pressure psi is the law's mixed density. Without growth F stays itself, so that forms stay small.
+    psi is the law's mixed density. Without growth F stays itself, so that forms stay small.
     """
     F = ufl.variable(ufl.Identity(3) + ufl.grad(displacement))
     domain = displacement.function_space.mesh
@@ -51,8 +51,6 @@ def density(displacement, cells: Ints, material: Material, growth: Floats | floa
     law = material.law if isinstance(material, Incompressible) else material
     assert isinstance(law, EnergyLaw)
     p = symbols(law, domain)
-    if pressure is None:
-        return ratio * law.density(I1, I2, J, p, FUNCTIONS), F
     assert isinstance(material, (MixedLaw, Incompressible))
     return ratio * material.mixed_density(I1, I2, J, pressure, p, FUNCTIONS), F
 
