@@ -80,15 +80,15 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints, policy: PlacementPolicy 
     are cut where they leave the head, and pushed to `policy.muscle_depth` inside the skin.
     """
     outer = close_pockets(skin, parts)
-    marks = find_landmarks(skin, parts)
-    tissue = _Tissue(SignedDistance(outer), marks, _visible(skin, parts).sum(), policy)
+    landmarks = find_landmarks(skin, parts)
+    tissue = _Tissue(SignedDistance(outer), landmarks, _visible(skin, parts).sum(), policy)
     outside = closed_envelope(
         [anatomy.cranium, anatomy.mandible], closing=ENVELOPE.skull_closing, spacing=policy.coarse
     )
     exposed = _find_on_bone(anatomy, outside, policy.on_bone)
     normals = outside.vertex_normals[exposed]
     held = _places(anatomy)
-    goals = _goals(outer, marks, policy)
+    goals = _goals(outer, landmarks, policy)
     similar = _align(tissue, outside.vertices[exposed], normals, held, goals)
     start, normals = similar(outside.vertices[exposed]), normals @ similar.rotation.T
     chosen = farthest_points(start, policy.centres, np.array([0]))
@@ -129,8 +129,8 @@ def _visible(skin: Surface, parts: Ints) -> Mask:
 class _Tissue:
     """Depths under a skin without pockets, against what is published; its triangles from `lids` on are no skin."""
 
-    def __init__(self, phi: SignedDistance, marks: Landmarks, lids: int, policy: PlacementPolicy):
-        self.phi, self.marks, self.lids, self.policy = phi, marks, lids, policy
+    def __init__(self, phi: SignedDistance, landmarks: Landmarks, lids: int, policy: PlacementPolicy):
+        self.phi, self.landmarks, self.lids, self.policy = phi, landmarks, lids, policy
 
     def depths(self, points: Floats, normals: Floats) -> Depths:
         return self.measure(points, normals)[0]
@@ -140,7 +140,7 @@ class _Tissue:
         phi, outward, triangle, weights = self.phi(points)
         corners = self.phi.tree.vertices[self.phi.tree.triangles[triangle]]
         over = np.einsum("kc,kcd->kd", weights, corners)
-        wanted = mean_depth(over, self.marks.eyes, self.marks.mouth)
+        wanted = mean_depth(over, self.landmarks.eyes, self.landmarks.mouth)
         near = (np.einsum("kd,kd->k", normals, outward) > self.policy.facing) | (phi > -self.policy.least)
         return Depths(points, -phi, wanted, near & (triangle < self.lids)), outward
 
@@ -183,20 +183,20 @@ _CHIN_AXES = np.array([[0.0, 0.0, 1.0], [0.0, -(0.5**0.5), 0.5**0.5]])
 """Pogonion is the chin's point farthest to the front, gnathion that farthest to the front and below."""
 
 
-def _goals(outer: Surface, marks: Landmarks, policy: PlacementPolicy) -> Floats:
+def _goals(outer: Surface, landmarks: Landmarks, policy: PlacementPolicy) -> Floats:
     """Place eyes, the incisors' edge, pogonion and gnathion belong, shape (5, 3)."""
     x = outer.vertices
-    origin = marks.eyes.mean(axis=0)
-    drop, unit = origin[1] - marks.mouth[1], marks.face_width
+    origin = landmarks.eyes.mean(axis=0)
+    drop, unit = origin[1] - landmarks.mouth[1], landmarks.face_width
     middle = x[(np.abs(x[:, 0] - origin[0]) < 0.25 * unit) & (x[:, 2] > origin[2] - 0.5 * unit)]
-    lips = middle[np.abs(middle[:, 1] - marks.mouth[1]) < 0.15 * drop]
-    bite = (origin[0], marks.mouth[1] - policy.overlap, lips[:, 2].max() - policy.lip)
+    lips = middle[np.abs(middle[:, 1] - landmarks.mouth[1]) < 0.15 * drop]
+    bite = (origin[0], landmarks.mouth[1] - policy.overlap, lips[:, 2].max() - policy.lip)
     below = (origin[1] - middle[:, 1]) / drop
     chin = middle[(below > 1.35) & (below < 2.0)]
     depths = np.array([[policy.chin], [policy.below_chin]])
     tips = chin[(chin @ _CHIN_AXES.T).argmax(axis=0)] - depths * _CHIN_AXES
     tips[:, 0] = origin[0]
-    return np.vstack([marks.eyes, bite, tips])
+    return np.vstack([landmarks.eyes, bite, tips])
 
 
 def _places(anatomy: Anatomy) -> Floats:

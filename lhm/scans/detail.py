@@ -103,10 +103,10 @@ def measure_heights(smooth: Surface, scan: Surface, policy: DetailPolicy = POLIC
 
 def _shares(template: Template, skin: Surface, fine: FineSkin, policy: DetailPolicy) -> Floats:
     """The share (n,) of its detail that each vertex of the skin shows: none where the neck is cut."""
-    x, marks = skin.vertices, template.marks
+    x, landmarks = skin.vertices, template.landmarks
     stays = (np.abs(fine.end_neck(x) - x) < 1e-6).all(axis=1)
     share = ((template.parts == OUTSIDE) & stays & (visible_sky(skin) > policy.seen)).astype(np.float64)
-    for rim, (least, most) in ((marks.rim, policy.lips), (marks.lids, policy.lids)):
+    for rim, (least, most) in ((landmarks.rim, policy.lips), (landmarks.lids, policy.lids)):
         share *= np.clip((distance_to(x, x[rim]) - least) / (most - least), 0.0, 1.0)
     return share
 

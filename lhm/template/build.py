@@ -135,13 +135,13 @@ def build_template(
     for inside, what in ((muscles, "muscles"), (skull, "skull")):
         if inside is not None:
             _check_inside(inside, skin, what)
-    marks = find_landmarks(skin, parts)
-    if jaw.any() and not marks.known:
+    landmarks = find_landmarks(skin, parts)
+    if jaw.any() and not landmarks.known:
         raise InputError("parts: a jaw that opens needs vertices of the mouth's lining and of the eye sockets")
     skin_twins = find_twins(x)
     opened = skin.with_vertices(symmetrise(x + jaw + lids, skin_twins))
 
-    wrap = _wrap(opened, parts, marks, level, progress)
+    wrap = _wrap(opened, parts, landmarks, level, progress)
     triangle, wrap_weights, _ = TriangleTree(opened.vertices, opened.triangles).closest(wrap.vertices)
     wrap_ids = opened.triangles[triangle]
     triangle, skin_weights, _ = TriangleTree(wrap.vertices, wrap.triangles).closest(opened.vertices)
@@ -149,7 +149,7 @@ def build_template(
     wrap_from_skin = barycentric_matrix(wrap_ids, wrap_weights, shape)
     skin_from_wrap = barycentric_matrix(wrap.triangles[triangle], skin_weights, shape[::-1])
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
-    masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, marks).items()}
+    masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, landmarks).items()}
     twins = None if skin_twins is None else find_twins(wrap.vertices)
     if skin_twins is not None and twins is not None:
         wrap_from_skin = symmetrise_weights(wrap_from_skin, twins, skin_twins)
@@ -162,7 +162,7 @@ def build_template(
     try:
         closed = wrap.vertices - wrap_from_skin @ ((1 - policy.rest_opening) * jaw + lids)
         rest = inner.smooth_creases(columns, closed, policy.layers)
-        wanted = _find_wanted(columns, rest, parts[nearest], marks, muscles, skull, policy)
+        wanted = _find_wanted(columns, rest, parts[nearest], landmarks, muscles, skull, policy)
         stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors), policy.layers)
         for _ in range(policy.pulls):
             if skull is None:
@@ -173,9 +173,9 @@ def build_template(
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
     # A column that ended shorter than wanted shows that there is less room than the ball inside its skin has.
     room = np.where(depths < policy.shortened * wanted.depth, np.minimum(depths, wanted.room), wanted.room)
-    opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[marks.rim])
+    opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[landmarks.rim])
     skull_wrap = stack[2 * columns.n :]
-    if not marks.known:
+    if not landmarks.known:
         bone = np.full(columns.n, CRANIUM) if bone_of is None else bone_of(skull_wrap)
     elif bone_of is None:
         bone = label_bones(rest, opened_wrap, depths, masks, from_lips, columns.edges)
@@ -203,10 +203,10 @@ def _check_inside(inside: Surface, skin: Surface, what: str) -> None:
         )
 
 
-def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: OnProgress) -> Surface:
+def _wrap(opened: Surface, parts: Ints, landmarks: Landmarks, level: int, progress: OnProgress) -> Surface:
     """The sphere shrunk onto the opened skin, denser at lips and lids and in the pockets."""
     x = opened.vertices
-    lips, lids = distance_to(x, x[marks.rim]), distance_to(x, x[marks.lids])
+    lips, lids = distance_to(x, x[landmarks.rim]), distance_to(x, x[landmarks.lids])
     spacing = 1 - 0.6 * np.exp(-((lips / 12.0) ** 2)) - 0.5 * np.exp(-((lids / 10.0) ** 2))
     spacing[parts == MOUTH], spacing[parts == EYES] = 0.4, 0.5
     pockets = (np.minimum(lips, lids) < 8.0) | (parts == MOUTH) | (parts == EYES)
@@ -214,7 +214,7 @@ def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: 
     def part_of_all(what: str, fraction: float) -> None:
         progress(what, 0.7 * fraction)
 
-    focus = x[marks.rim].mean(axis=0) if marks.known else x[x[:, 2].argmax()]
+    focus = x[landmarks.rim].mean(axis=0) if landmarks.known else x[x[:, 2].argmax()]
     return shrink(opened, spacing, pockets, focus, level=level, progress=part_of_all)
 
 
@@ -241,15 +241,15 @@ def _find_wanted(
     columns: Columns,
     wrap: Floats,
     parts: Ints,
-    marks: Landmarks,
+    landmarks: Landmarks,
     muscles: Surface | None,
     skull: Surface | None,
     policy: BuildPolicy,
 ) -> _Wanted:
     """Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance."""
     normals = inner.cone_normals(columns, wrap)[0]
-    if marks.known:
-        length = depth.mean_depth(wrap, marks.eyes, marks.mouth)
+    if landmarks.known:
+        length = depth.mean_depth(wrap, landmarks.eyes, landmarks.mouth)
     else:
         length = np.full(columns.n, depth.SCALP)
     length[parts == MOUTH], length[parts == EYES] = depth.LINING, depth.SOCKET

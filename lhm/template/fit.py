@@ -63,7 +63,7 @@ class _Prepared:
 
     def __init__(self, template: Template, policy: FitPolicy):
         skin, n = template.skin.vertices, template.columns.n
-        first = np.concatenate([template.marks.rim, template.marks.lids])
+        first = np.concatenate([template.landmarks.rim, template.landmarks.lids])
         self.centres = farthest_points(skin, policy.centres, first)
         self.warp = TriharmonicWarp(skin[self.centres])
         self.at_skin = self.warp.basis(skin)

@@ -82,7 +82,7 @@ class Template:
         return self._symmetric_columns or self.columns
 
     @cached_property
-    def marks(self) -> Landmarks:
+    def landmarks(self) -> Landmarks:
         """The landmarks of the skin."""
         return find_landmarks(self.skin, self.parts)
 

@@ -24,7 +24,7 @@ def test_template_and_fit(command, data, tmp_path):
     n = template.columns.n
     assert n == 4842 and template.skull is not None and template.muscles is not None
     skull_wrap = template.stack[2 * n :]
-    scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.marks.eyes[:, 1].mean() + 15.0)
+    scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.landmarks.eyes[:, 1].mean() + 15.0)
     gap = TriangleTree(template.skull.vertices, template.skull.triangles).closest(skull_wrap[scalp])[2]
     # Over the braincase nothing is in the way of lying on the bone.
     assert np.quantile(gap, 0.9) < 0.5

@@ -43,7 +43,7 @@ def test_jaw_open_opens_the_mouth_and_details_survive(space, template):
     opened = expressions.blend(space, np.zeros(space.code_size), expressions.weights_of({"jawOpen": 1.0}))[0]
     targets = head.wrap_targets(opened)
     np.testing.assert_allclose(head.skin_after(opened, targets), opened, atol=1e-12)
-    rim = template.marks.rim
+    rim = template.landmarks.rim
     middle = np.abs(space.mean.vertices[rim, 0]) < 8
     gap = np.ptp(opened[rim][middle, 1]) - np.ptp(space.mean.vertices[rim][middle, 1])
     assert gap > 20

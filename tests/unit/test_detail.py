@@ -36,10 +36,10 @@ def fine():
 def plain(template):
     """Fine vertices beyond all in which a scan's detail is not shown, and not at the neck."""
     x = FineSkin.from_skin(MEAN).refine(MEAN.vertices).vertices
-    marks = template.marks
-    away = distance_to(x, MEAN.vertices[marks.rim]) > POLICY.lips[1] + 3.0
-    away &= distance_to(x, MEAN.vertices[marks.lids]) > POLICY.lids[1] + 3.0
-    return away & (x[:, 2] > np.quantile(x[:, 2], 0.7)) & (x[:, 1] > MEAN.vertices[marks.rim, 1].min() - 30.0)
+    landmarks = template.landmarks
+    away = distance_to(x, MEAN.vertices[landmarks.rim]) > POLICY.lips[1] + 3.0
+    away &= distance_to(x, MEAN.vertices[landmarks.lids]) > POLICY.lids[1] + 3.0
+    return away & (x[:, 2] > np.quantile(x[:, 2], 0.7)) & (x[:, 1] > MEAN.vertices[landmarks.rim, 1].min() - 30.0)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_detail_brings_the_skin_onto_the_scan(scan, detail, fine, plain):
 
 def test_lips_and_lids_are_the_templates(template, detail, fine):
     x = fine.refine(MEAN.vertices).vertices
-    for rim, (least, _) in ((template.marks.rim, POLICY.lips), (template.marks.lids, POLICY.lids)):
+    for rim, (least, _) in ((template.landmarks.rim, POLICY.lips), (template.landmarks.lids, POLICY.lids)):
         near = distance_to(x, MEAN.vertices[rim]) < 0.5 * least
         assert near.any() and not detail.heights[near].any()
 

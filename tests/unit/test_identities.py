@@ -127,8 +127,8 @@ def test_flames_head_is_closed_with_pockets_and_a_jaw(arrays, tmp_path):
     mesh = trimesh.Trimesh(space.mean.vertices, space.triangles, process=False)
     assert mesh.is_watertight and mesh.euler_number == 2 and mesh.volume > 0
     assert all((space.parts == part).sum() > 20 for part in (OUTSIDE, MOUTH, EYES, CAP))
-    marks = find_landmarks(space.mean, space.parts)
-    assert marks.eyes[0, 0] > 20 > -20 > marks.eyes[1, 0] and marks.mouth[1] < -30
+    landmarks = find_landmarks(space.mean, space.parts)
+    assert landmarks.eyes[0, 0] > 20 > -20 > landmarks.eyes[1, 0] and landmarks.mouth[1] < -30
     lining = space.mean.vertices[space.parts == MOUTH]
     assert np.ptp(lining[:, 2]) > 20
 

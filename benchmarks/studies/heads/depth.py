@@ -144,7 +144,7 @@ def compare_depths(template: Template, regressor: DepthRegressor, skin: Surface,
     predicted = regressor.predict(wrap.vertices)
     fitted = fit_head(template, skin, regressor=regressor).skull_wrap
     off = TriangleTree(skull.vertices, skull.triangles).closest(fitted.vertices)[2]
-    eyes, mouth = template.marks.eyes.mean(axis=0), template.marks.mouth
+    eyes, mouth = template.landmarks.eyes.mean(axis=0), template.landmarks.mouth
     scalp = template.skin_wrap.vertices[:, 1] > eyes[1] + 0.9 * (eyes[1] - mouth[1])
     lines = []
     for name, region in (("face", template.regions["face"]), ("scalp", scalp)):

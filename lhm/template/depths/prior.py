@@ -41,11 +41,11 @@ def prior_pairs(template: Template, space: LinearSpace, rng: np.random.Generator
     wraps, depths = [], []
     for _ in range(count):
         skin = space.sample(rng)[1]
-        marks = find_landmarks(skin, space.parts)
+        landmarks = find_landmarks(skin, space.parts)
         wrap = move_wrap(template, skin.vertices)
-        mean = depth.mean_depth(wrap, marks.eyes, marks.mouth)
+        mean = depth.mean_depth(wrap, landmarks.eyes, landmarks.mouth)
         mean[template.regions["mouth"]], mean[template.regions["eyes"]] = depth.LINING, depth.SOCKET
-        spread = depth.depth_spread(wrap, marks.eyes, marks.mouth)
+        spread = depth.depth_spread(wrap, landmarks.eyes, landmarks.mouth)
         deviation = np.sqrt(np.log1p(spread**2))
         common, own = rng.standard_normal(), field @ rng.standard_normal(field.shape[1])
         factor = np.exp(deviation * (np.sqrt(COMMON) * common + np.sqrt(1 - COMMON) * own) - 0.5 * deviation**2)

@@ -35,20 +35,20 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
     x = skin.vertices
     if not (parts == MOUTH).any():
         raise MeshError("landmarks: the template has no mouth among its parts")
-    marks = find_landmarks(skin, parts)
-    if not len(marks.lids):
+    landmarks = find_landmarks(skin, parts)
+    if not len(landmarks.lids):
         raise MeshError("landmarks: the template has no eyes among its parts")
     ids = {}
-    for side, sign, centre in zip(("left", "right"), (1, -1), marks.eyes, strict=True):
-        lids = marks.lids[np.abs(x[marks.lids, 0] - centre[0]) < 0.9 * marks.face_width]
+    for side, sign, centre in zip(("left", "right"), (1, -1), landmarks.eyes, strict=True):
+        lids = landmarks.lids[np.abs(x[landmarks.lids, 0] - centre[0]) < 0.9 * landmarks.face_width]
         outwards = sign * x[lids, 0]
         ids[f"{side} eye outer"], ids[f"{side} eye inner"] = lids[outwards.argmax()], lids[outwards.argmin()]
-        ids[f"{side} mouth corner"] = marks.rim[(sign * x[marks.rim, 0]).argmax()]
-    middle = marks.eyes.mean(axis=0)
-    drop = middle[1] - marks.mouth[1]
-    profile = np.flatnonzero((parts == OUTSIDE) & (np.abs(x[:, 0] - middle[0]) < 0.15 * marks.face_width))
+        ids[f"{side} mouth corner"] = landmarks.rim[(sign * x[landmarks.rim, 0]).argmax()]
+    middle = landmarks.eyes.mean(axis=0)
+    drop = middle[1] - landmarks.mouth[1]
+    profile = np.flatnonzero((parts == OUTSIDE) & (np.abs(x[:, 0] - middle[0]) < 0.15 * landmarks.face_width))
     profile = profile[x[profile, 2] > middle[2]]
-    height = (x[profile, 1] - marks.mouth[1]) / drop
+    height = (x[profile, 1] - landmarks.mouth[1]) / drop
 
     def foremost(low: float, high: float) -> int:
         band = profile[(height > low) & (height < high)]

@@ -120,7 +120,7 @@ def lay_onto(
     parts: Ints,
     places: Landmarks,
     target: Target,
-    marks: Pairs | None,
+    landmarks: Pairs | None,
     progress: OnProgress,
     *,
     stiff_lids: bool = False,
@@ -128,7 +128,7 @@ def lay_onto(
 ) -> tuple[Floats, int]:
     """Lay a template that stands at `start` onto a skin: its vertices (n, 3) [mm], and how many pairs cross anew.
 
-    `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
+    `places`: the template's rims of mouth and eyes; `landmarks`: points that its vertices are drawn to, fading.
     Visible vertices are drawn to their matches; those in hidden `parts`, those that see no sky but at the lips, and
     those without a match are carried along. Points of the skin that draw the template too hardly lessen its slides
     (.42 and .53 mm in place of .43 and .54 between two heads), and draw a chin down where there is another below it.
@@ -160,7 +160,7 @@ def lay_onto(
             goals, weights = x.copy(), np.zeros(len(x))
             goals[drawn], distance, matched = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
             weights[drawn] = matched * tukey_weights(distance, limit) * match_weight
-            x = _step(model, goals, weights, marks, stiffness, policy)
+            x = _step(model, goals, weights, landmarks, stiffness, policy)
         return x
 
     def find_crossings(x: Floats) -> Ints:
@@ -189,10 +189,15 @@ def lay_onto(
 
 
 def _step(
-    model: SmoothAffine, goals: Floats, weights: Floats, marks: Pairs | None, stiffness: float, policy: NonrigidPolicy
+    model: SmoothAffine,
+    goals: Floats,
+    weights: Floats,
+    landmarks: Pairs | None,
+    stiffness: float,
+    policy: NonrigidPolicy,
 ) -> Floats:
-    if marks is not None:
-        ids, points = marks
+    if landmarks is not None:
+        ids, points = landmarks
         more = policy.landmark * min(1.0, stiffness / policy.landmark_fades)
         pulled = weights[ids, None] * goals[ids] + more * points
         weights[ids] += more

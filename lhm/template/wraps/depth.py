@@ -82,8 +82,8 @@ def _blend(points: Floats, eyes: Floats, mouth: Floats, at_marks: Floats, rest: 
     """The landmarks' values near them in front, `rest` away from them and behind."""
     x, y = _frame(points, eyes, mouth)
     half, origin = 0.5 * np.linalg.norm(eyes[0] - eyes[1]), eyes.mean(axis=0)
-    marks = np.array([(mark.x, mark.y) for mark in LANDMARKS])
-    squared = (0.5 * (x[:, None] - marks[:, 0])) ** 2 + (y[:, None] - marks[:, 1]) ** 2
+    landmarks = np.array([(mark.x, mark.y) for mark in LANDMARKS])
+    squared = (0.5 * (x[:, None] - landmarks[:, 0])) ** 2 + (y[:, None] - landmarks[:, 1]) ** 2
     weight = np.exp(-squared / WIDTH**2)
     front = np.clip((points[:, 2] - (origin[2] - 2.6 * half)) / half, 0.0, 1.0)
     # A little weight everywhere lets the value go to the rest's away from all landmarks.

@@ -64,7 +64,7 @@ def distance_to(points: Floats, places: Floats) -> Floats:
     return cKDTree(places).query(points)[0]
 
 
-def find_regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
+def find_regions(skin: Surface, parts: Ints, landmarks: Landmarks) -> dict[str, Mask]:
     """Masks over the skin's vertices: lips, teeth, mouth, eyes, lids, ears, neck, face.
 
     "face": visible skin in front of the eyes' plane moved back by the face's width, above the chin's underside;
@@ -74,22 +74,22 @@ def find_regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask
     """
     x = skin.vertices
     neck = (parts == CAP) | (distance_to(x, x[parts == CAP]) < 25.0)
-    if not marks.known:
+    if not landmarks.known:
         return {"neck": neck}
-    unit = marks.face_width
-    centre = marks.eyes.mean(axis=0)
-    drop = centre[1] - marks.mouth[1]
+    unit = landmarks.face_width
+    centre = landmarks.eyes.mean(axis=0)
+    drop = centre[1] - landmarks.mouth[1]
     visible = parts == OUTSIDE
     front = (x[:, 2] > centre[2] - 0.6 * unit) & (np.abs(x[:, 0] - centre[0]) < 2.2 * unit)
     height = (x[:, 1] > centre[1] - 1.75 * drop) & (x[:, 1] < centre[1] + 0.9 * drop)
-    rim = distance_to(x, x[marks.rim])
+    rim = distance_to(x, x[landmarks.rim])
     beside = np.abs(x[:, 0] - centre[0]) > 0.6 * np.abs(x[visible, 0] - centre[0]).max()
     between = (x[:, 1] > centre[1] - 1.3 * drop) & (x[:, 1] < centre[1] + 0.6 * drop)
-    beside &= distance_to(x, x[marks.lids]) > 20.0
+    beside &= distance_to(x, x[landmarks.lids]) > 20.0
     thin = visible & beside & between & (inscribed_radius(x, skin.vertex_normals, 40.0) < 6.0)
     return {
         "lips": visible & (rim < 9.0),
-        "lids": visible & (distance_to(x, x[marks.lids]) < 6.0),
+        "lids": visible & (distance_to(x, x[landmarks.lids]) < 6.0),
         "teeth": (parts == MOUTH) & (rim > 5.0) & (rim < 25.0),
         "ears": visible & (distance_to(x, x[thin]) < 4.0) if thin.any() else thin,
         "mouth": parts == MOUTH,
