@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Concepts
 #
-# What happens to a face between the weights of an expression and its skin, in the order in which the program does
-# it. Words are in the [glossary](glossary.md); figures and numbers on this page were computed as it was built.
+# A face's way from the weights of an expression to its skin, in the order in which the program goes it. Words are in
+# the [glossary](glossary.md); figures and numbers on this page were computed as it was built.
 
 # %% tags=["remove-input"]
 import time

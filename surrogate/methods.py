@@ -178,7 +178,7 @@ def use_solver(solver: Solver, cells: CellKind | None = None) -> Callable[[Any],
         settling = {"solver": solver.how["solver"], "tolerance": solver.tolerance}
         if "element" in solver.how:
             settling["element"] = solver.how["element"]
-        # By prisms where the face has them.
+        # It has prisms where the face has them.
         by_pd = use_solver(Solver({"solver": "projective"}, tolerance=ROUGH))(live) if solver.near else None
         if by_pd is not None and by_pd.settled is not None and law == PD_ENERGY:
             settling["start"] = by_pd.settled.positions

@@ -78,7 +78,7 @@ class SphereWorkPrecision(OfSphere, WorkPrecision):
 @dataclass(frozen=True)
 class SphereRanks(OfSphere, Ranks):
     def tasks(self):
-        # By one energy; the other goes the same way.
+        # One energy is enough; the other goes the same way.
         return super().tasks()[::2]
 
 

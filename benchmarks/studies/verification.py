@@ -57,7 +57,7 @@ class Verification(Study):
         tasks = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         if "fenicsx" not in solvers:
             return tasks
-        # What takes longest is first, so that no process is left with it while the others have ended.
+        # The longest tasks are first, so that no process is left with it while the others have ended.
         motions = [Task(name, "projective") for name in MOTIONS if "projective" in solvers]
         fine = [Task(name, "fenicsx") for name in (_list_fine() if self.fine else ())]
         return [Task(HEAD, FELUPE), *motions, *fine, *tasks]

@@ -71,7 +71,7 @@ def volume(s, weight, v):
         others = np.sum(1 / (t * root)[:, :2], axis=1)
         change = ratio / (1 / t[:, 2] + (2 * t[:, 2] - last) * others)
         t[:, 2] = np.maximum(t[:, 2] + change, t[:, 2] / 2)
-    # By both equations, dt = steep (t ds + dm) with Σ dt / t = 0.
+    # Both equations give dt = steep (t ds + dm) with Σ dt / t = 0.
     steep = 1 / (2 * t - s)
     share = steep / np.sum(steep / t, axis=1)[:, None]
     dt = (steep * t)[:, :, None] * np.eye(3) - steep[:, :, None] * share[:, None]

@@ -432,7 +432,7 @@ def _named_one_of(content: dict[str, Any], names: Sequence[str]) -> Any:
     return next((content[name] for name in names if content.get(name) is not None), None)
 
 
-# What both kinds of CSV share.
+# Both kinds of CSV share these.
 
 
 def _delimiter(text: str) -> str:

@@ -152,7 +152,7 @@ class HeadReport:
         coarse = self.wrap_vertices < COARSE
         bounds = dict(COARSE_BOUNDS) if coarse else {"wrap_to_skin_mean": 0.5}
         if self.face_edge_mean is not None:
-            # What lies between a wrap's vertices grows with its triangles, and they with the face.
+            # Distances between a wrap's vertices grow with its triangles, and these with the face.
             larger = self.face_edge_mean / (COARSE_EDGE if coarse else EDGE)
             bounds["wrap_to_skin_mean"] = round(bounds["wrap_to_skin_mean"] * max(1.0, larger), 3)
         figures = (Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
@@ -171,7 +171,7 @@ class HeadReport:
 
 COARSE = 3000
 """Vertices of a wrap, below which it is of level 1."""
-# Of 12 random identities at level 1 the worst have 0.034 and 0.51 mm; at level 2 0.005 and 0.27 mm.
+# The worst of 12 random identities at level 1 have 0.034 and 0.51 mm; at level 2 0.005 and 0.27 mm.
 COARSE_BOUNDS = {"share_below_5_degrees": 0.05, "wrap_to_skin_mean": 0.8}
 EDGE, COARSE_EDGE = 3.64, 7.21
 """[mm] Mean edge in the face of the default template's wraps, of level 2 and 1: a larger face may be farther off."""

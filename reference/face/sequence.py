@@ -191,7 +191,7 @@ class Sequence:
 
     def _solve(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
         scene = self.face.expression_scene(targets)
-        # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
+        # Dynamics take the statics' k, too: k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         self._spring_norm = float(np.linalg.norm(springs))
         absolute = self._tolerance * self._spring_norm

@@ -334,7 +334,7 @@ PRESETS: dict[str, CorpusPlan] = {
         seconds=4.0,
         run=24,
     ),
-    # What `make study` tests the surrogate on: other people, parameters and recordings than those of "small".
+    # `make study` tests the surrogate on these: other people, parameters and recordings than those of "small".
     "study": CorpusPlan(
         cells="tets",  # as what the shipped network is trained on
         seed=94,
@@ -350,7 +350,7 @@ PRESETS: dict[str, CorpusPlan] = {
         hard=10,
         seconds=47.0,
     ),
-    # What the model card is measured on: people nobody trained on, half of their frames of hard expressions.
+    # The model card is measured on these: people nobody trained on, half of their frames of hard expressions.
     "fresh": CorpusPlan(
         cells="tets",  # as what the shipped network is trained on
         seed=4711,

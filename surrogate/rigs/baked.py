@@ -51,7 +51,7 @@ def compress(full: FaceModes) -> FaceModes:
     amplitudes = full.remainder_of(usual_expressions(2, COMPRESSED)).astype(np.float64)
     flat = full.modes.reshape(len(full.modes), -1)
     second = amplitudes.T @ amplitudes / len(amplitudes)
-    # Of the two Gram matrices, since components of amplitudes · modes are wanted and modes are not orthogonal.
+    # Both Gram matrices count: components of amplitudes · modes are wanted, and modes are not orthogonal.
     gram = ssyrk(1.0, flat.T, trans=1).astype(np.float64)  # its upper triangle, in a third of a product's time
     size, turn = np.linalg.eigh(gram, UPLO="U")
     root = turn * np.sqrt(np.maximum(size, 1e-12 * size[-1]))

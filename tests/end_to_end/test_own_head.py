@@ -132,7 +132,7 @@ def test_landmarks_are_named_and_found(command, file, fitted, person, tmp_path, 
     ended = command("head", "fit", "--find-landmarks", found)
     assert ended.status == 0 and "nose tip" in json.loads(found.read_text()) and picture.stat().st_size > 20_000
     picture.unlink()
-    # What registration finds is what it found for the fit.
+    # Registration finds here the skin that it found for the fit.
     laid = SimpleNamespace(vertices=load_head(fitted[0]).skin.vertices)
     monkeypatch.setattr("softdeca.lhm.scans.intake.register", lambda *_, **__: laid)
     ended = command("head", "fit", "--skin", file, "--find-landmarks", found)

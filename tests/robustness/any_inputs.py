@@ -339,7 +339,7 @@ def command_ends(words) -> None:
         sys.argv = before
 
 
-# What is right takes these too long to be tried by the hundred.
+# Right arguments take these too long to be tried by the hundred.
 SLOW = {"register", "remesh", "check_head", "load_template", "fit_head", "settle", "transfer_expressions"}
 SLOW |= {"personalised", "recordings"}
 NUMBERS = st.one_of(

@@ -76,7 +76,7 @@ def test_a_wrap_that_crosses_itself_is_found_far_apart_and_around_one_vertex():
     far = wraps[0].copy()
     far[np.argmax(unit[:, 0])] = [-120.0, 0.0, 0.0]
     assert "crossings_within_skin_wrap" in missed(measured(faces, [far, *wraps[1:]], bone))
-    # Of six triangles around a hub the first is turned over the others, so that it passes through the fourth.
+    # The first of six triangles around a hub is turned over the others, so that it passes through the fourth.
     angle = np.linspace(0, 2 * np.pi, 6, endpoint=False)
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(6)])
     fan = np.array([[6, k, (k + 1) % 6] for k in range(6)])

@@ -85,7 +85,7 @@ def test_finer_meshes_are_the_same_body_under_the_same_loads(study):
         for problem in ("gravity", "cheek"):
             loads = [each.scene(problem).loads().sum(axis=0) for each in (coarse, body)]
             assert np.abs(loads[0]).max() > 0 and loads[1] == pytest.approx(loads[0], abs=1e-9)
-        # What is held moves linearly between the coarse mesh's vertices: a corner's children have it halved.
+        # Held points move linearly between the coarse mesh's vertices: a corner's children have it halved.
         assert np.array_equal(body.jaw[:count], coarse.jaw) and np.abs(coarse.jaw).max() > 1.0
         assert all(0.0 < body.shares[bone].max() <= 1.0 for bone in BONES)
 

@@ -137,7 +137,7 @@ def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
     x, _, z = sphere_head.skin_wrap.vertices.T
     assert np.all(kept[x > 10.0] == 0.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[np.argmin(np.abs(x))] == pytest.approx(0.5, abs=0.2)
-    # What is not face stays tied.
+    # Skin outside the face stays tied.
     faced = replace(sphere_head, regions={"face": z > 0.0})
     kept = Springs.from_head(faced, palsied).stiffness / whole
     assert np.all(kept[z <= 0.0] == 1.0) and np.all(kept[x < -10.0] == 1.0)

@@ -122,7 +122,7 @@ def test_noise_moves_weights_little_and_is_told(mean_head, shapes, take):
     fitted = fit_take(TrackedFace.from_skin(mean_head.skin, shapes), frames + rng.normal(0.0, 0.2, frames.shape))
     visible = np.linalg.norm(shapes, axis=2).max(axis=1) > 3.0
     assert np.abs(fitted.take.weights - take.weights)[:, visible].mean() < 0.02
-    # Of 0.2 mm on each axis.
+    # The noise has 0.2 mm on each axis.
     assert fitted.residuals == pytest.approx(0.2 * np.sqrt(3.0), rel=0.1)
 
 

@@ -23,7 +23,7 @@ from softdeca.reference.projective.terms.local_step import (
 
 from .by_solver import DISCRETE, SOLVERS
 
-# Of a corner of the unit cube V = 1/6, so that positions F X have the energy F's squared distance / 12.
+# A corner of the unit cube has V = 1/6, so that positions F X have the energy F's squared distance / 12.
 CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 KINDS = ("near a rotation", "inverted", "anything")
 each_solver = pytest.mark.parametrize("solver", SOLVERS)

@@ -48,7 +48,7 @@ def test_a_refined_head_has_the_same_surfaces_and_ties(sphere_head):
     assert volume == pytest.approx(sphere_head.soft.volumes.sum() + sphere_head.muscle.volumes.sum())
     assert np.array_equal(head.skull_wrap.vertices[:n], sphere_head.skull_wrap.vertices)
     assert np.array_equal(head.bone[:n], sphere_head.bone) and set(head.bone[n:]) == {0, 1, 2}
-    # What moves affinely moves alike on both.
+    # Affine motions are alike on both.
     expression = head.skin.vertices @ np.diag([1.0, 1.1, 0.9])
     moved = head.wrap_targets(expression)
     assert moved[:n] == pytest.approx(sphere_head.wrap_targets(expression))

@@ -97,7 +97,7 @@ def test_a_face_is_found_in_any_orientation_and_unit(face, person, turn, size, t
     found = scans.find_placement(moved, face)
     assert told in found.notes[0] and way in found.notes[1]
     upright = found.motion(moved.vertices)
-    # What is left is a shift, a little tilt where the head was turned, and some scale where the unit is not known.
+    # The rest is a shift, a little tilt where the head was turned, and some scale where the unit is not known.
     a, b = upright - upright.mean(axis=0), person.vertices - person.vertices.mean(axis=0)
     off = np.linalg.norm(a - b, axis=1).max()
     assert off < (1e-9 if size in (1.0, 0.1, 1e-3) and "turned" not in way else 30.0)

@@ -11,7 +11,7 @@ import pytest
 from softdeca.lhm import SoftdecaError
 from softdeca.surrogate.corpus.schedule import Schedule, make_schedule, run_items
 
-# What travels to another process has to be importable there: here functions of the standard library.
+# A function that travels to another process has to be importable there: these are functions of the standard library.
 SERIAL, TWO = Schedule(), Schedule("processes", 2)
 
 

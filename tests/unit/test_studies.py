@@ -16,7 +16,7 @@ from softdeca.reference import Parameters, facial_scene, terms
 
 pytestmark = pytest.mark.usefixtures("measured_here")
 
-# What else there is test_study runs, in the main study.
+# test_study runs the others, in the main study.
 CHEAP = {
     "SphereUnknowns": {"up_to": 50_000},
     "SphereMeshError": {

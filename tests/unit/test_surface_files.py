@@ -34,7 +34,7 @@ def mesh_of(path):
     return scan.vertices, scan.triangles
 
 
-# What is read
+# Reading
 
 
 def test_a_byte_order_mark_does_not_take_the_first_vertex(tmp_path):
@@ -188,7 +188,7 @@ def posed(names=("wide",), by=(), inner=(), named="extras", skin=None):
     return made
 
 
-# By the specification: a node's weights replace its mesh's, and the transform of a skinned mesh's node is ignored.
+# The specification says: a node's weights replace its mesh's, and the transform of a skinned mesh's node is ignored.
 SHOWN = {
     "a mesh's weights": ({"by": [1.0]}, WAVE),
     "a node's weights": ({"by": [1.0], "inner": [0.5]}, 0.5 * WAVE),
@@ -248,7 +248,7 @@ def test_units_are_converted(tmp_path):
     np.testing.assert_allclose(read_surface(tmp_path / "ball.npz", unit="cm").vertices, X)
 
 
-# What is refused
+# Refusals
 
 
 OUTSIDE = [

@@ -148,7 +148,7 @@ def transform(**how):
 
 TURNED = PLACES @ np.array([[0.6, 0.8], [-0.8, 0.6]])
 ALL, RIGHT_HALF = [0, 1, 2, 3], [1, 1, 3, 3]
-# By the words of KHR_texture_transform (counter-clockwise in an image whose v runs down) and of samplers.
+# KHR_texture_transform's words give these (counter-clockwise in an image whose v runs down), and those of samplers.
 LOOKS = {
     "scaled": ({"places": PLACES / 2, "used": transform(scale=[2, 2])}, ALL),
     "flipped": ({"places": PLACES * [1, -1] + [0, 1], "used": transform(offset=[0, 1], scale=[1, -1])}, ALL),

@@ -31,7 +31,7 @@ CLOCK = 1e-4
 QUICK_SETTINGS = 2
 """Settings of another package's solver where not all is asked."""
 ENERGIES = {"the face's energy (Eq. 15)": PROJECTIVE, "ARAP's energy, same tets": RIGID}
-"""Of a posed face, each with its law."""
+"""Energies of a posed face, each with its law."""
 
 
 class ErrorOverTime(Study):

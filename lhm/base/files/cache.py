@@ -49,7 +49,7 @@ def _temporary(wanted: Path) -> Path:
     try:
         path.mkdir(mode=0o700, exist_ok=True)
         state = path.lstat()
-        # What is compiled is run: the folder has to be this user's own.
+        # Compiled code is run: the folder has to be this user's own.
         is_ours = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o022
     except OSError:
         is_ours = False

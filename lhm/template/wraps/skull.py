@@ -95,7 +95,7 @@ class SkullFit:
         edges, number, _ = number_edges(triangles)
         share = np.bincount(number.ravel(), np.repeat(surface.areas / 3.0, 3))
         laplacian = _cotan(self.skull, triangles)
-        # Of a regular triangulation with edge h a vertex's area is sqrt(3)/2 h².
+        # A vertex of a regular triangulation with edge h has the area sqrt(3)/2 h².
         rows = (2 / np.sqrt(3)) * laplacian
         at_vertex = np.bincount(edges.ravel(), np.repeat(share, 2), n)
         matrix = diags(areas + policy.rectangle * at_vertex) + policy.curvature * rows.T @ diags(areas) @ rows

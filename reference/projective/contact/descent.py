@@ -105,7 +105,7 @@ class ContactDescent:
                 spread = model.spread(wanted)
                 right, solved_right = right + spread, solved_right + model.solve_start(spread)
             step = model.solve(right, solved_right)
-            # What the model says of elasticity's energy along the step: slope and curvature.
+            # The model gives slope and curvature of elasticity's energy along the step.
             taken = self._take(problem, nearby, here, step, (float(gradient @ step), float(right @ step)))
             if taken is None:
                 if model.is_empty:
@@ -188,7 +188,7 @@ class ContactDescent:
         stages = np.linspace(x, goal, 1 + int(np.ceil(longest / self.policy.stage)))
         nearby = Nearby(self.surfaces, replace(self.policy, kept=self.policy.apart))
         for ahead in stages[1:]:
-            # What slides along comes to its end in many shares, what meets stays where it is.
+            # Sliding vertices come to their end in many shares; those that meet something stay where they are.
             while (share := nearby.find_free_share(x, ahead - x)) < 1.0:
                 if share < self.policy.apart:
                     return True
