@@ -75,7 +75,7 @@ class Train:
             refuse_unread(self, f"for --network {self.network}", "more", "start")
         with show_progress() as progress:
             teachers = {
-                "more": None if self.more is None else self._read(self.more),
+                "extra_faces": None if self.more is None else self._read(self.more),
                 "start": None if self.start is None else Weights.load(self.start),
                 "state": self.out / f"{self.network}.pt",
                 "on_progress": progress,

@@ -110,14 +110,14 @@ def train_gradients(
     faces: Faces,
     config: GradientTraining | None = None,
     *,
-    more: Faces | None = None,
+    extra_faces: Faces | None = None,
     start: Weights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
 ) -> Weights:
     """Fit a network to a corpus' training frames; return the weights of least error on held-out people.
 
-    Frames are read as batches need them. A form with tables learns these first, from the corpus' faces and `more`; or
+    Frames are read as batches need them. A form with tables learns these first, from the corpus' and `extra_faces`; or
     they are those of `start`, weights of either kind that has them. With `state`, a file, the training is kept there
     now and then, that of tables beside it, and goes on from there when called again. Raises InputError for fewer than
     two people, or ten where tables are learned, another device than the CPU, a loss that is not finite, a `start`
@@ -129,12 +129,12 @@ def train_gradients(
     curve: list[dict[str, float]] = []
     if config.device != "cpu":
         raise InputError(f"training: a {form.kind} network learns on the cpu, not on {config.device!r}")
-    if not form.has_tables and (more is not None or start is not None):
+    if not form.has_tables and (extra_faces is not None or start is not None):
         raise InputError(f"training: a {form.kind} network has no tables that more faces or a start could teach")
     if form.has_tables:
         torch.manual_seed(config.seed)
         data = LessonFaces.divide(
-            faces, more, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
+            faces, extra_faces, start, validation_share=config.validation, rng=np.random.default_rng([config.seed, 0])
         )
         shapes = table_shapes(config.network, data.vertex_count, data.code_size)
         rng = np.random.default_rng([config.seed, 3])
@@ -149,7 +149,7 @@ def train_gradients(
         people=len(lesson.source.people),
         faces=len(lesson.source.face),
         frames=len(lesson.source),
-        neutrals=len(more or ()),
+        neutrals=len(extra_faces or ()),
         steps=trainer.step,
         config=asdict(config),
         curve=tuple(join_curves(curve, trainer.curve)),
@@ -160,7 +160,9 @@ def train_gradients(
     )
     inputs, arrays = lesson.inputs, first | trainer.arrays()
     looseness = None if start is None else start.looseness
-    learned = join_people(start, faces.name_people(lesson.training), *([] if more is None else [more.name_people()]))
+    learned = join_people(
+        start, faces.name_people(lesson.training), *([] if extra_faces is None else [extra_faces.name_people()])
+    )
     return Weights(
         form.kind, faces.space, faces.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness, people=learned
     )

@@ -131,13 +131,13 @@ def read_arrays(faces: Sequence[LessonFace], inputs: Inputs, vertices: Any = EVE
 class LessonFaces:
     """A corpus' faces, divided by people, and how a network is given them.
 
-    training and held (F,) are numbers of its faces; held_out (k,) are the people whose faces are held. `more`, where
-    given, are faces of which frames are not asked. `has_mirror`: whether a mirrored face is one, too, and teaches as
+    training and held (F,) are numbers of its faces; held_out (k,) are the people whose faces are held. `extra_faces`
+    are faces of which frames are not asked. `has_mirror`: whether a mirrored face is one, too, and teaches as
     well.
     """
 
     corpus: Faces
-    more: Faces | None
+    extra_faces: Faces | None
     inputs: Inputs
     training: Ints
     held: Ints
@@ -148,7 +148,7 @@ class LessonFaces:
     def divide(
         cls,
         corpus: Faces,
-        more: Faces | None,
+        extra_faces: Faces | None,
         start: Weights | None,
         *,
         validation_share: float,
@@ -158,7 +158,7 @@ class LessonFaces:
 
         Raises InputError for fewer than ten people, and more faces of another mesh.
         """
-        if more is not None and surface_hash(more.mean) != surface_hash(corpus.mean):
+        if extra_faces is not None and surface_hash(extra_faces.mean) != surface_hash(corpus.mean):
             raise InputError("training: the second corpus is of another space or level than the first")
         people = corpus.people
         if len(people) < LEAST_PEOPLE:
@@ -171,7 +171,7 @@ class LessonFaces:
         training, held = np.flatnonzero(~is_held_out), np.flatnonzero(is_held_out)
         inputs = Inputs.from_codes(corpus.mean, corpus.codes) if start is None else start.inputs
         has_mirror = _is_mirrored(corpus.face(int(training[0])), inputs.features)
-        return cls(corpus, more, inputs, training, held, held_out, has_mirror)
+        return cls(corpus, extra_faces, inputs, training, held, held_out, has_mirror)
 
     @property
     def features(self) -> Features:
@@ -191,7 +191,7 @@ class LessonFaces:
     @property
     def count(self) -> int:
         """How many faces teach tables."""
-        return len(self.training) + len(self.more or ())
+        return len(self.training) + len(self.extra_faces or ())
 
     def find_framed(self, frames: int) -> Ints:
         """List the training faces with at least so many frames; InputError where there are none."""
@@ -212,8 +212,8 @@ class LessonFaces:
     def read_teaching(self, each: int, vertices: Any = EVERY) -> Iterator[FaceArrays]:
         """Read all faces that teach tables, so many at a time, each as it is and, where that is a face, mirrored."""
         numbers = [(self.corpus, number) for number in self.training.tolist()]
-        if self.more is not None:
-            numbers += [(self.more, number) for number in range(len(self.more))]
+        if self.extra_faces is not None:
+            numbers += [(self.extra_faces, number) for number in range(len(self.extra_faces))]
         sides = (False, True)[: 1 + self.has_mirror]
         for first in range(0, len(numbers), each):
             kept = [source.face(number) for source, number in numbers[first : first + each]]

@@ -80,18 +80,18 @@ def train_modal(
     faces: Faces,
     config: ModalTraining | None = None,
     *,
-    more: Faces | None = None,
+    extra_faces: Faces | None = None,
     start: Weights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
 ) -> Weights:
-    """Fit the network to a corpus' training faces, and its tables to `more` faces of the same space, where given.
+    """Fit the network to a corpus' training faces, and its tables to `extra_faces` of the same space, too.
 
     Where skins and shapes are symmetric, mirrored faces teach, too. Faces teach the tables, frames the remainder, which
     begins with principal components; or networks and remainder begin with those of `start`, weights of the same space.
     What the faces at hand cannot teach stays that of `start`: the remainder where the corpus has no frames, and the
-    tables where it has frames and there are no `more` faces, since those of a corpus of frames are few. With `state`,
-    a file, the training is kept there now and then, that of tables beside it, and goes on when called again. Raises
+    tables where it has frames and there are no `extra_faces`: faces of a corpus of frames are few. With `state`, a
+    file, the training is kept there now and then, that of tables beside it, and goes on when called again. Raises
     InputError for fewer than ten people, a corpus without frames and without `start`, a device that is not there, a
     `start` of another mesh or of other sizes than the config's, and a state of another training.
     """
@@ -99,7 +99,7 @@ def train_modal(
     if start is None and not faces.has_frames:
         raise InputError(f"training: {faces.folder} has no frames; give weights to begin with, whose remainder stays")
     device, rng = open_device(config.device), np.random.default_rng([config.seed, 0])
-    data = LessonFaces.divide(faces, more, start, validation_share=config.validation, rng=rng)
+    data = LessonFaces.divide(faces, extra_faces, start, validation_share=config.validation, rng=rng)
     torch.manual_seed(config.seed)
     shapes = modal_shapes(config.network, data.features, data.code_size)
     network, curve = learn_tables(
@@ -157,7 +157,7 @@ class RemainderLesson(Lesson):
         for name, value in self.network.items():
             value.requires_grad_(not name.startswith("size_"))
         self.framed = data.find_framed(config.frames)
-        self.about = [f"remainder of {len(data.corpus)} faces and {len(data.more or ())} more"]
+        self.about = [f"remainder of {len(data.corpus)} faces and {len(data.extra_faces or ())} more"]
 
     def loss(self, done: float, rng: np.random.Generator) -> torch.Tensor:
         """Return the mean distance of what frames move beyond exact responses, in each face's scale."""
@@ -218,12 +218,12 @@ def _export(
     start: Weights | None,
 ) -> Weights:
     """Return a trained network with what it was made from."""
-    corpus, more, inputs = data.corpus, data.more, data.inputs
+    corpus, extra_faces, inputs = data.corpus, data.extra_faces, data.inputs
     seen: list[Mapping[str, tuple[float, float]]] = [
         seen_ranges(data.features, map(corpus.coefficients, data.training.tolist()))
     ]
-    if more is not None:
-        seen.append(seen_ranges(data.features, map(more.coefficients, range(len(more)))))
+    if extra_faces is not None:
+        seen.append(seen_ranges(data.features, map(extra_faces.coefficients, range(len(extra_faces)))))
     if start is not None:
         seen.append(start.note.seen)
     joined = {name: [end for ranges in seen for end in ranges[name]] for name in seen[0]}
@@ -236,12 +236,14 @@ def _export(
         curve=tuple(curve),
         seen={name: (min(ends), max(ends)) for name, ends in joined.items()},
         held=tuple(data.held_out.tolist()),
-        neutrals=len(more or ()),
+        neutrals=len(extra_faces or ()),
         before=None if start is None else asdict(start.note),
         cells=corpus.cells,
     )
     looseness = None if start is None else start.looseness
-    learned = join_people(start, corpus.name_people(data.training), *([] if more is None else [more.name_people()]))
+    learned = join_people(
+        start, corpus.name_people(data.training), *([] if extra_faces is None else [extra_faces.name_people()])
+    )
     return Weights(
         MODAL, corpus.space, corpus.mean, inputs.code_mean, inputs.code_scale, arrays, note, looseness, people=learned
     )

@@ -122,7 +122,7 @@ def learn_tables(
     Raises InputError for a `start` without arrays of these shapes.
     """
     network = draw() if start is None else _continue(start, data, shapes)
-    if start is not None and data.more is None and data.corpus.has_frames:
+    if start is not None and data.extra_faces is None and data.corpus.has_frames:
         return network, []
     learned, curve = train_tables(data, network, options, rest, state, on_progress)
     return network | learned, curve

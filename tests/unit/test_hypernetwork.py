@@ -107,7 +107,7 @@ def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
     of_tables = {name for name in weights.network if name.startswith(("response_", "effect_", "lag"))}
     kept = train_gradients(faces["train"], few, start=weights)
     assert all(kept.network[name] is weights.network[name] for name in of_tables) and len(kept.note.curve) == 1
-    more = train_gradients(faces["train"], few, start=weights, more=faces["test"])
+    more = train_gradients(faces["train"], few, start=weights, extra_faces=faces["test"])
     moved = {name for name in of_tables if not np.array_equal(more.network[name], weights.network[name])}
     # Materials alone have no effect.
     assert of_tables - moved == {"response_position", "effect_position", "effect_table", "effect_scale"}

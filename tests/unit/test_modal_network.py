@@ -146,7 +146,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     more = train_modal(faces["train"], few, start=start)
     of_remainder = ("gain_", "remainder_", "modes")
     assert find_learned(more, start) == {name for name in start.network if name.startswith(of_remainder)}
-    whole = train_modal(faces["train"], few, start=start, more=faces["train"])
+    whole = train_modal(faces["train"], few, start=start, extra_faces=faces["train"])
     fixed = {"size_remainder", "response_position", "effect_position"}
     assert find_learned(whole, start) == set(start.network) - fixed
     assert [point["step"] for point in whole.note.curve] == [20, 40, 45, 50]
