@@ -333,6 +333,7 @@ class Branched(materials.EnergyLaw):
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_kernels_know_every_operation():
     F = gradients(upright=True)
+    F = F[np.abs(np.linalg.det(F)[:, None] - [0.9, 1.0]).min(axis=1) > 1e-3]  # away from its kinks
     by_kernel, by_hand = forms(Branched()).values()
     assert_close(by_kernel.energy(F), by_hand.energy(F), 1e-12)
     assert_close(by_kernel.stress(F), by_hand.stress(F), 1e-11)
