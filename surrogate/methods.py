@@ -329,7 +329,7 @@ def solve_law(law: str, solver: str = FENICSX) -> Method:
     return METHODS[name] if name in METHODS else solve_by(name, how, "#b8860b", law=law, near=True)
 
 
-NEO_HOOKEAN: FaceLaw = "neo-Hookean"
+NEO_HOOKEAN = "neo-Hookean"
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (

@@ -274,11 +274,12 @@ class Face:
         return moved
 
     def vjp(self, cotangent: Floats, weights: Floats | Floats32, by: SequenceOf[str]) -> dict[str, float | Floats]:
-        """Differentiate Σ cotangent · T of T = `frame(weights)` by parameters: one adjoint solve, whatever the names.
+        """Differentiate Σ cotangent · T of T = `frame(weights)` by parameters, whatever their number by two solves.
 
+        An adjoint one of the frame, and one of the neutral face, which settles anew as p changes.
         cotangent (n, 3): the derivative of anything by T [1/mm]. Returns for each name a number, or one per triangle of
-        the wraps, (m,), where the parameter varies. The neutral face settles anew as p changes. Exact but for
-        difference quotients of forces, to some 1e-6; the frame itself is to `accuracy`, settling to `settling`.
+        the wraps, (m,), where the parameter varies. Exact but for difference quotients of forces, to some 1e-6; the
+        frame itself is to `accuracy`, settling to `settling`.
 
         InputError for an unknown name, a field per face of the skin or per tet (give it per triangle of the wraps),
         bones that targets place, a frame that is no strict minimum, and bones' scales together with contact.
@@ -300,10 +301,8 @@ class Face:
         def shares(sides: list[Parameters]) -> Floats:
             own = [_hold_contact(self._shifted(p).scene(weights), frame) for p in sides]
             before = [_hold_contact(self._settling_scene(p), settling) for p in sides]
-            return sum(
-                adjoint.by_scenes(zip(scenes, (1.0, -1.0), strict=True))
-                for adjoint, scenes in ((frames, own), (settles, before))
-            )
+            signs = (1.0, -1.0)
+            return frames.by_scenes(zip(own, signs, strict=True)) + settles.by_scenes(zip(before, signs, strict=True))
 
         derivatives: dict[str, float | Floats] = {}
         for name in by:
