@@ -15,7 +15,7 @@ from ..contest import collect_rows
 from ..studies import group_studies
 from . import first_screen
 from .page import collect_content, describe_gate, render_template, tabulate_machine
-from .results import read_results, refuse_other_versions
+from .results import read_results, refuse_file, refuse_other_versions
 from .study import Results, Row, Study, Table
 
 
@@ -35,7 +35,7 @@ def read_part(path: Path, load_study: Callable[[str], type[Study]]) -> ReportPar
     """
     file = path / "results.json" if path.is_dir() else path
     content = read_results(file)
-    with refuse_other_versions(f"{file}"):
+    with refuse_file(file):
         rows = tuple(Row(**row) for row in content["rows"])
         results = Results(**(content | {"rows": rows, "gates": tuple(content["gates"])}))
         kind = load_study(results.study)

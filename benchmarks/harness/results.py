@@ -19,14 +19,21 @@ from .study import Column, Study
 def read_results(path: Path) -> dict[str, Any]:
     """Read a results file, or that of a folder: study, rows and gates. InputError names the file."""
     file = path / "results.json" if path.is_dir() else path
+    with refuse_file(file):
+        content: dict[str, Any] = parse_json(read_bytes(file, RESULT_BYTES))
+        content.setdefault("gates", [])
+        _ = content["study"], [row["values"] for row in content["rows"]]
+    return content
+
+
+@contextmanager
+def refuse_file(file: Path) -> Iterator[None]:
+    """Turn what is raised of a file that is no results of a study into an InputError that names it."""
     try:
         with refuse_other_versions("file"):
-            content: dict[str, Any] = parse_json(read_bytes(file, RESULT_BYTES))
-            content.setdefault("gates", [])
-            _ = content["study"], [row["values"] for row in content["rows"]]
+            yield
     except InputError as error:
         raise InputError(f"{file}: no results of a study ({error})") from None
-    return content
 
 
 @contextmanager
