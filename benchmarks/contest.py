@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats
+from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.expressions import sample_weights
 from ..lhm.template.template import DEFAULT_LEVEL
 from ..reference import Face, Parameters
@@ -50,7 +50,7 @@ COARSE = 1
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A face to make anew for every method, and weights (frames, 52).
+    """A face, live or of a corpus, to make anew for every method, and weights (frames, 52).
 
     kind: by which rows are grouped. head_s: processor time [s] that its head took to fit, if it was measured.
     about: what else rows say of the case.
@@ -58,8 +58,8 @@ class Case:
 
     name: str
     kind: str
-    make: Callable[[], Face]
-    weights: Floats
+    make: Callable[[], Any]
+    weights: Floats | Floats32
     head_s: float | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def move(method: Method, trial: Trial, looseness: Looseness, mean: Surface) -> M
     row = trial.sequence
     assert row is not None
 
-    def bind(face: KeptFace) -> Player:
+    def bind(face: KeptFace) -> Any:
         rig = method.bind(face)
         learned = getattr(rig, "swing", None)
         swing = swing_where_loose(looseness, face, mean) if learned is None else learned

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Player:
 def play(name: str, trial: Trial, corrections: Callable[[], Iterable[np.ndarray]]) -> Method:
     """Make a method of T - S (n, 3) [mm] of a trial's frames, which are made when they are asked for."""
 
-    def bind(face: KeptFace) -> Player:
+    def bind(face: KeptFace) -> Any:
         return Player(s + correction for s, correction in zip(face.blend(trial.weights), corrections(), strict=True))
 
     return Method(name, bind)

@@ -142,7 +142,7 @@ def render_template(template: str, **content: Any) -> str:
 
 def to_markdown(table: Table) -> str:
     """Write a table as GitHub shows it, its caption above and its note beneath."""
-    return str(_open_templates().get_template("table.md").module.table(table))
+    return str(vars(_open_templates().get_template("table.md").module)["table"](table))
 
 
 def tabulate_machine(machine: Mapping) -> list[Sequence]:

@@ -194,7 +194,8 @@ def _begin(files: Sequence[Path]) -> None:
 def _measure(job: Job) -> Outcome:
     reset_peak()
     begin, spent = time.perf_counter(), read_cpu_seconds()
-    status, reason, values = "done", "", {}
+    status, reason = "done", ""
+    values: Values = {}
     try:
         with threadpool_limits(1):
             values = job.study.measure(job.task)

@@ -35,7 +35,7 @@ def run_trials(trials: Iterable[Trial], *methods: Method | Callable[[Trial], Met
         face = trial.face
         kind, varies = kind_of_coefficients(face.coefficients), bool(face.coefficients[:, 1:].any())
         case = Case(f"{trial.part} {trial.number}", kind, partial(replace, face), trial.weights)
-        truth = play(CORPUS, trial, lambda trial=trial: trial.truth)
+        truth = play(CORPUS, trial, partial(iter, trial.truth))
         known = [each if isinstance(each, Method) else each(trial) for each in methods]
         always = {ALL, kind, trial.part, VARYING if varies else "", "" if face.carried.any() else UNSCALED}
         for row in run_contest(case, known, [truth], compare=partial(compare_skins, whole=True)):

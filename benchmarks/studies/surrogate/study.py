@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
@@ -91,7 +92,7 @@ class SurrogateOnCorpus(Study):
         """Measure a method's scores on the frames of a question, and what is told once of the corpus."""
         _, score_method = self._ask()[task.case]
         exam = self._open(self.corpus, self.people)
-        values: Values = {
+        values: dict[str, Any] = {
             **score_method(task.method),
             "people": len(exam.tested.faces.people),
             "trained_on": asdict(exam.network.weights.note),
@@ -203,7 +204,7 @@ def score_static(exam: NetworkExam, name: str, *, external: bool = False) -> Val
 
     external: of another corpus all frames together are one kind.
     """
-    method, costs = exam.methods.get(name), {}
+    method, costs = exam.methods.get(name), dict[str, float]()
     if method is None:
         method, _, costs = train(name, exam, None)
     names = {ALL: EXTERNAL} if external else {group: group for group in GROUPS}
