@@ -204,7 +204,8 @@ def score_static(exam: NetworkExam, name: str, *, external: bool = False) -> Val
 
     external: of another corpus all frames together are one kind.
     """
-    method, costs = exam.methods.get(name), dict[str, float]()
+    method = exam.methods.get(name)
+    costs: dict[str, float] = {}
     if method is None:
         method, _, costs = train(name, exam, None)
     names = {ALL: EXTERNAL} if external else {group: group for group in GROUPS}
