@@ -63,7 +63,7 @@ class ListStudies:
             click.echo(question)
             for name in names:
                 kind = load_study(name)
-                click.echo(f"  {name:<16} {kind.heading or kind.question}")
+                click.echo(f"  {name:<16} {kind.question}")
         return 0
 
 

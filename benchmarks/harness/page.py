@@ -34,7 +34,6 @@ def collect_content(study: Study, results: Results, folder: Path) -> dict[str, A
     commits = ", ".join(results.commits)
     return {
         "name": study.name,
-        "heading": study.heading or study.question,
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": Table("Statements", ["statement", "measured", "bound", "reached"], gates),

@@ -63,7 +63,7 @@ def write_report(
             "title": title,
             "first": _collect_first_screen(ordered),
             "missed": [
-                (sections[name]["heading"], describe_gate(gate), gate["value"], gate["bound"])
+                (sections[name]["question"], describe_gate(gate), gate["value"], gate["bound"])
                 for name, part in ordered.items()
                 for gate in part.results.gates
                 if not gate["passed"] and gate["answer"]  # bounds of speed hang on the machine
@@ -102,7 +102,7 @@ def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
 def _tabulate_provenance(ordered: Mapping[str, ReportPart]) -> Table:
     head = ["study", "commit", "holds all its code", "load at the start", "processor time [s]", "wall time of rows [s]"]
     rows = [
-        (part.study.heading or part.study.question, ", ".join(part.results.commits),
+        (part.study.question, ", ".join(part.results.commits),
          not any(map(is_dirty, part.results.commits)), part.results.machine["load"], part.results.cpu,
          sum(row.seconds for row in part.results.rows))
         for part in ordered.values()

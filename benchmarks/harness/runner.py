@@ -169,7 +169,7 @@ class _Run:
         content = collect_content(study, results, self._out)
         for number, svg in enumerate(content["figures"].values(), 1):
             write_whole(self._out / f"figure-{number}.svg", svg.encode())
-        page = render_template("study.html", title=content["heading"], study=content)
+        page = render_template("study.html", title=content["question"], study=content)
         write_whole(self._out / "index.html", page.encode())
         return results
 

@@ -125,9 +125,8 @@ class Study(ABC):
     """
 
     name: ClassVar[str]
-    heading: ClassVar[str] = ""
-    """The question as a heading of a page, in few words; by default `question`."""
     question: ClassVar[str]
+    """In few words: it is a heading of pages, too."""
     columns: ClassVar[tuple[Column, ...]]
     note: ClassVar[str] = ""
     """How the rows are measured."""

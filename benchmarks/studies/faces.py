@@ -33,8 +33,7 @@ class Faces(Contest):
     """People whom nobody trained on, each under a p of another kind, and the mean face under default p."""
 
     name = "faces"
-    heading = "How far is each method from the simulator, and it from converged finite elements?"
-    question = "How far from the simulator, and from converged finite elements, is each method, and what does it cost?"
+    question = "How far is each method from the simulator, and it from converged finite elements?"
     needs = ("people", "heads", "network")
     columns = list_columns(first_screen.TRUTHS)
 

@@ -32,8 +32,7 @@ class Verification(Study):
     """Closed forms, published values, motions, another code on a head; with `fine` orders of convergence too."""
 
     name = "verification"
-    heading = "Do the solvers give the answers that are known?"
-    question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
+    question = "Do the solvers give the answers that are known?"
     needs = ("people", "heads")
     cheap = "Cook's membrane, nu=.3, P2, 8 cells"
     columns = (
@@ -124,8 +123,7 @@ class Hard(Study):
     """Random starts, collapse, crush, twist, slivers, long steps."""
 
     name = "hard"
-    heading = "Do the solvers survive hard cases?"
-    question = "Are hard-pushed solvers right, do they say why they stop, or are they silently wrong?"
+    question = "Do the solvers survive hard cases?"
     cheap = "bar twisted by 360° at nu = .49: volume (H6)"
     columns = (
         Column("criterion", "what is compared"),

@@ -94,4 +94,4 @@ def test_the_list_of_studies_has_whole_questions(command):
     words = " ".join(command("bench", "--help").out.split())
     assert load_study("work-precision").question in words
     words = " ".join(command("bench", "list").out.split())
-    assert load_study("contact").heading in words and load_study("agreement").heading in words
+    assert load_study("contact").question in words and load_study("agreement").question in words

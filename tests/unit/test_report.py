@@ -19,7 +19,7 @@ def test_a_report_of_studies_says_what_they_found(verified, command, tmp_path):
     assert "Is the fast simulator right?" in text and "Every statement holds within its bound." in text
     text = text.replace('<link rel="icon" href="data:,">', "")
     assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
-    heading = Verification.heading
+    heading = Verification.question
     assert f'<h2 id="verification">{heading}</h2>' in text
     lines = (tmp_path / "report.md").read_text().splitlines()
     assert lines.index("## Is the fast simulator right?") < lines.index(f"### {heading}")

@@ -82,8 +82,7 @@ class Contact(Contest, OfPerson):
     """Lips pressed and lids shut by PD and by a barrier, and hard frames by PD with contact and without."""
 
     name = "contact"
-    heading = "Are lips and lids parted as another code parts them?"
-    question = "How far is PD's contact from ipctk's barrier, and what does it do on hard frames?"
+    question = "Are lips and lids parted as another code parts them?"
     cheap = "press, soft"
     columns = (
         Column("method", "by"),

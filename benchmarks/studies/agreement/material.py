@@ -43,8 +43,7 @@ class Material(Study):
     """Poisson's ratios and modes of deformation by law, with those that files have added."""
 
     name = "material"
-    heading = "Which material does the fast simulator stand for?"
-    question = "Which hyperelastic law does projective dynamics' energy stand for, and up to what strain?"
+    question = "Which material does the fast simulator stand for?"
     cheap = "nu = 0.45, one axis, neo-Hookean"
     columns = (
         Column("tiny", "differs at 0.5 % strain, max [%]"),

@@ -37,11 +37,7 @@ class Agreement(Contest, OfPerson):
     """Cases of one head: expressions, loads and the paper's effects."""
 
     name = "agreement"
-    heading = "Does the fast simulator agree with finite elements, and what do effects do?"
-    question = (
-        "Do projective dynamics, FEniCSx and scikit-fem find the same face, how far are a hyperelastic law, the "
-        "network and its rivals from it, and what do the paper's effects do to it?"
-    )
+    question = "Does the fast simulator agree with finite elements, and what do effects do?"
     needs = ("people", "heads", "network")
     cheap = "cheekPuff, every"
     columns = (

@@ -120,10 +120,7 @@ class Arena(ErrorOverTime):
     """Each problem by each solver and setting."""
 
     name = "arena"
-    heading = "How do other people's solvers do on the same problems?"
-    question = (
-        "How near to the answer of its own law is each solver after a given processor time, and where does it end?"
-    )
+    question = "How do other people's solvers do on the same problems?"
     cheap = "face posed by Eq. 15, 14.5 k tets, PD; default; from rest"
     version = 3
     note = (
@@ -213,8 +210,7 @@ class WorkPrecision(ErrorOverTime, OfPerson):
     """Expressions of one head: our solvers on its energy, and with libigl on ARAP's."""
 
     name = "work-precision"
-    heading = "How long does each method take to be right?"
-    question = "How near to the answer is each method after a given time, and after a given number of iterations?"
+    question = "How long does each method take to be right?"
     cheap = "mouthPucker, ARAP's energy, same tets, FEniCSx"
     version = 4
     note = (

@@ -40,8 +40,7 @@ class Depth(Study):
     """One head's skin, and its skull of one file or several bones, in the skin's frame."""
 
     name = "depth"
-    heading = "Does the predicted skull match a real one?"
-    question = "How far are predicted depths, and the fitted skull wrap, from the skull of one real head?"
+    question = "Does the predicted skull match a real one?"
     needs = ("people", "heads")
     columns = (
         Column("region", "region"),

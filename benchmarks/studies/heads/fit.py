@@ -39,8 +39,7 @@ class Heads(OfPerson):
     """Random identities, of seeds from the study's on."""
 
     name = "heads"
-    heading = "Does every person get a valid head?"
-    question = "Does every identity get a valid head, and in how long?"
+    question = "Does every person get a valid head?"
     cheap = "seed 187, fit and check"
     columns = (
         Column("error", "could not be fitted because"),

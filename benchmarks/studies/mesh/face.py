@@ -69,10 +69,7 @@ class FaceBenchmark(Study):
 
     name = "face-benchmark"
     version = 2
-    heading = "What are the converged answers of the open face benchmark?"
-    question = (
-        "Where do gravity, an opened jaw, growth and a pushed cheek converge to on one head, and how sure is that?"
-    )
+    question = "What are the converged answers of the open face benchmark?"
     needs = ("people", "heads")
     cheap = "growth, FEniCSx, linear, coarse"
     columns = (

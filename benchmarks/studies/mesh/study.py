@@ -64,8 +64,7 @@ class MeshError(OfPerson, Contest):
 
     name = "mesh"
     version = 3
-    heading = "How far is the simulator from converged finite elements?"
-    question = "Which share of a face's motion do tets and prisms miss, of which size, and how exact is the truth?"
+    question = "How far is the simulator from converged finite elements?"
     needs = ("people", "heads")
     timed = False
     columns = (

@@ -75,8 +75,7 @@ class Minimal(Contest, OfPerson):
     """Three expressions and two effects, the whole scene and each with a piece more or less."""
 
     name = "minimal"
-    heading = "What can a scene leave out?"
-    question = "What does each term, layer, region and contact cost, and how wrong is the face without it?"
+    question = "What can a scene leave out?"
     cheap = "mouthPucker"
     columns = (
         Column("piece", "scene"),

@@ -26,8 +26,7 @@ class Ranks(OfPerson):
     """Counts of processes, the first of which is 1, on both energies of one head."""
 
     name = "ranks"
-    heading = "What do several processes gain?"
-    question = "How does FEniCSx' time fall with the number of processes of mpirun, and do their answers agree?"
+    question = "What do several processes gain?"
     columns = (
         Column("processes", "processes"),
         Column("tets", "tets"),

@@ -42,8 +42,7 @@ class Throughput(OfPerson):
     """Cold frames of several heads and materials; talk on one head; memory."""
 
     name = "throughput"
-    heading = "How many frames does one core simulate in an hour?"
-    question = "How many frames an hour does a core simulate to 0.01 mm, and in how much memory?"
+    question = "How many frames does one core simulate in an hour?"
     needs = ("people", "heads", "generator")
     columns = (
         Column("what", "what"),

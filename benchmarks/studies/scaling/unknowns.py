@@ -66,8 +66,7 @@ class Unknowns(OfPerson):
     """Meshes of at most so many unknowns, by solver and law."""
 
     name = "unknowns"
-    heading = "How do time and memory grow with the mesh?"
-    question = "How do time and memory of PD and FEniCSx grow with the unknowns?"
+    question = "How do time and memory grow with the mesh?"
     columns = (
         Column("unknowns", "unknowns"),
         Column("tets", "tets"),

@@ -43,8 +43,7 @@ class Dial(Contest):
 
     name = "dial"
     version = 2
-    heading = "Does a face know its error, and what does an accuracy cost?"
-    question = "Is the error that a frame tells the true one, and what does a frame cost at each accuracy?"
+    question = "Does a face know its error, and what does an accuracy cost?"
     needs = ("people", "heads", "network")
     cheap = "held-out, person 1"
     columns = list_columns((TRUTH,))

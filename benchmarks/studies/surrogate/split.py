@@ -46,11 +46,7 @@ class Split(OfPerson, Contest):
 
     name = "split"
     version = 4
-    heading = "Where does the network's error come from?"
-    question = (
-        "Which part of the network's error to a refined hyperelastic reference comes from the network, the training "
-        "tolerance, PD's energy and the mesh?"
-    )
+    question = "Where does the network's error come from?"
     needs = ("people", "heads", "network")
     cheap = "defaults"
     truths: ClassVar[tuple[str, ...]] = (m.PD, m.PD_AS_TRAINED, m.FENICSX_NEO_HOOKEAN)

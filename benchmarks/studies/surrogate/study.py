@@ -45,10 +45,7 @@ class SurrogateOnCorpus(Study):
     """
 
     name = "surrogate"
-    heading = "How good is the network on people it has not seen?"
-    question = (
-        "How far is the surrogate from the simulator on people and parameters it has not seen, beside its rivals?"
-    )
+    question = "How good is the network on people it has not seen?"
     needs = ("people", "heads", "network", "generator")
     columns = (
         Column("kind", "frames of"),
