@@ -125,14 +125,11 @@ class Arena(ErrorOverTime):
     version = 3
     note = (
         "All solvers have the same tets, held vertices, nodal loads and moduli at rest, and one thread. The error is "
-        "the largest distance of a skin vertex to FEniCSx' answer of the solver's own law at a gradient of 1e-10; the "
-        "distance of that answer to the neo-Hookean one has its own column. Quadratic tets, and those with a pressure, "
-        "have an answer of their own element, and a column likewise. Seconds are processor time. Every solver "
-        "runs a small block before, which is not counted; imports, set-up and compilation are told apart. What only "
-        "moves in time is brought to rest by setting all velocities to zero whenever the kinetic energy falls. A run "
-        "ends when its budget is spent or nothing moves by 1e-6 mm. "
-        "newton is made for GPUs, and runs here on its CPU kernels. Settings are the package's defaults first. "
-        "A solver that starts from the answer should stay there: where it goes is its bias."
+        "the largest distance of a skin vertex to FEniCSx' answer of the solver's own law and element, at a gradient "
+        "of 1e-10. Seconds are processor time. Every solver runs a small block before, which is not counted. What "
+        "only moves in time loses all velocities whenever its kinetic energy falls. A run ends when its budget is "
+        "spent or nothing moves by 1e-6 mm. Settings are the package's defaults first. A solver that starts from the "
+        "answer should stay there: where it goes is its bias."
     )
 
     whole: bool = option(False, "all problems and all settings: an hour and a half")
@@ -214,12 +211,11 @@ class WorkPrecision(ErrorOverTime, OfPerson):
     cheap = "mouthPucker, ARAP's energy, same tets, FEniCSx"
     version = 4
     note = (
-        "Processor time of one thread. Each has run a small block before, which is not counted. The error is the "
-        "largest distance of a vertex to the answer at a gradient of 1e-10: FEniCSx', or projective dynamics' where "
-        "the energy has two minima and a solver ends nearer to that. A law from a file has FEniCSx' alone. One "
-        "iteration of PD is one solve with its factor; one of Newton is a linear system. libigl fits its rotations in "
-        "float32, hence its own floor. Its handles are what the facial scene holds and every 16th vertex of the skin "
-        "wrap. All end after the arena's budget."
+        "Processor time of one thread, after a small block that is not counted. The error is the largest distance of "
+        "a vertex to the answer at a gradient of 1e-10: FEniCSx', or projective dynamics' where the energy has two "
+        "minima and a solver ends nearer to that. One iteration of PD is one solve with its factor; one of Newton is "
+        "a linear system. libigl fits its rotations in float32, hence its own floor. Its handles are what the facial "
+        "scene holds and every 16th vertex of the skin wrap."
     )
 
     expressions: tuple[str, ...] = option(

@@ -55,12 +55,11 @@ class Throughput(OfPerson):
     )
     note = (
         "A cold frame has its own head, parameters and a lively frame of made-up talk; the fit is not counted. It is "
-        "the neutral face where p moves it, scene, preparation (assembly and factorisation) and solve from rest. The "
-        "tolerance is a gradient norm relative to its start: half of what the hardest frame of its kind needs for "
-        "0.01 mm. Tight runs find it, and the error is the largest distance of a vertex to them. The sequence is "
-        "made-up talk at 60 Hz, prepared once; each frame starts from the last, its scene is made anew. Its tolerance "
-        "is relative to the force of skin 1 mm off its target. The tight run of its frames starts from their answers, "
-        "since closed lids fold and have several minima. Frames per core-hour are by processor time."
+        "the neutral face where p moves it, scene, preparation and solve from rest. The tolerance is half of what the "
+        "hardest frame of its kind needs for 0.01 mm to a tight run. The sequence is made-up talk at 60 Hz, prepared "
+        "once; each frame starts from the last. Its tolerance is relative to the force of skin 1 mm off its target, "
+        "and its tight runs start from its answers, since closed lids fold and have several minima. Seconds are "
+        "processor time."
     )
     version = 3
     timed = True
