@@ -175,7 +175,7 @@ class Contact(Contest, OfPerson):
         """Give a line for each method, with its own pairs that cross."""
         own = ("crossings", "overlap")
         return [
-            line | {key: to[key] for to in line["to"].values() for key in own if key in to}
+            {**line, **{key: to[key] for to in line["to"].values() for key in own if key in to}}
             for line in Contest.lines(values)
         ]
 

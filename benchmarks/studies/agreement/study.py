@@ -13,7 +13,7 @@ from ....lhm.template.template import DEFAULT_LEVEL
 from ....reference import Face
 from ....reference.added import added_laws
 from ....surrogate import methods as m
-from ....surrogate.methods import NEO_HOOKEAN, Method
+from ....surrogate.methods import Method
 from ....surrogate.runtime import Surrogate
 from ... import contest
 from ...contest import Contest, Made, collect_rows, list_failures
@@ -110,7 +110,7 @@ class Agreement(Contest, OfPerson):
     @property
     def _laws(self) -> tuple[str, ...]:
         """The hyperelastic laws by name."""
-        return (NEO_HOOKEAN, *self.laws)
+        return ("neo-Hookean", *self.laws)
 
     def network(self) -> Surrogate | None:
         """Load the network that was asked for, or what is shipped for the space."""

@@ -37,7 +37,6 @@ ENERGIES = {"the face's energy (Eq. 15)": PROJECTIVE, "ARAP's energy, same tets"
 class ErrorOverTime(Study):
     """Problems by solvers and settings; a subclass lists both."""
 
-    needs = ("people", "heads")
     timed = True
     columns = (
         Column("law", "law"),
@@ -99,7 +98,7 @@ class ErrorOverTime(Study):
         found = answers[values["answer"] or 0]
         apart = largest_distance(found[problem.skin], answers[0][problem.skin])
         values |= {"start": start, "law": entrant.law or "its own, not given to FEniCSx", "apart_mm": apart}
-        return values | self.compare_answers(problem, law, entrant.element)
+        return {**values, **self.compare_answers(problem, law, entrant.element)}
 
     def compare_answers(self, problem: Problem, law: str, element: str) -> Values:
         """Measure what else is to be said of a problem's answers."""
@@ -120,6 +119,7 @@ class Arena(ErrorOverTime):
     """Each problem by each solver and setting."""
 
     name = "arena"
+    needs = ("people", "heads")
     question = "How do other people's solvers do on the same problems?"
     cheap = "face posed by Eq. 15, 14.5 k tets, PD; default; from rest"
     version = 3
@@ -203,7 +203,7 @@ class Arena(ErrorOverTime):
 
 
 @dataclass(frozen=True)
-class WorkPrecision(ErrorOverTime, OfPerson):
+class WorkPrecision(OfPerson, ErrorOverTime):
     """Expressions of one head: our solvers on its energy, and with libigl on ARAP's."""
 
     name = "work-precision"

@@ -283,7 +283,8 @@ def _refine(person: Person, effect: str) -> Values:
     skin = used[used < len(head.bone)]
     carried = carry_by_bones(head, p)
     start = carried[used]
-    skins, tets = [], []
+    skins: list[Floats] = []
+    tets: list[int] = []
     for mesh in ("its own mesh", "split into eight", "split into 64"):
         if skins:
             scene, ends = refine_scene(scene)
