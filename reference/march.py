@@ -48,7 +48,8 @@ class Scheme:
 
         "implicit Euler" is of order 1 and damps what it does not resolve; "Newmark" (β = 1/4, γ = 1/2) and
         "generalised-alpha" (Chung and Hulbert 1993) are of order 2, the former without loss at any frequency, the
-        latter with loss at high ones only. Raises SceneError for another name or radius.
+        latter with loss at high ones only; an impact on Contact may give these two energy. Raises SceneError for
+        another name or radius.
         """
         one_of("scheme", name, SCHEMES, error=SceneError)
         radius = number("spectral_radius", spectral_radius, least=0.0, most=1.0, error=SceneError)

@@ -110,8 +110,10 @@ class Laid:
 
     @classmethod
     def from_mesh(cls, skin: Surface, mesh: Surface, policy: FittingPolicy = POLICY) -> Laid:
-        """Lay a mesh [mm] on a skin, from where it stands or from its middle; InputError for one of another size."""
+        """Lay a mesh [mm] on a skin, from where it stands or from its middle; InputError for another size, or none."""
         used = np.unique(mesh.triangles)
+        if not used.size:
+            raise InputError("a frame has no triangles")
         vertices, normals = mesh.vertices[used], unit(mesh.vertex_normals)[used]
         extents = [float(np.ptp(x, axis=0).max()) for x in (vertices, skin.vertices)]
         if not policy.sizes[0] <= extents[0] / extents[1] <= policy.sizes[1]:

@@ -231,10 +231,9 @@ def _check_value(info: ParameterInfo, value: Any) -> float | Floats:
     bad = np.flatnonzero(~((array >= info.low) & (array <= info.high)))
     if bad.size:
         where = f" (number {bad[0]})" if array.ndim else ""
+        unit = "" if info.unit == "1" else f" {info.unit}"
         value = array.ravel()[bad[0]]
-        raise InputError(
-            f"parameter {info.name} = {value:g}{where} is outside [{info.low:g}, {info.high:g}] {info.unit}"
-        )
+        raise InputError(f"parameter {info.name} = {value:g}{where} is outside [{info.low:g}, {info.high:g}]{unit}")
     if array.ndim == 0:
         return float(array)
     array.flags.writeable = False

@@ -79,6 +79,7 @@ def test_a_mesh_that_is_not_this_face_is_refused(mean_head, shapes, name):
     triangles, (first,) = in_other_triangles(mean_head.skin, mean_head.skin.vertices[None])
     refused("does not lie on the head's skin", TrackedFace.from_mesh, mean_head.skin, shapes,
             Surface(STRANGE[name](first), triangles))  # fmt: skip
+    refused("no triangles", TrackedFace.from_mesh, mean_head.skin, shapes, Surface(first, triangles[:0]))
     if name != "turned":  # which of its own triangles is a turn of the head
         frames = [STRANGE[name](mean_head.skin.vertices)]
         refused("is it mirrored|another person", fit_take, TrackedFace.from_skin(mean_head.skin, shapes), frames)
