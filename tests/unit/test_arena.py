@@ -136,12 +136,6 @@ def test_the_bar_has_its_closed_form():
     assert bar.closed("stable neo-Hookean") is None
 
 
-def test_the_answer_of_quadratic_tets_is_that_of_another_code(small):
-    block = problems.make(small)
-    other = solve(block.scene("neo-Hookean"), solver="skfem", element="P2", tolerance=1e-10)
-    assert problems.answer(block, "neo-Hookean", "P2") == pytest.approx(other.positions, abs=1e-7)
-
-
 def test_a_posed_face_is_the_face_of_the_simulator():
     face, of = problems.face(1), person(seed=None, level=1)
     targets = of.shape(problems.EXPRESSION)

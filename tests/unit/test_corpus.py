@@ -74,14 +74,6 @@ def test_a_frame_is_what_the_simulator_makes_of_its_expression(made):
     assert shard.statics.residual[row] <= PLAN.tolerance
 
 
-def test_any_frame_can_be_had_again_alone(made):
-    for identity in range(PLAN.identities):
-        person = PEOPLE.person(PLAN.rng(0, identity))
-        face = make_face(PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
-        again = simulate_static(PLAN, face, PLAN.weights(PLAN.static(identity, 1)))
-        np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
-
-
 def test_some_frames_are_simulated_again_to_see_that_they_are_what_is_kept(made, monkeypatch):
     assert simulate_again(made, Heads(lambda: PEOPLE)) == 3
     monkeypatch.setattr(again, "SAME", -1.0)
