@@ -175,8 +175,10 @@ class CertifiedFace:
         share = POLICY.converged if accuracy <= FINEST else POLICY.begun
         wrap = slice(len(self.face.head.bone))
         while True:
+            stop = share * spring_norm(scene)
+            # Untangling would lead far away from the frame before, some of whose tets may be inverted.
             solution = linear.prepared.solve(
-                scene, start=start, absolute=share * spring_norm(scene), max_iterations=POLICY.most_solves
+                scene, start=start, absolute=stop, max_iterations=POLICY.most_solves, untangle=False
             )
             left, certain = linear.prepared.estimate_left(solution.positions, linear.tangent, wrap, scene)
             parted, solves = self.face.skin_after(weights, solution.positions), solves + solution.iterations
