@@ -88,7 +88,7 @@ class Export:
             if part in notes:
                 click.echo(f"{part}: {notes[part]}")
         if "mean_error_mm" in notes:
-            regions = ", ".join(notes["largest_error_regions"]) or "no region"
+            regions = notes["largest_error_regions"] or "no region"
             click.echo(
                 f"error to the simulator on {notes['expressions']} mixed expressions: mean "
                 f"{notes['mean_error_mm']:.2g} mm, at most {notes['largest_error_mm']:.2g} mm, in "
