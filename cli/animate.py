@@ -50,7 +50,7 @@ class Animate:
 
     Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
     network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral
-    face settles under the parameters first. Lids and lips do not cross: where they touch, contact is solved for.
+    face settles under the parameters first. Lids and lips of the wrap do not cross: contact is solved for.
     --dynamic and --bones take the simulator for every frame.
 
     `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
