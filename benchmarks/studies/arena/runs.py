@@ -176,7 +176,7 @@ def find_budget(tets: int) -> float:
 
 
 def summarise(lines: Lines) -> dict[str, Any]:
-    """Give a row's values: phases, time and work to accuracies, the error at the end and the curve.
+    """Give a row's values: phases, time to accuracies, the error at the end and the curve.
 
     answer: the number of the answer at which the run ends; errors are to that.
     """
@@ -195,10 +195,9 @@ def summarise(lines: Lines) -> dict[str, Any]:
     }
     if not trace:
         empty: dict[str, Any] = dict.fromkeys(("answer", "max_mm", "mean_mm", "to_tenth_s", "to_hundredth_s"))
-        return values | empty | {"error_mm": [], "seconds": [], "work": []}
+        return values | empty | {"error_mm": [], "seconds": []}
     answer = int(np.argmin([largest for _, largest in trace[-1]["errors"]]))
     seconds, largest = [line["cpu_s"] for line in trace], [line["errors"][answer][1] for line in trace]
-    work = [line["work"] for line in trace]
     arrivals = [find_arrival(largest, accuracy) for accuracy in ACCURACIES]
     reached = [None if k is None else seconds[k] for k in arrivals]
     kept = (np.unique(np.geomspace(1, len(trace), POINTS).round().astype(int)) - 1).tolist()
@@ -206,15 +205,13 @@ def summarise(lines: Lines) -> dict[str, Any]:
         "answer": answer,
         "solve_s": seconds[-1],
         "wall_s": trace[-1]["wall_s"],
-        "iterations": work[-1],
+        "iterations": trace[-1]["work"],
         "linear_iterations": lines.find("linear_iterations"),
         "mean_mm": trace[-1]["errors"][answer][0],
         "max_mm": largest[-1],
         "to_tenth_s": reached[TENTH],
         "to_hundredth_s": reached[HUNDREDTH],
         "seconds_to": reached,
-        "work_to": [None if k is None else work[k] for k in arrivals],
         "seconds": [seconds[k] for k in kept],
-        "work": [work[k] for k in kept],
         "error_mm": [largest[k] for k in kept],
     }

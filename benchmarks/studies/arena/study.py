@@ -24,7 +24,7 @@ from .entrants import Entrant, list_entrants
 from .laws import NEO_HOOKEAN, PROJECTIVE, RIGID
 from .problems import LINEAR, Case, Problem
 from .runs import ACCURACIES, ANSWER, HUNDREDTH, REST, find_budget, run
-from .summaries import CASES_OF, judge_claims, rank_solvers, tabulate_best, tabulate_times, tabulate_work
+from .summaries import CASES_OF, judge_claims, rank_solvers, tabulate_best, tabulate_times
 
 CLOCK = 1e-4
 """[s] of a step of the clock at most: set-ups take some milliseconds."""
@@ -253,8 +253,8 @@ class WorkPrecision(OfPerson, ErrorOverTime):
         return [at_most(f"{m.PD} and {m.FENICSX} to the nearest minimum [mm]", max(ends), ACCURACY)] if ends else []
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Tabulate times and iterations to accuracies, and claims."""
-        return [tabulate_times(rows), tabulate_work(rows), judge_claims(rows)]
+        """Tabulate times to accuracies, and claims."""
+        return [tabulate_times(rows), judge_claims(rows)]
 
 
 @lru_cache(maxsize=2)

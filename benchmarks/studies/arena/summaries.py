@@ -140,20 +140,11 @@ def tabulate_best(rows: Sequence[Row], what: str, cases: Mapping[str, str]) -> T
 
 def tabulate_times(rows: Sequence[Row]) -> Table:
     """Tabulate each solver's processor time from rest to the accuracies."""
-    return _tabulate_arrivals(rows, "seconds_to", "Processor time of the solve to an accuracy", " [s]")
-
-
-def tabulate_work(rows: Sequence[Row]) -> Table:
-    """Tabulate each solver's iterations from rest to the accuracies."""
-    return _tabulate_arrivals(rows, "work_to", "Iterations to an accuracy", "")
-
-
-def _tabulate_arrivals(rows: Sequence[Row], key: str, caption: str, unit: str) -> Table:
-    solved = [(row, row.values.get(key) or ()) for row in rows if row.values["start"] == REST]
-    shown = max((len(reached) for _, reached in solved), default=0)
+    none = [None] * len(ACCURACIES)
     lines = [
-        (row.case, row.values["solver"], row.values["setting"], *reached, *[None] * (shown - len(reached)))
-        for row, reached in solved
+        (row.case, row.values["solver"], row.values["setting"], *(row.values.get("seconds_to") or none))
+        for row in rows
+        if row.values["start"] == REST
     ]
-    head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm{unit}" for accuracy in ACCURACIES[:shown])]
-    return Table(caption, head, lines)
+    head = ["problem", "solver", "setting", *(f"to {accuracy:g} mm [s]" for accuracy in ACCURACIES)]
+    return Table("Processor time of the solve to an accuracy", head, lines)
