@@ -106,7 +106,8 @@ class ErrorOverTime(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell who was first to 0.01 mm on each problem, among solvers of one law."""
-        return f"First to 0.01 mm of one energy's answer, set-up counted. {'; '.join(rank_solvers(rows))}."
+        told = "; ".join(rank_solvers(rows))
+        return f"First to 0.01 mm of one energy's answer, set-up counted. {told}." if told else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the largest error against processor time with set-up, a line per solver and setting, from rest."""
