@@ -10,7 +10,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TextIO
 
 import numba
 from numba.core.compiler_lock import global_compiler_lock
@@ -52,22 +52,28 @@ _HELD: set[Path] = set()
 @contextmanager
 def _hold(path: Path) -> Iterator[None]:
     """Hold a file's lock, which other processes wait for; not again where this one has it, as recursion does."""
-    if path in _HELD:
-        yield
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = open(path, "a")
-    except OSError:  # where numba cannot write either
+    file = None if path in _HELD else _lock(path)
+    if file is None:
         yield
         return
     with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
         _HELD.add(path)
         try:
             yield
         finally:
             _HELD.remove(path)
+            fcntl.flock(file, fcntl.LOCK_UN)  # a child that was forked meanwhile has the file, too
+
+
+def _lock(path: Path) -> TextIO | None:
+    """Open and lock a file; None where its folder or its file system takes no lock."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = open(path, "a")
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:
+        return None
+    return file
 
 
 @cache
