@@ -8,7 +8,7 @@ from typing import Any
 
 from ....lhm.base.errors import InputError
 from ....reference.added import added_solvers
-from ....reference.face.facial import PD_ENERGY
+from ....reference.face.facial import PD_ENERGY, FaceLaw
 from ....surrogate import methods as m
 from .laws import ISOCHORIC, NEO_HOOKEAN, PLAIN_STABLE, PROJECTIVE, RIGID, ST_VENANT
 from .solvers import NAMES
@@ -17,7 +17,7 @@ from .solvers.protocol import SolverFile
 
 DEFAULT = "default"
 """The setting of a solver of ours by its own law."""
-LAW_OF = {PD_ENERGY: PROJECTIVE, m.NEO_HOOKEAN: NEO_HOOKEAN}
+LAW_OF: Mapping[FaceLaw, str] = {PD_ENERGY: PROJECTIVE, m.NEO_HOOKEAN: NEO_HOOKEAN}
 """The arena's names of laws of METHODS."""
 ALSO: Mapping[str, Sequence[str]] = {
     m.PD: (RIGID,),
