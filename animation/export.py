@@ -60,8 +60,7 @@ def measure_error(face: Face, progress: OnProgress) -> dict[str, float | str]:
     """Measure how far the simulator's derivatives are from it, on EXPRESSIONS random expressions.
 
     The mean is over those of the mean distance [mm] of the vertices that physics moves, the largest of any vertex; its
-    expression is named by its strongest shapes, the vertex by its number in the head's skin and its
-    regions.
+    expression is named by its strongest shapes, the vertex by its number in the head's skin and its regions.
     """
     certified = CertifiedFace(face, differentiate(face), DERIVATIVES)
     rng, means, largest, worst, vertex = np.random.default_rng(0), [], 0.0, "", 0
