@@ -134,6 +134,7 @@ class ExportFaceBenchmark:
 
     out: Path = argument("OUT", type=ZIP)
     results: Path = option(Path("out/face-benchmark"), "folder of the solved rows", type=FOLDER)
+    small: bool = option(False, "leave out the fine mesh, as the archive in the repository does")
 
     def run(self) -> int:
         """Solve and write."""
@@ -142,7 +143,7 @@ class ExportFaceBenchmark:
 
         study = FaceBenchmark()
         with show_progress() as progress:
-            results, size = export(self.out, study, self.results, progress=progress)
+            results, size = export(self.out, study, self.results, small=self.small, progress=progress)
         print_results(study, results, self.results)
         click.echo(f"wrote {self.out} ({size / 1e6:.1f} MB)")
         return 0 if results.passed else 1
@@ -159,16 +160,18 @@ class ScoreAnswer:
     """
 
     answer: Path = argument("ANSWER", type=FILE)
-    archive: Path = option(Path("face-benchmark.zip"), "from `bench export`, or its folder", type=FILE)
+    archive: Path | None = option(
+        None, "from `bench export`, or its folder  [the repository's, of the coarse and medium mesh]", type=FILE
+    )
     problem: str = option("", "default: the one that the file's name has in it")
     json: bool = option(False, "print the score as JSON, as benchmarks/face/answers keeps it")
 
     def run(self) -> int:
         """Print the score."""
-        from ..benchmarks.face.score import AnswerError, Archive, describe_score, score, write_score
+        from ..benchmarks.face.score import ARCHIVE, AnswerError, Archive, describe_score, score, write_score
 
         try:
-            archive = Archive(self.archive)
+            archive = Archive(self.archive or ARCHIVE)
             result = score(self.answer, archive, self.problem)
         except AnswerError as error:
             raise InputError(str(error)) from None

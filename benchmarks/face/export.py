@@ -20,10 +20,13 @@ from .problems import MESHES, PROBLEMS, Body
 from .score import rms
 
 
-def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgress = silent) -> tuple[Results, int]:
+def export(
+    path: Path, study: FaceBenchmark, folder: Path, *, small: bool = False, progress: OnProgress = silent
+) -> tuple[Results, int]:
     """Solve what the study's folder lacks, or has as failed, and write the archive; return the results and its bytes.
 
-    Raises InputError where a problem could not be solved by every method; the folder keeps what was.
+    A small archive leaves out the fine mesh, and linear tets' answers on it. Raises InputError where a problem could
+    not be solved by every method; the folder keeps what was.
     """
     results = run(study, folder, progress=progress)
     limits: dict[str, dict[str, Any]] = {row.case: dict(row.values) for row in results.rows if row.method == CONVERGED}
@@ -32,6 +35,7 @@ def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgre
         raise InputError(f"{folder}: some answers are missing, so nothing was written ({failed})")
     bodies = study.bodies()
     by_mesh = dict(zip(MESHES, bodies, strict=True))
+    kept = bodies[:-1] if small else bodies
     moved = {
         (row.case, row.method): _read(folder / row.values["displacement"], by_mesh[row.method.rpartition(", ")[2]])
         for row in results.rows
@@ -44,9 +48,9 @@ def export(path: Path, study: FaceBenchmark, folder: Path, *, progress: OnProgre
         answers[f"{problem}.converged"] = converged
         for name, size in (("band_mm", rms), ("largest_mm", lambda each: float(np.linalg.norm(each, axis=1).max()))):
             limit[name] = max(SAFETY * size(converged - fine), LEAST_BAND * size(converged))
-        for mesh, method in zip(MESHES, LINEAR, strict=True):  # 1e-6 mm are enough, in half the bytes
+        for mesh, method in zip(MESHES[: len(kept)], LINEAR, strict=False):  # 1e-6 mm are enough, in half the bytes
             answers[f"{problem}.linear.{mesh}"] = moved[problem, method].astype(np.float32)
-    return results, write_archive(path, bodies, limits, answers, ", ".join(results.commits))
+    return results, write_archive(path, kept, limits, answers, ", ".join(results.commits))
 
 
 def _read(file: Path, body: Body) -> Floats:

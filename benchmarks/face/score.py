@@ -25,6 +25,8 @@ import meshio
 import numpy as np
 
 Floats = np.ndarray
+ARCHIVE = Path(__file__).with_name("face-benchmark.zip")
+"""The archive of coarse and medium meshes that the repository has."""
 DESCRIPTION, ANSWERS, CHECKSUMS = "benchmark.json", "answers.npz", "SHA256SUMS"
 FORMATS = {".vtu": "vtu", ".msh": "gmsh"}
 """Readers by an answer's suffix; readers of other kinds follow names of more files."""
