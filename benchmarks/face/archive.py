@@ -44,7 +44,7 @@ def write_archive(
 
     limits: by problem "answers", a list of quantities with "name", "unit", "value" and "band", and the bands [mm] of
     the coarse mesh's vertices: "band_mm" of their RMS and "largest_mm" of the farthest; answers: arrays [mm], named
-    PROBLEM.converged of the coarse mesh's vertices, and PROBLEM.linear.MESH of all that MESH has.
+    PROBLEM.converged of the coarse mesh's vertices, and PROBLEM.linear.MESH and PROBLEM.quadratic.MESH of all MESH has.
     """
     coarse = bodies[0]
     description = describe(bodies, limits, commit)

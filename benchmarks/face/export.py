@@ -25,7 +25,7 @@ def export(
 ) -> tuple[Results, int]:
     """Solve what the study's folder lacks, or has as failed, and write the archive; return the results and its bytes.
 
-    A small archive leaves out the fine mesh, and linear tets' answers on it. Raises InputError where a problem could
+    A small archive leaves out the fine mesh, and the answers on it. Raises InputError where a problem could
     not be solved by every method; the folder keeps what was.
     """
     results = run(study, folder, progress=progress)
@@ -48,8 +48,10 @@ def export(
         answers[f"{problem}.converged"] = converged
         for name, size in (("band_mm", rms), ("largest_mm", lambda each: float(np.linalg.norm(each, axis=1).max()))):
             limit[name] = max(SAFETY * size(converged - fine), LEAST_BAND * size(converged))
-        for mesh, method in zip(MESHES[: len(kept)], LINEAR, strict=False):  # 1e-6 mm are enough, in half the bytes
-            answers[f"{problem}.linear.{mesh}"] = moved[problem, method].astype(np.float32)
+        for element, methods in (("linear", LINEAR), ("quadratic", QUADRATIC)):
+            for mesh, method in zip(MESHES[: len(kept)], methods, strict=False):
+                # 1e-6 mm are enough, in half the bytes.
+                answers[f"{problem}.{element}.{mesh}"] = moved[problem, method].astype(np.float32)
     return results, write_archive(path, kept, limits, answers, ", ".join(results.commits))
 
 

@@ -39,7 +39,7 @@ VERDICTS = ("right", "right on this mesh", "wrong", "shifted", "truncated", "not
 SAME_PLACE = 1e-3
 """[mm] within which an answer's points are a mesh's."""
 SAME_ANSWER = 0.01
-"""Share of the largest displacement within which an answer is that of linear tets on its mesh."""
+"""Share of the largest displacement within which an answer is that of linear or quadratic tets on its mesh."""
 HELD = 1e-3
 """Share of the largest displacement within which a held point is where it is held."""
 EXPLAINED = 0.2
@@ -262,6 +262,12 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
     slip = _norms(moved - linear)[mesh.held].max()
     if slip > max(HELD * largest, SAME_PLACE):
         faults.append(f"held points are up to {slip:.3g} mm from where they are held")
+    quadratic = archive.arrays.get(f"{problem}.quadratic.{mesh.name}")
+    is_within = off <= asked["band_mm"] and _norms(ends - limit).max() <= asked["largest_mm"]
+    if quadratic is not None and not faults and not is_within:
+        apart = _norms(moved - quadratic).max()
+        if apart <= SAME_ANSWER * largest:
+            return "right on this mesh", f"quadratic tets' answer on it to {apart:.1g} mm; {reason}"
     between = moved - linear - mesh.interpolate(ends - linear[:count])  # zero at the coarse mesh's points
     strayed = rms(between) > BETWEEN[0] * by_mesh or _norms(between).max() > BETWEEN[1] * _norms(way).max()
     if strayed:
@@ -270,7 +276,7 @@ def judge(moved: Floats, mesh: Mesh, archive: Archive, problem: str) -> tuple[st
             "the coarse mesh's points put them"
         )
     if not faults:
-        if off <= asked["band_mm"] and _norms(ends - limit).max() <= asked["largest_mm"]:
+        if is_within:
             return "right", reason
         apart = _norms(moved - linear).max()
         if apart <= SAME_ANSWER * largest:
