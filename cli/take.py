@@ -88,7 +88,7 @@ class Fit:
             f"{residuals[worst]:.2g} mm at most ({sequence.names[worst]})"
         )
         if fitted.take.missing:
-            click.echo(f"not fitted, since the head does not move by them: {', '.join(fitted.take.missing)}")
+            click.echo(f"not fitted, since the meshes hardly move by them: {', '.join(fitted.take.missing)}")
         click.echo(f"wrote {self.out}")
         return 0
 

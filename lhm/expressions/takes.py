@@ -102,7 +102,7 @@ class Take:
 def check_rate(rate: float) -> None:
     """Raise InputError unless a frame rate [Hz] lies within RATES."""
     if not RATES[0] <= rate <= RATES[1]:
-        hint = "; are its times milliseconds?" if rate < RATES[0] else ""
+        hint = "; are its times milliseconds?" if 0.0 < rate < RATES[0] else ""
         raise InputError(f"rate: {rate:.6g} Hz, expected {RATES[0]:g} to {RATES[1]:,g}{hint}")
 
 
