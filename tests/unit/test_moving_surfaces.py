@@ -1,6 +1,7 @@
 """VTKHDF, glTF and USD: what other programs read back is what was written."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -121,7 +122,8 @@ def test_a_rig_without_a_take_has_its_surfaces_and_their_places(tmp_path, write,
 
 def test_usd_without_its_package_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
-    refused(r"pip install 'softdeca\[usd\]'", write_usd, tmp_path / "a.usd", None, error=MissingDependencyError)
+    rig = SimpleNamespace(notes={})
+    refused(r"pip install 'softdeca\[usd\]'", write_usd, tmp_path / "a.usd", rig, error=MissingDependencyError)
 
 
 def test_morphs_meet_their_bound_with_no_more_targets_than_frames():
