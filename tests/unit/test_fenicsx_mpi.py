@@ -275,5 +275,6 @@ def test_a_command_is_refused_under_mpirun():
     command = [sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "list"]
     done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1
-    lines = set(strip_notices(done.stderr).strip().splitlines())
-    assert lines == {"softdeca: error: mpirun shares the solves of a script, not of a command; run softdeca without it"}
+    line = "softdeca: error: mpirun shares the solves of a script, not of a command; run softdeca without it"
+    # mpirun may put a process' line into another's.
+    assert line in done.stderr and not strip_notices(done.stderr).replace(line, "").strip()
