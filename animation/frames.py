@@ -47,7 +47,7 @@ def rig_frames(method: str, rig: BoundRig, take: Take, dynamic: bool) -> Iterato
 
 def foresee(face: CertifiedFace, take: Take, accuracy: float) -> str:
     """Say how many frames of a take need contact solved for, and how long all take: by SURVEYED frames of it."""
-    count, surveyed = len(take.times), np.unique(np.linspace(1, len(take.times) - 1, SURVEYED).astype(int))
+    count, surveyed = len(take.times), np.unique(np.linspace(0, len(take.times) - 1, SURVEYED).astype(int))
     touching = np.array([face.touches(take.weights[k].astype(np.float64)) for k in surveyed])
     seconds = 0.0
     for kind in (surveyed[touching], surveyed[~touching]):

@@ -125,9 +125,10 @@ class CertifiedFace:
         seconds = None if seconds is None else number("seconds", seconds, least=0.0, unit="s")
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
-        if seconds is None and self.touches(known, after):
+        start = self._start(known, after)
+        if seconds is None and self.face.derivatives.prepared.touches(start):
             return self._solve_in_contact(known, accuracy, after, begin)
-        for frame in self._correct(known, after, accuracy, begin):
+        for frame in self._correct(known, start, accuracy, begin):
             is_late = seconds is not None and frame.seconds >= seconds
             if frame.bound <= accuracy or is_late:
                 break
@@ -137,9 +138,9 @@ class CertifiedFace:
             return replace(frame, certain=False)
         return self._solve_in_contact(known, accuracy, after, begin, frame.solves)
 
-    def touches(self, weights: Floats, after: Reached | None = None) -> bool:
+    def touches(self, weights: Floats) -> bool:
         """Tell whether surfaces in contact touch where a frame of weights (52,) begins; see `frame`."""
-        return self.face.derivatives.prepared.touches(self._start(weights, after))
+        return self.face.derivatives.prepared.touches(self._start(weights, None))
 
     def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
@@ -148,7 +149,7 @@ class CertifiedFace:
         """
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
-        for frame in self._correct(known, after, None, begin):
+        for frame in self._correct(known, self._start(known, after), None, begin):
             if self.face.derivatives.prepared.touches(frame.positions):
                 yield self._guess(frame)
                 yield self._solve_in_contact(known, FINEST, after, begin, frame.solves)
@@ -199,11 +200,9 @@ class CertifiedFace:
                 return ended
             start, share = solution.positions, POLICY.further * share
 
-    def _correct(
-        self, known: Floats, after: Reached | None, accuracy: float | None, begin: float
-    ) -> Iterator[CertifiedFrame]:
+    def _correct(self, known: Floats, start: Floats, accuracy: float | None, begin: float) -> Iterator[CertifiedFrame]:
         """Yield the best frame so far after each round: Newton's step, L-BFGS to the accuracy, and the error anew."""
-        correction = Correction(self.face, known, self._start(known, after))
+        correction = Correction(self.face, known, start)
         correction.smooth(1)
         if accuracy is not None:
             share = accuracy / max(self._estimate_roughly(correction), FINEST)

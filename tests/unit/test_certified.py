@@ -7,7 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from softdeca.animation.frames import foresee
 from softdeca.lhm import InputError
+from softdeca.lhm.expressions import Take
 from softdeca.reference import Face, Parameters, solve
 from softdeca.surrogate import METHODS, Surrogate, certify
 from softdeca.surrogate.corpus.spheres import Spheres
@@ -33,6 +35,10 @@ def expression(seed, largest=1.0):
 
 def mean_distance(frame, truth):
     return np.linalg.norm(frame.skin - truth.skin, axis=1).mean()
+
+
+def test_a_take_of_one_frame_is_foreseen(face):
+    assert foresee(face, Take(expression(0)[None], 30.0, np.zeros(1)), 0.05).startswith("frames: 1")
 
 
 @pytest.mark.parametrize("seed", range(3))
