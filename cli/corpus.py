@@ -55,7 +55,7 @@ class Generate:
     """Simulate a corpus; run again, it resumes, by the plan that lies in OUT if no other is given.
 
     PLAN.toml has `preset` and any field of the plan, such as identities = 640, groups = 4, frames = 9, sequences = 1,
-    responses = 1.0, references = 5, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
+    responses = 1.0, references = 0, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
 
     A corpus of another plan in OUT is refused, and what differs is named; so are files of another corpus. Exit status 1
     if more than 5 % is rejected, or a person is not there at the end.
@@ -64,7 +64,10 @@ class Generate:
     # None leaves a choice to the folder's own corpus or the plan.
     plan_file: Path | None = argument("[PLAN.toml]", None, type=click.Path(path_type=Path, dir_okay=False))
     preset: str | None = option(
-        None, "tiny (default), study, fresh, small, faces or paper, in place of a file", type=str
+        None,
+        "in place of a file: tiny (default); small, contact, faces or paper to learn from; study, fresh, moving or "
+        "external to test on",
+        type=str,
     )
     takes: Path | None = option(
         None,

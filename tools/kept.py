@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -79,12 +79,9 @@ class Kept:
         return load_study(self.study)(**self.options)
 
 
-_FRESH = PRESETS["fresh"]
 CORPORA: Mapping[str, KeptCorpus] = {
-    "study": KeptCorpus(PRESETS["study"]),
-    "fresh": KeptCorpus(_FRESH),
-    "moving": KeptCorpus(replace(_FRESH, seed=4712, identities=12, groups=2, sequences=1, references=12)),
-    "external": KeptCorpus(replace(_FRESH, seed=4713, identities=6, groups=2, sequences=1), f"external:ict:{ICT}"),
+    **{name: KeptCorpus(PRESETS[name]) for name in ("study", "fresh", "moving")},
+    "external": KeptCorpus(PRESETS["external"], f"external:ict:{ICT}"),
 }
 KEPT: Mapping[str, Kept] = {
     "agreement": Kept("agreement"),

@@ -30,7 +30,7 @@ from softdeca.surrogate.networks.modal_training import ModalTraining, train_moda
 from softdeca.surrogate.trials import static_trials
 
 plan = CorpusPlan(
-    identities=14, groups=3, frames=6, sequences=0, references=0, varying=0.0,
+    identities=14, groups=3, frames=6, sequences=0, varying=0.0,
     kinds={"single": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=8,
 )  # fmt: skip
 space = Spheres(1)

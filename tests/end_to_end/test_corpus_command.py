@@ -10,7 +10,6 @@ preset = "tiny"
 identities = 2
 frames = 1
 sequences = 0
-references = 0
 [sources]
 conversation = 0.5
 random = 0.5

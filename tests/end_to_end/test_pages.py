@@ -86,7 +86,7 @@ def folder(tmp_path_factory):
     (folder / "take.csv").write_text("\n".join([",".join(["Timecode", "BlendShapeCount", *names]), *rows]) + "\n")
     (plan,) = re.findall(r"```toml\n(.*?)```", TEXT, flags=re.DOTALL)
     (folder / "plan.toml").write_text(plan)
-    small = replace(PRESETS["tiny"], sequences=0, references=0, responses=0.0, sources={"random": 1.0})
+    small = replace(PRESETS["tiny"], sequences=0, responses=0.0, sources={"random": 1.0})
     Corpus.from_plan(folder / "corpus", small, OfSpace(space := Spheres(1), space.mean, space.fit)).generate()
     return folder
 

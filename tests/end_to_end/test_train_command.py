@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("measured_here")
 
 SPACE = Spheres(1)
 PLAN = CorpusPlan(
-    identities=12, groups=2, frames=6, sequences=0, references=0,
+    identities=12, groups=2, frames=6, sequences=0,
     varying=0.0, kinds={"materials": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 

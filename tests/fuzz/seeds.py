@@ -39,7 +39,7 @@ from .__main__ import BESIDE, KEPT, as_folder
 from .formats import SPACE
 
 PLAN = CorpusPlan(
-    identities=2, groups=1, frames=2, sequences=0, references=0, conversations=3, random=3, seconds=1.0, run=24,
+    identities=2, groups=1, frames=2, sequences=0, conversations=3, random=3, seconds=1.0, run=24,
     sources={"conversation": 0.5, "random": 0.5},
 )  # fmt: skip
 PACKED = 1_000

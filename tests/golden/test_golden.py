@@ -135,7 +135,7 @@ def corpus() -> Numbers:
     from softdeca.surrogate.corpus.spheres import Spheres
 
     space = Spheres(1)
-    plan = replace(PRESETS["tiny"], references=0, identities=2, cells="tets")
+    plan = replace(PRESETS["tiny"], identities=2, cells="tets")
     numbers: Numbers = {}
     with TemporaryDirectory() as folder:
         Corpus.from_plan(Path(folder), plan, OfSpace(space, space.mean, space.fit)).generate()

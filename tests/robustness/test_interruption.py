@@ -38,7 +38,6 @@ identities = 12
 groups = 1
 frames = 2
 sequences = 0
-references = 0
 responses = 0.0
 random = 4
 sources = { random = 1.0 }
@@ -218,7 +217,7 @@ from softdeca.surrogate.corpus import folder, plan as plans, sequences
 
 shim, place = ctypes.CDLL(os.environ["LD_PRELOAD"]), Path(sys.argv[1])
 plan = place / "plan.toml"
-options = ['preset = "tiny"', "identities = 2", "frames = 1", "run = 3", "references = 0", "responses = 0.0"]
+options = ['preset = "tiny"', "identities = 2", "frames = 1", "run = 3", "responses = 0.0"]
 plan.write_text(os.linesep.join(options))
 known = {}
 

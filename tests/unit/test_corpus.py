@@ -36,7 +36,7 @@ from softdeca.surrogate.corpus.spheres import Spheres
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
-PLAN = replace(PRESETS["tiny"], references=0, sources={"conversation": 0.4, "random": 0.3, "hard": 0.3})
+PLAN = replace(PRESETS["tiny"], sources={"conversation": 0.4, "random": 0.3, "hard": 0.3})
 
 
 def parameters_of(identity):

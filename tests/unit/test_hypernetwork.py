@@ -37,7 +37,7 @@ SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
 N = len(SPACE.mean.vertices)
 PLAN = CorpusPlan(
-    identities=20, groups=5, frames=2, sequences=0, responses=1.0, references=0,
+    identities=20, groups=5, frames=2, sequences=0, responses=1.0,
     kinds={"materials": 1.0}, varying=0.0, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 SMALL = Widths(

@@ -38,7 +38,7 @@ SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
 N = len(SPACE.mean.vertices)
 PLAN = CorpusPlan(
-    identities=20, groups=4, frames=5, sequences=0, references=0,
+    identities=20, groups=4, frames=5, sequences=0,
     kinds={"effects": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 NETWORK = ModalConfig(

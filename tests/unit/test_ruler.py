@@ -102,7 +102,7 @@ def test_each_expression_has_one_strength():
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory):
     plan = CorpusPlan(
-        identities=4, groups=3, frames=3, sequences=0, references=0, varying=0.3,
+        identities=4, groups=3, frames=3, sequences=0, varying=0.3,
         kinds={"materials": 0.3, "single": 0.7}, sources={"hard": 1.0}, conversations=0, random=0, hard=3, seconds=2.0,
     )  # fmt: skip
     corpus = Corpus.from_plan(tmp_path_factory.mktemp("corpus"), plan, PEOPLE)
