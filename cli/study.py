@@ -43,7 +43,9 @@ class MainStudy:
         weights = "" if self.surrogate is None else str(self.surrogate)
         asked = Faces(identities=self.identities, expressions=tuple(self.expressions.split(",")), weights=weights)
         if self.small:
-            asked = replace(asked, level=min(LEVELS), people=1, frames=1, expressions=asked.expressions[:1])
+            asked = replace(
+                asked, level=min(LEVELS), people=1, converged=0, frames=1, expressions=asked.expressions[:1]
+            )
         with show_progress() as progress:
             done = run_study(asked, self.out, small=self.small, progress=progress)
         status = 0 if (done.complete if self.small else done.passed) else 1

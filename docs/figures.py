@@ -123,9 +123,14 @@ def show_table(name: str, number: int) -> None:
     cog.out(shown.partition("\n\n")[2].rstrip() + "\n")
 
 
+def read_contest() -> Sequence[Line]:
+    """Read the rows of the contest `faces`."""
+    return [line for line in lines("faces") if "to" in line]
+
+
 def show_faces() -> None:
     """Write what each method of the contest `faces` misses of the motion, and what the same frames cost."""
-    rows = [line for line in lines("faces") if "to" in line]
+    rows = read_contest()
     own, far = first_screen.summarise_own(rows), first_screen.summarise_far(rows)
     simulators = {name: far[name] for name in (m.PD, m.PD_TETS)}
     ordered = sorted(own.items(), key=lambda item: item[1].share)

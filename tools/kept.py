@@ -89,7 +89,7 @@ KEPT: Mapping[str, Kept] = {
     "contact": Kept("contact"),
     "dial": Kept("dial", {"faces": 4, "external": f"ict:{ICT}"}, files=(ICT,)),
     "face-benchmark": Kept("face-benchmark"),
-    "faces": Kept("faces"),
+    "faces": Kept("faces", {"converged": 6}),
     "hard": Kept("hard"),
     "heads": Kept("heads", {"count": 200}),
     "material": Kept("material"),

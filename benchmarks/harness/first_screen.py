@@ -54,7 +54,8 @@ def summarise_far(lines: Lines) -> dict[str, Summary]:
 
 def write_sentences(lines: Lines) -> list[str]:
     """Write, in order, how far the simulator, then each method is off, what each costs, and where the network loses."""
-    sentences = (_tell_truth(lines), _tell_errors(lines), _tell_costs(lines), _tell_losses(lines))
+    tell = (_tell_truth, _tell_errors, tell_larger, _tell_costs, _tell_losses)
+    sentences = [each(lines) for each in tell]
     return [text for text in sentences if text]
 
 
@@ -88,6 +89,23 @@ def _tell_errors(lines: Lines) -> str:
     told = "; ".join(f"{name} {_percent(found[name].share)} ({found[name].mean:.3f} mm)" for name in ordered)
     most = max(found.values(), key=lambda each: len(each.frames))
     return f"Each method misses its simulator by, on {_count(most)}: {told}."
+
+
+def tell_larger(lines: Lines) -> str:
+    """Tell whether the network is farther from its simulator than that one from quadratic tets, on the same frames."""
+    own = [line for line in lines if line["method"] == m.NETWORK and m.FENICSX_P2 in line["to"]]
+    if not own:
+        return ""
+    simulator = find_simulator(own[0])
+    network = summarise(own, "method", simulator).get(m.NETWORK)
+    far = summarise(lines, "method", m.FENICSX_P2).get(simulator)
+    if network is None or far is None or far.frames != network.frames:
+        return ""
+    larger = "network" if network.share > far.share else "simulator"
+    return (
+        f"On {_count(far)} the network misses its simulator by {_percent(network.share)}, and that one misses "
+        f"converged finite elements by {_percent(far.share)}: the {larger}'s error is the larger."
+    )
 
 
 def find_front(found: Mapping[str, Summary], seconds: str) -> list[str]:
@@ -230,7 +248,7 @@ def _percent(share: float) -> str:
 
 
 def _count(summary: Summary) -> str:
-    faces = len({case for case, _ in summary.frames})
+    faces = len({case.partition(",")[0] for case, _ in summary.frames})
     return f"{len(summary.frames)} frames of {faces} {'face' if faces == 1 else 'faces'}"
 
 

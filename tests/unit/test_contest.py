@@ -82,3 +82,18 @@ def test_advice_names_the_front_of_error_and_time_whoever_is_on_it():
     found = first_screen.summarise_own(lines)
     assert first_screen.find_front(found, "frame") == [m.DERIVATIVES, m.PD_FIRST_ORDER]
     assert f"For many frames of a face pick {m.DERIVATIVES}" in " ".join(first_screen.write_sentences(lines))
+
+
+@pytest.mark.parametrize(("own", "far", "larger"), [(0.2, 0.1, "network"), (0.1, 0.2, "simulator")])
+def test_the_first_screen_tells_whose_error_is_the_larger_on_the_same_frames(own, far, larger):
+    lines = []
+    for frame, factor in enumerate((0.5, 1.5)):
+        network = make_line(m.NETWORK, "a", frame, seconds=1e-5, error=factor * own)
+        network["to"][m.FENICSX_P2] = network["to"][m.PD]
+        lines += [network, make_line(m.PD, "a", frame, seconds=1.0, error=factor * far, truth=m.FENICSX_P2)]
+    other = make_line(m.NETWORK, "b", 0, seconds=1e-5, error=9.0)  # which nobody has converged
+    told = first_screen.tell_larger([*lines, other])
+    assert told.startswith("On 2 frames of 1 face the network misses") and told.endswith(
+        f"the {larger}'s error is the larger."
+    )
+    assert told in first_screen.write_sentences(lines) and not first_screen.tell_larger([*lines[1:], other])
