@@ -51,7 +51,6 @@ def rest_among_targets(
     start: the settled face's positions [mm]. accuracy is the gradient norm of the answer, relative to that of the
     targets' springs each 1 mm long. `on_iteration` sees the solve; what it raises ends it.
     """
-    # cholespy's factor takes a tenth of a second more than CHOLMOD's from an analysis, each solve a third less.
     prepared = prepare(scene)
     first = max(accuracy, FRAME_ACCURACY if accuracy < QUICK_ACCURACY else 0.0) * spring_norm(scene)
     return prepared, prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)

@@ -128,7 +128,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
 
 def _cholmod(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
     try:
-        factor = cholesky.CholmodFactor(matrix, definite=True)
+        factor = cholesky.CholmodFactor(matrix)
     except np.linalg.LinAlgError:
         return None
     return lambda right: factor(right[:, None])[:, 0]

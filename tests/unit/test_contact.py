@@ -371,8 +371,10 @@ def test_without_contact_nothing_changes_and_with_it_nothing_is_factored_again(m
     np.testing.assert_array_equal(solution.positions, solve(alone).positions)
     assert solution.detail["contact_pairs"] == solution.detail["contact_crossings"] == 0
     calls = []
-    factorise = system.factorise
-    monkeypatch.setattr(system, "factorise", lambda *given, **options: calls.append(1) or factorise(*given, **options))
+    factorise = system.factorise_definite
+    monkeypatch.setattr(
+        system, "factorise_definite", lambda *given, **options: calls.append(1) or factorise(*given, **options)
+    )
     prepared = prepare(scene)
     made = len(calls)
     first, second = prepared.solve(scene), prepared.solve(scene)

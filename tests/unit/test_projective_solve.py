@@ -43,8 +43,8 @@ def scene(sphere_head):
 
 def test_a_varied_scene_is_solved_without_factoring(scene, monkeypatch):
     calls = []
-    factorise = system.factorise
-    monkeypatch.setattr(system, "factorise", lambda *a, **k: calls.append(1) or factorise(*a, **k))
+    factorise = system.factorise_definite
+    monkeypatch.setattr(system, "factorise_definite", lambda *a, **k: calls.append(1) or factorise(*a, **k))
     prepared = prepare(scene)
     assert len(calls) == 1
     changes = {
@@ -157,9 +157,9 @@ def test_cholmod_tells_definite_matrices_from_others(size, capfd):
     symmetric += symmetric.T
     lowest = np.linalg.eigvalsh(symmetric).min()
     with pytest.raises(np.linalg.LinAlgError):
-        cholesky.CholmodFactor(csc_matrix(symmetric - 0.9 * lowest * np.eye(size)), definite=True)
+        cholesky.CholmodFactor(csc_matrix(symmetric - 0.9 * lowest * np.eye(size)))
     definite = csc_matrix(symmetric - 1.1 * lowest * np.eye(size))
-    solve = cholesky.CholmodFactor(definite, definite=True)
+    solve = cholesky.CholmodFactor(definite)
     first, second = rng.normal(size=(2, size, 1))
     x, y = solve(first), solve(second)  # an answer is not overwritten by the next
     assert np.allclose(definite @ x, first) and np.allclose(definite @ y, second)

@@ -6,16 +6,16 @@
 | cholmod  | the system's CHOLMOD, by sksparse | LGPL-2.1, supernodes GPL-2 | no      | yes              |
 | superlu  | SciPy's SuperLU                   | BSD-3                      | yes     | no               |
 
-For a head (12 140 unknowns, 1.2 million entries in the factor) on one core: analysis and numeric factor 118 ms by
-cholespy, 38 ms by CHOLMOD, of which 26 ms are the numeric part; a solve of three columns 2.4, 4.3 and 8 ms.
+The PD matrix of a head whose skin bends (12 342 unknowns, 1.7 million entries in the factor) took a core with busy
+neighbours 207 ms by cholespy, 184 by SuperLU and 65 by CHOLMOD, after one analysis of 92 ms; a solve of three columns
+3.0, 6.6 and 3.9 ms. Nested dissection halves the work of the order that CHOLMOD takes by itself.
 CHOLMOD: Chen, Davis, Hager and Rajamanickam 2008, Algorithm 887.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
@@ -33,40 +33,39 @@ except ImportError:
 
 LinearSolver = Literal["cholespy", "cholmod", "superlu"]
 Solve = Callable[[NDArray], NDArray]
-Like: TypeAlias = "Solve | CholmodAnalysis | None"
-
 
 WIDEST = 12
 """Columns of one solve. cholespy 2.2 never frees the workspace of a factor's widest solve, 6 MB for a head's shapes. A
 multiple of CHOLMOD's four columns, so that answers are the same to the bit."""
+KEPT = 6
+"""Analyses that a process keeps, one megabyte of a head's PD matrix and twenty of a Hessian."""
 
 
-def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
+def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None) -> Solve:
     """Factor a symmetric positive definite matrix (n, n); the result maps (n, columns) of its dtype to solutions.
 
-    linear_solver None takes cholespy. With "cholmod", `like` is a factor of a
-    matrix of the same pattern, or its analysis, which is used again; others have no use for it. Raises InputError for
-    an unknown linear solver and MissingDependencyError for CHOLMOD where it is not installed.
+    linear_solver None takes cholespy. Raises InputError for an unknown linear solver and MissingDependencyError for
+    CHOLMOD where it is not installed.
     """
     if linear_solver is not None:
         one_of("linear solver", linear_solver, get_args(LinearSolver))
     if linear_solver == "cholmod":
         if not has_cholmod():
             raise MissingDependencyError("linear solver 'cholmod' needs scikit-sparse: pip install 'softdeca[cholmod]'")
-        return CholmodFactor(matrix, like)
+        return CholmodFactor(matrix, find_analysis(matrix))
     if linear_solver == "superlu":
         return SuperluFactor(matrix)
     return CholespyFactor(matrix)
 
 
-def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
+def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None) -> Solve:
     """Factor a matrix; raise LinAlgError if it is not positive definite.
 
-    linear_solver None takes CHOLMOD by supernodes where it is installed, which is what factors of three unknowns per
-    vertex need most, else what `factorise` takes; `like` and errors are as there.
+    linear_solver None takes CHOLMOD where it is installed, which analyses a pattern once, else what `factorise` takes;
+    errors are as there.
     """
-    if has_cholmod() and linear_solver in (None, "cholmod"):
-        return CholmodFactor(matrix, like, definite=True)
+    if has_cholmod() and linear_solver is None:
+        linear_solver = "cholmod"
     if linear_solver == "superlu":
         # LU without pivoting meets the signs of LDLᵀ.
         factor = SuperluFactor(matrix)
@@ -126,42 +125,45 @@ class SuperluFactor:
 
 
 class CholmodAnalysis:
-    """The order of elimination and the structure of the factor for all matrices of one pattern.
+    """The order of elimination and the supernodes of the factors LLᵀ of all matrices of one pattern."""
 
-    With `definite` the factor is LLᵀ by supernodes, which a matrix that is not positive definite does not have; else
-    CHOLMOD may take LDLᵀ, which can be had of some that are indefinite.
-    """
-
-    def __init__(self, matrix: csc_matrix, *, definite: bool = False):
+    def __init__(self, matrix: csc_matrix):
         self.indptr, self.indices = matrix.indptr.copy(), matrix.indices.copy()
-        self.definite = definite
-        self.symbolic = analyze(matrix, mode="supernodal" if definite else "auto")
+        self.symbolic = analyze(matrix, mode="supernodal", ordering_method="nesdis")
 
     def fits(self, matrix: csc_matrix) -> bool:
         """Return whether a matrix has the analysed pattern."""
         return np.array_equal(matrix.indptr, self.indptr) and np.array_equal(matrix.indices, self.indices)
 
 
+_latest: list[CholmodAnalysis] = []
+"""The KEPT analyses that were asked for last, the latest first."""
+
+
+def find_analysis(matrix: csc_matrix) -> CholmodAnalysis:
+    """Return the analysis of a matrix: one of the latest, where it fits."""
+    analysis = next((each for each in _latest if each.fits(matrix)), None) or CholmodAnalysis(matrix)
+    _latest[:] = [analysis, *(other for other in _latest if other is not analysis)][:KEPT]
+    return analysis
+
+
 class CholmodFactor:
     """A numeric factor, float64; calling it solves for right-hand sides (n, columns).
 
-    `like` is a factor or an analysis, used again if the pattern is the same. Raises LinAlgError for a matrix of which
-    there is no factor: with `definite`, for each that is not positive definite. A copy is factored anew.
+    The analysis is of a matrix of the same pattern, by default made anew. Raises LinAlgError for a matrix that is not
+    positive definite. A copy is factored anew.
     """
 
-    def __init__(self, matrix: csc_matrix, like: Like = None, *, definite: bool = False):
-        analysis = like.analysis if isinstance(like, CholmodFactor) else like
-        if not isinstance(analysis, CholmodAnalysis) or not analysis.fits(matrix):
-            analysis = CholmodAnalysis(matrix, definite=definite)
-        self.analysis: CholmodAnalysis = analysis
+    def __init__(self, matrix: csc_matrix, analysis: CholmodAnalysis | None = None):
+        self.analysis = CholmodAnalysis(matrix) if analysis is None else analysis
         self._matrix = matrix
         try:
-            self._factor = analysis.symbolic.cholesky(matrix.astype(np.float64, copy=False))
+            self._factor = self.analysis.symbolic.cholesky(matrix.astype(np.float64, copy=False))
         except CholmodNotPositiveDefiniteError:
             raise np.linalg.LinAlgError("the matrix is not positive definite") from None
 
     def __reduce__(self):
-        return partial(CholmodFactor, definite=self.analysis.definite), (self._matrix,)
+        return CholmodFactor, (self._matrix,)
 
     def __call__(self, right: NDArray) -> NDArray:
         """Return the solutions (n, columns)."""

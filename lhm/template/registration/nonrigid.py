@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 
 from ...base.geometry.bvh import TriangleTree
-from ...base.geometry.cholesky import Solve, factorise_definite
+from ...base.geometry.cholesky import factorise_definite
 from ...base.geometry.rays import visible_sky
 from ...base.geometry.topology import neighbours, unique_edges
 from ...base.mesh import Floats, Ints, Surface, unit
@@ -103,16 +103,14 @@ class SmoothAffine:
         ).tocsc()
         self._right = back[:, None] * np.vstack([np.zeros((n, 3)), np.tile(np.eye(3), (n, 1))])
         self._right[:n] += policy.tie * (ties.T @ (ties @ start))
-        self._factor: Solve | None = None
 
     def solve(self, stiffness: float, weights: Floats, targets: Floats) -> Floats:
         """Find the positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
         data = np.concatenate([weights, np.zeros(3 * self.n)])
         right = stiffness * self._right
         right[: self.n] += weights[:, None] * targets
-        # The pattern stays, so that its analysis serves every step.
-        self._factor = factorise_definite((stiffness * self._matrix + diags(data)).tocsc(), like=self._factor)
-        return self._factor(right)[: self.n]
+        factor = factorise_definite((stiffness * self._matrix + diags(data)).tocsc())
+        return factor(right)[: self.n]
 
 
 def lay_onto(

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from ....lhm.base.errors import SceneError
-from ....lhm.base.geometry import cholesky
 from ....lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definite
 from ....lhm.base.kernels import njit
 from ....lhm.base.mesh import Floats
@@ -24,7 +23,7 @@ from ..unknowns.sparsity import Sparsity
 EXACT = -1.0
 """Value of `least` by which no eigenvalue is raised."""
 KEPT = 3
-"""Patterns that a process keeps, some tens of megabytes each of a head: of skins with bending, without, and of tets."""
+"""Sparsities that a process keeps, some tens of megabytes each: of skins with bending, without, and of tets."""
 SHIFT = 1e-7
 """Relative diagonal shift of a raised Hessian, which may still be singular where tissue resists nothing."""
 
@@ -45,41 +44,21 @@ def hessian(
     return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
 
 
-@dataclass(eq=False)
-class Pattern:
-    """The sparsity that all tangents of a topology share, and, by CHOLMOD, the order of elimination once it is known.
+_latest: list[Sparsity] = []
+"""The KEPT sparsities that were asked for last, the latest first."""
 
-    Both take longer to find than numbers take to factor. They are the same for all heads of a template.
+
+def find_sparsity(scene: Scene, energy: Energy, coordinates: Coordinates) -> Sparsity:
+    """Return the sparsity of a scene's Hessian: one of the latest, where it fits.
+
+    It takes longer to find than numbers take to factor, and is the same for all heads of a template. Those with pairs
+    in contact are not kept: hardly two frames have the same.
     """
-
-    sparsity: Sparsity
-    analysis: cholesky.CholmodAnalysis | None = None
-
-    def factor(self, matrix: csc_matrix, linear_solver: LinearSolver | None) -> Solve:
-        """Factor a matrix of this pattern; LinAlgError if it is not positive definite."""
-        factor = factorise_definite(matrix, linear_solver=linear_solver, like=self.analysis)
-        if isinstance(factor, cholesky.CholmodFactor):
-            self.analysis = factor.analysis
-        return factor
-
-
-_latest: list[Pattern] = []
-"""The KEPT patterns that were asked for last, the latest first."""
-
-
-def find_pattern(scene: Scene, energy: Energy, coordinates: Coordinates) -> Pattern:
-    """Return the pattern of a scene's Hessian: one of the latest, where it fits.
-
-    Patterns with pairs in contact are not kept: hardly two frames have the same.
-    """
-    for pattern in _latest:
-        if pattern.sparsity.fits(scene, energy.parts, coordinates):
-            break
-    else:
-        pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates))
+    fitting = (each for each in _latest if each.fits(scene, energy.parts, coordinates))
+    sparsity = next(fitting, None) or Sparsity.from_scene(scene, energy.parts, coordinates)
     if energy.part(Pairs) is None:
-        _latest[:] = [pattern, *(other for other in _latest if other is not pattern)][:KEPT]
-    return pattern
+        _latest[:] = [sparsity, *(other for other in _latest if other is not sparsity)][:KEPT]
+    return sparsity
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +91,18 @@ class Tangent:
         """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be."""
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take `freeze_contact`'s scene")
-        pattern = find_pattern(scene, energy, coordinates)
-        sparsity = pattern.sparsity
+        sparsity = find_sparsity(scene, energy, coordinates)
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
             try:
-                factor = pattern.factor(matrix, linear_solver)
+                factor = factorise_definite(matrix, linear_solver=linear_solver)
                 return cls(scene, energy, coordinates, sparsity, place, True, factor)
             except np.linalg.LinAlgError:
                 least = 0.0
         matrix = hessian(scene, energy, coordinates, sparsity, place, least=least)
         diagonal = matrix.diagonal()
         matrix.setdiag(np.where(diagonal > 0.0, (1.0 + SHIFT) * diagonal, 1.0))
-        factor = pattern.factor(matrix, linear_solver)
+        factor = factorise_definite(matrix, linear_solver=linear_solver)
         return cls(scene, energy, coordinates, sparsity, place, False, factor)
 
     def solve(self, right: Floats) -> Floats:

@@ -233,11 +233,17 @@ def _rings(scene: Scene, term: Bending) -> tuple[Ints, Ints, Ints, Floats, Float
 
 @njit(**COMPILED)
 def _second(s, least, y, B, H):
-    """Write the Hessian H (12, 12) of |y - R B|²/2 over y and S, numbered 4 r + 0 for y_r and 4 r + 1 + c for S_rc."""
-    sums = np.empty((3, 3))
+    """Write the Hessian H (12, 12) of |y - R B|²/2 over y and S, numbered 4 r + 0 for y_r and 4 r + 1 + c for S_rc.
+
+    The second derivative of R along p and q, drawn by y and B, is linear in W_q and in Y'_q: it is <W_q, of_W> less
+    <Y'_q, of_Y>, two matrices of p alone.
+    """
+    sums, by_square, by_mixed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             sums[i, j] = max(s[i] + s[j], least)
+            by_mixed[i, j] = y[i] * B[j] / sums[i, j]
+            by_square[i, j] = y[i] * B[j] - by_mixed[i, j] * (s[j] - s[i])
     W, Y = np.zeros((9, 3, 3)), np.zeros((9, 3, 3))
     H[:] = 0.0
     for i in range(3):
@@ -253,25 +259,43 @@ def _second(s, least, y, B, H):
             H[4 * i, at] -= kappa * B[j]
             H[4 * j, at] += kappa * B[i]
             H[at, 4 * i], H[at, 4 * j] = H[4 * i, at], H[4 * j, at]
+    of_W, of_Y = np.empty((3, 3)), np.empty((3, 3))
     for p in range(9):
+        for i in range(3):
+            for j in range(3):
+                square, mixed, turned = 0.0, 0.0, 0.0
+                for r in range(3):
+                    square += W[p, r, i] * by_square[r, j] + by_square[i, r] * W[p, j, r]
+                    mixed += Y[p, r, i] * by_mixed[r, j] + by_mixed[i, r] * Y[p, j, r]
+                    turned += W[p, r, i] * by_mixed[r, j] + by_mixed[i, r] * W[p, j, r]
+                of_W[i, j], of_Y[i, j] = 0.5 * square - mixed, turned
         for q in range(p, 9):
             value = 0.0
             for i in range(3):
                 for j in range(3):
-                    both, mixed = 0.0, 0.0
-                    for r in range(3):
-                        both += 0.5 * (W[p, i, r] * W[q, r, j] + W[q, i, r] * W[p, r, j])
-                        mixed += W[p, i, r] * Y[q, r, j] + Y[q, i, r] * W[p, r, j]
-                        mixed += W[q, i, r] * Y[p, r, j] + Y[p, i, r] * W[q, r, j]
-                    value += y[i] * B[j] * (both - (both * (s[j] - s[i]) + mixed) / sums[i, j])
+                    value += of_W[i, j] * W[q, i, j] - of_Y[i, j] * Y[q, i, j]
             a, b = 4 * (p // 3) + 1 + p % 3, 4 * (q // 3) + 1 + q % 3
             H[a, b] = H[b, a] = -value
 
 
 @njit(**COMPILED)
-def _ring(H, U, v, K):
-    """Write the blocks K (m, m, 3, 3) between a ring's vertices whose parts in (y, S) are v (m, 4)."""
-    M, half = np.empty((3, 3)), np.empty((12, 3))
+def _turn_back(H, U, scale, turned):
+    """Write H (12, 12) with y and S turned by U, times a number, to `turned`."""
+    for alpha in range(4):
+        for beta in range(4):
+            for r in range(3):
+                for t in range(3):
+                    total = 0.0
+                    for i in range(3):
+                        for j in range(3):
+                            total += U[r, i] * H[4 * i + alpha, 4 * j + beta] * U[t, j]
+                    turned[4 * r + alpha, 4 * t + beta] = scale * total
+
+
+@njit(**COMPILED)
+def _ring(H, v, K):
+    """Write the blocks K (m, m, 3, 3), a up to b, between a ring's vertices whose parts in (y, S) are v (m, 4)."""
+    half = np.empty((12, 3))
     for b in range(len(v)):
         for at in range(12):
             for t in range(3):
@@ -279,14 +303,13 @@ def _ring(H, U, v, K):
                 for beta in range(4):
                     total += H[at, 4 * t + beta] * v[b, beta]
                 half[at, t] = total
-        for a in range(len(v)):
+        for a in range(b + 1):
             for r in range(3):
                 for t in range(3):
                     total = 0.0
                     for alpha in range(4):
                         total += v[a, alpha] * half[4 * r + alpha, t]
-                    M[r, t] = total
-            K[a, b] = U @ M @ U.T
+                    K[a, b, r, t] = total
 
 
 @njit(**COMPILED)
@@ -299,7 +322,8 @@ def _add_bending_tangent(
     those after it.
     """
     w = np.zeros(ROWS * LANES)
-    U, V, s, y, B, H = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty((12, 12))
+    U, V, s, y, B = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    H, turned = np.empty((12, 12)), np.empty((12, 12))
     for begin in range(0, len(centres), LANES):
         end = min(begin + LANES, len(centres))
         _gather(w, centres[begin:end], starts[begin : end + 1], ring, cotangents, edges, sought, u)
@@ -326,7 +350,8 @@ def _add_bending_tangent(
                         v[a, 1 + c] += max(cotangents[at], 0.0) * V[r, c] * sought[at, r]
                 v[0] -= v[a]
             K = np.empty((m, m, 3, 3))
-            _ring(weights[i] * H, U, v, K)
+            _turn_back(H, U, weights[i], turned)
+            _ring(turned, v, K)
             at = first[i]
             for a in range(m):
                 here = centres[i] if a == 0 else ring[starts[i] + a - 1]

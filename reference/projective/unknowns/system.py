@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ....lhm.base.errors import SceneError
-from ....lhm.base.geometry.cholesky import factorise
+from ....lhm.base.geometry.cholesky import factorise_definite
 from ....lhm.base.mesh import Floats, Ints
 from .coordinates import Body, Coordinates
 
@@ -60,7 +60,7 @@ class System:
             reduced.setdiag(diagonal + shift)
             solver: Solver = np.copy
             if len(free):
-                solver = factorise(reduced.tocsc())
+                solver = factorise_definite(reduced.tocsc())
             groups.append(Group(components, solver, loose, *_schur(matrix, rows, solver, coordinates.bodies)))
         return cls(coordinates, tuple(groups))
 
