@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.errors import SceneError
+from ...lhm.base.kernels import njit
 from ...lhm.base.mesh import Floats, Ints
 from .term import Mesh
 
@@ -32,13 +33,9 @@ class Cells:
         volumes = mesh.volumes[tets]
         if tets.ndim == 1:
             return cls(mesh.tets[tets], shape_gradients(mesh, tets), volumes, np.zeros((len(tets), 0, 4)))
-        vertices, whole = prism_vertices(mesh, tets), volumes.sum(axis=1)
-        place = np.sum(mesh.tets[tets][..., None] > vertices[:, None, None], axis=-1)
-        each = np.zeros((*tets.shape, 6, 3))
-        np.put_along_axis(each, place[..., None], shape_gradients(mesh, tets), axis=2)
-        mean = np.sum((volumes / whole[:, None])[..., None, None] * each, axis=1)
-        away = np.sqrt(volumes)[..., None, None] * (each - mean[:, None])
-        return cls(vertices, mean, whole, _root(away.transpose(0, 2, 1, 3).reshape(-1, 6, 9)))
+        vertices = prism_vertices(mesh, tets)
+        gradients, modes = _join_tets(vertices, mesh.tets[tets], shape_gradients(mesh, tets), volumes)
+        return cls(vertices, gradients, volumes.sum(axis=1), modes)
 
     def deformation(self, positions: Floats) -> Floats:
         """Return F, shape (k, 3, 3), at positions [mm], shape (n, 3)."""
@@ -51,17 +48,38 @@ class Cells:
         return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-def _root(away: Floats) -> Floats:
-    """Return two rows R (k, 2, 6) with Rᵀ R = A Aᵀ of A (k, 6, 9), whose rank is two: Cholesky's, by largest pivots."""
-    left = away @ away.transpose(0, 2, 1)
-    every, modes = np.arange(len(left)), []
-    for _ in range(2):
-        diagonal = np.einsum("kaa->ka", left)
-        pivot = diagonal.argmax(axis=1)
-        mode = left[every, pivot] / np.sqrt(np.maximum(diagonal[every, pivot], 1e-300))[:, None]
-        left = left - mode[:, :, None] * mode[:, None]
-        modes.append(mode)
-    return np.stack(modes, axis=1)
+@njit(cache=True)
+def _join_tets(vertices, tets, gradients, volumes):
+    """Return gradients (k, 6, 3) and modes (k, 2, 6) of prisms (k, 6) from those (k, 3, 4, 3) of their tets (k, 3, 4).
+
+    Modes are rows R with Rᵀ R = A Aᵀ, whose rank is two: Cholesky's, by largest pivots.
+    """
+    means, modes = np.zeros((len(vertices), 6, 3)), np.empty((len(vertices), 2, 6))
+    away, left = np.empty((3, 6, 3)), np.empty((6, 6))
+    for k in range(len(vertices)):
+        mean, share = means[k], volumes[k] / volumes[k].sum()
+        away[:] = 0.0
+        for t in range(3):
+            for corner in range(4):
+                at = np.searchsorted(vertices[k], tets[k, t, corner])
+                for i in range(3):
+                    away[t, at, i] = gradients[k, t, corner, i]
+                    mean[at, i] += share[t] * gradients[k, t, corner, i]
+        away -= mean
+        left[:] = 0.0
+        for t in range(3):
+            for a in range(6):
+                for b in range(6):
+                    for i in range(3):
+                        left[a, b] += volumes[k, t] * away[t, a, i] * away[t, b, i]
+        for row in range(2):
+            pivot = np.diag(left).argmax()
+            mode = left[pivot] / np.sqrt(max(left[pivot, pivot], 1e-300))
+            modes[k, row] = mode
+            for a in range(6):
+                for b in range(6):
+                    left[a, b] -= mode[a] * mode[b]
+    return means, modes
 
 
 def shape_gradients(mesh: Mesh, tets: Ints) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.base.errors import InputError
+from softdeca.lhm.base.geometry import cholesky
 from softdeca.reference import Face, Parameters, SettledFace, facial_scene, prepare, solve, terms
 from softdeca.reference.face.correction import predict
 from softdeca.reference.face.derivatives import FRAME_ACCURACY, TIGHT_ACCURACY, spring_norm
@@ -161,6 +162,22 @@ def test_a_frame_is_the_minimum_that_a_cold_solve_finds(face):
     quick, cold = frame(face, weights, 1e-8), solve(face.scene(weights), tolerance=1e-9)
     assert quick.iterations < cold.iterations
     np.testing.assert_allclose(quick.positions, cold.positions, atol=1e-4)
+
+
+@pytest.mark.skipif(not cholesky.has_cholmod(), reason="scikit-sparse is not installed")
+def test_another_face_takes_three_factors_and_no_analysis(monkeypatch):
+    """Of the PD matrices in which it settles and rests, and of the tangent."""
+    made = []
+
+    def count(kind):
+        monkeypatch.setattr(cholesky, kind.__name__, lambda *given: made.append(kind.__name__) or kind(*given))
+
+    first, second = (Face(PLAIN, DELTAS, replace(SETTLES, gravity=gravity)) for gravity in (1.5, 2.0))
+    assert first.first_order.shape == (52, *PLAIN.vertices.shape)
+    count(cholesky.CholmodAnalysis)
+    count(cholesky.CholmodFactor)
+    assert second.first_order.shape == first.first_order.shape
+    assert made == 3 * ["CholmodFactor"]
 
 
 def test_contact_that_does_not_touch_changes_no_derivative(face):
