@@ -76,7 +76,7 @@ class CorpusPlan:
     share none of the three. Each person has `groups` parameter sets, no two people share one, and `frames` static
     frames of each; `sequences` of 16 frames at 60 Hz, the k-th under the person's k-th set. The share `responses` of
     all groups has derivatives by expressions. `references` static frames of each person in test are solved by FEniCSx,
-    too.
+    too; see `references`.
 
     `kinds` and `sources` are shares, of parameter sets (see `mixture`) and of expressions; sources without a recording
     leave theirs to the others. `takes`: folder of recorded takes. Sequences begin with velocities of one long run of

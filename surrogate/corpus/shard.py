@@ -185,7 +185,8 @@ class Responses:
 class References:
     """The M answers of FEniCSx: static (row of Statics), law ("PD" or "neo-Hookean"), corrected = T - S (M, n, 3).
 
-    A law that has no counterpart of a face's p, such as a stiffness that varies, has no row.
+    PD's energy is solved on quadratic tets, the neo-Hookean law on the corpus' own cells. A law that has no counterpart
+    of a face's p, such as a stiffness that varies, has no row.
     """
 
     static: Numbers = column(np.int64)

@@ -110,8 +110,10 @@ def score_by_fenicsx(tested):
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
     found = score_by_fenicsx(CorpusTrials(corpus, None, heads=HEADS))
     assert {kind for _, kind in found} <= set(AGAINST.values())
-    simulated = found[SIMULATOR, AGAINST["PD"]]
-    assert simulated["mean"] < 0.01 and simulated["mean"] <= found["derivatives", AGAINST["PD"]]["mean"]
+    # On so coarse a sphere quadratic tets are a fifth of the motion away, and another law a fortieth.
+    for law, most in (("PD", 0.3), ("neo-Hookean", 0.04)):
+        simulated = found[SIMULATOR, AGAINST[law]]
+        assert simulated["share"] < most and simulated["mean"] < found["derivatives", AGAINST[law]]["mean"]
     # Methods answer with skins in single precision, 4e-6 mm at 100 mm, of which S is taken.
     assert found["bones carried", AGAINST["PD"]]["share"] == pytest.approx(1.0, rel=1e-5)
 

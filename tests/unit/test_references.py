@@ -13,6 +13,7 @@ from softdeca.surrogate.corpus.references import references
 from softdeca.surrogate.corpus.shard import ACCEPTED, FEM_LAWS
 from softdeca.surrogate.corpus.simulator import describe_answer, solve_frame
 from softdeca.surrogate.corpus.spheres import Spheres
+from softdeca.surrogate.methods import METHODS, SKFEM_P2
 
 PLAN = replace(PRESETS["tiny"], sources={"conversation": 1.0})
 P = Parameters(soft_volume=1.3)
@@ -31,11 +32,13 @@ def test_each_law_settles_the_face_itself(face):
     weights = np.zeros(52)
     weights[5] = 0.5
     answer = describe_answer(PLAN, face, weights, solve_frame(PLAN, face, weights))
-    answers = references(PLAN, face, weights, answer)
-    same, own = answers.values()
-    assert (*answers,) == FEM_LAWS == ("PD", "neo-Hookean") and {same.status, own.status} == {ACCEPTED}
+    (answers,) = references(PLAN, face, [(weights, answer)])
+    converged, own = answers.values()
+    assert (*answers,) == FEM_LAWS == ("PD", "neo-Hookean") and {converged.status, own.status} == {ACCEPTED}
     # Half precision leaves steps of some micrometres at these sizes.
-    assert np.abs(same.corrected - answer.corrected).max() < 0.02
+    quadratic = METHODS[SKFEM_P2].bind(face).frame(weights) - face.blend(weights)
+    to_quadratic, to_prisms = (np.abs(converged.corrected - other).max() for other in (quadratic, answer.corrected))
+    assert to_quadratic < 0.02 and to_prisms > 4.0 * to_quadratic
 
     def by_scikit_fem(settled):
         """The neo-Hookean answer of another implementation on this neutral face."""
@@ -47,9 +50,8 @@ def test_each_law_settles_the_face_itself(face):
 
     varying = replace(P, soft_stiffness=np.linspace(4.0, 6.0, len(face.head.skin_wrap.triangles)))
     without = replace(face, parameters=varying, per="wraps")
-    assert list(references(PLAN, without, weights, answer)) == ["PD"], (
-        "the law has no counterpart of a stiffness that varies"
-    )
+    (answers,) = references(PLAN, without, [(weights, answer)])
+    assert list(answers) == ["PD"], "the law has no counterpart of a stiffness that varies"
     by_law = settle(face.head, P, law="neo-Hookean", solver="skfem")
     alone, shared = by_scikit_fem(by_law), by_scikit_fem(face.settled())
     to_alone, to_shared = (np.abs(own.corrected - other).max() for other in (alone, shared))

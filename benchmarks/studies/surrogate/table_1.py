@@ -277,10 +277,10 @@ def tabulate(rows: Sequence[Row]) -> Table:
 
 
 def tabulate_shares(rows: Sequence[Row]) -> Table:
-    """Lay shares [%] out by kind of p, where p varies over the face, and against FEniCSx."""
+    """Lay shares [%] out by kind of p, where p varies over the face, and against finite elements."""
     wanted = [*(f"{STATIC}, {kind}" for kind in KINDS), STATIC_VARYING, *AGAINST.values()]
     shares = {kind: found for kind in wanted if (found := _find_shares(rows, kind))}
     names = [row.method for row in rows if any(row.method in found for found in shares.values())]
     body = [[name, *(found.get(name) for found in shares.values())] for name in names]
-    note = "Against FEniCSx its answer is the truth, by projective dynamics' energy or by its own law."
-    return Table("Shares left, by kind of p and against FEniCSx [%]", ["method", *shares], body, note)
+    note = "Against converged elements the truth is quadratic tets' answer, of projective dynamics' energy."
+    return Table("Shares left, by kind of p and against finite elements [%]", ["method", *shares], body, note)
