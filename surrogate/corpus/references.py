@@ -40,7 +40,7 @@ def references(plan: CorpusPlan, face: Face, frames: Sequence[tuple[Floats, Answ
     Projective dynamics' energy by quadratic tets, which is its converged answer; another law on the face's own cells.
     Each stands on the neutral face settled by itself, and starts at the answer of projective dynamics; another law at
     the settled face where that answer has inverted tets. Where surfaces are near in that answer, they are kept apart by
-    the pairs that it has. A frame of quadratic tets takes a minute and 3 to 5 GB.
+    the pairs that it has. A frame of quadratic tets takes one to two minutes and up to 6 GB.
     """
     by_law = {law: _settle_by(face, law) for law in FEM_LAWS if _has_law(face, law)}
     for weights, answer in frames:
