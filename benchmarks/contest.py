@@ -4,8 +4,8 @@ A `Case` makes a face under p, and has weights of its frames. `run_contest` has 
 it pays for all that it asks, and measures its skins to those of the truths, which are methods, too. Error and seconds
 of a row are of the same frame. `summarise` groups rows.
 
-    rows = run_contest(case, [m.NETWORK, m.SETTLED_TETS], truths=[m.PD_TETS])
-    summarise(rows, "method", truth=m.PD_TETS)[m.NETWORK].share
+    rows = run_contest(case, [m.NETWORK, m.SETTLED], truths=[m.PD])
+    summarise(rows, "method", truth=m.PD)[m.NETWORK].share
 
 A row is JSON: case, kind, method, cells (of the face that the method moved), frame, status ("done", "skipped",
 "failed"), reason, four times in seconds of processor time, `told` (what the method said of the frame: iterations,
@@ -331,7 +331,6 @@ def draw_case(
     frames: int,
     *,
     level: int = DEFAULT_LEVEL,
-    cells: str = "prisms",
 ) -> Case:
     """Draw somebody of `people` (see `people_from_text`) by a seed, p of a kind (KINDS, or BEYOND), and expressions.
 
@@ -360,7 +359,7 @@ def draw_case(
     weights = np.stack([draw_weights(rng, number) for number in range(frames)])
 
     def make() -> Face:
-        return Face(head, who.shapes, p, per="wraps", code=who.code, choices={"cells": cells})
+        return Face(head, who.shapes, p, per="wraps", code=who.code)
 
     return Case(name, BEYOND if kind == BEYOND else kind_of(names), make, weights, head_s)
 

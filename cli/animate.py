@@ -12,14 +12,14 @@ import click
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import FILE, LEVEL, argument, make_command, option, refuse_unread
-from .take_options import DETAIL, HeadChoice, load_take
+from .take_options import DETAIL, SURROGATE, HeadChoice, load_take
 from .terminal import show_progress
 from .written_file import FOLDER
 
 if TYPE_CHECKING:
     from ..animation.animate import AnimateResult
 
-NONE = "none"
+NONE, HYPERNETWORK = "none", "hypernetwork"
 
 
 class Accuracy(click.ParamType):
@@ -54,7 +54,8 @@ class Animate:
     --dynamic and --bones take the simulator for every frame.
 
     `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
-    the simulator's derivatives on other heads of their triangles, and these alone on all others.
+    the simulator's derivatives on other heads of their triangles, and these alone on all others. There
+    `--surrogate hypernetwork` takes SoftDECA's hypernetwork, some milliseconds a frame.
 
     Writes OUT/take.vtkhdf (or .glb, or .usd), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error,
     certain and seconds of each frame, and how many pairs of its triangles cross. Morph targets of glb and usd have
@@ -84,7 +85,7 @@ class Animate:
     dynamic: bool = option(False, "add inertia: loose flesh lags, and swings when TAKE turns the head")
     bones: str = option("rigid", "motion of the mandible", type=click.Choice(["rigid", "prescribed", "soft"]))
     crossing: bool = option(False, "let lids and lips cross: contact costs time where they touch")
-    surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
+    surrogate: Path | None = option(None, SURROGATE, type=FILE)
     out: Path = option("out/animation", "folder of the results", type=FOLDER)
     json: bool = option(False, "print the result as JSON")
 
@@ -113,6 +114,8 @@ class Animate:
             refuse_unread(self, f"with --accuracy {NONE}, which simulates nothing", "bones", "crossing")
         elif self.dynamic or self.bones != "rigid":
             refuse_unread(self, "where --bones and --dynamic have every frame simulated", "surrogate")
+        elif str(self.surrogate) == HYPERNETWORK:
+            refuse_unread(self, "without --accuracy none: errors are told beside the network at vertices", "surrogate")
 
     def _say(self, result: AnimateResult) -> None:
         if self.json:

@@ -19,6 +19,7 @@ DETAIL = (
     "draw and write the skin 16 times as fine, at 16 times the size: smooth, with the neck cut clean, and with detail "
     "and colours of the scan that the head was fitted to; default: in its own triangles"
 )
+SURROGATE = "weights of `softdeca train`, or 'hypernetwork', SoftDECA's, which is shipped, too; default: the network"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from ..lhm.base.limits import PORT
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .options import count_range
-from .take_options import DETAIL, HeadChoice
+from .take_options import DETAIL, SURROGATE, HeadChoice
 from .terminal import show_progress
 from .written_file import HTML
 
@@ -23,6 +23,7 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
     "--identities", "space_name", help="identity space of the head (anny or ict:FILE); with HEAD: of the expressions"
 )
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
+@click.option("--surrogate", type=AFile, help="of the first answers: " + SURROGATE)
 @click.option("--detail", is_flag=True, help=DETAIL)
 @click.option("--port", type=count_range(PORT), help="port of the live page; default: a free one")
 @click.option("--out", type=HTML, help="export a page to this file instead, with fixed parameters")
@@ -30,15 +31,16 @@ def view(
     head_file: Path | None,
     space_name: str | None,
     parameter_file: Path | None,
+    surrogate: Path | None,
     detail: bool,
     port: int | None,
     out: Path | None,
 ) -> int:
     """Show HEAD, or the mean of --identities, in 3D, with sliders for the 52 expressions and the parameters p.
 
-    The address is printed; only browsers on this machine reach it. The network answers while a slider moves. The
-    simulator's derivatives and the simulator itself then refine the frame, and the page shows the falling error [mm].
-    Ctrl-C ends it.
+    The address is printed; only browsers on this machine reach it. The network answers while a slider moves, or
+    SoftDECA's hypernetwork if --surrogate says so. The simulator's derivatives and the simulator itself then refine
+    the frame, and the page shows the falling error [mm]. Ctrl-C ends it.
 
     With --out it writes one file, which opens in any browser with WebGL and needs no network. Its sliders move
     expressions alone: by blendshapes, derivatives, and the network if the head has the triangles of its people.
@@ -49,15 +51,18 @@ def view(
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     title = which.space.name if head_file is None else head_file.stem
     if out is None:
-        _serve(which, parameters, title, port, detail)
+        _serve(which, parameters, title, surrogate, port, detail)
     else:
         words = WORDS.format("default parameters" if parameter_file is None else parameter_file.name)
-        _export(which, parameters, title, words, out, detail)
+        _export(which, parameters, title, words, surrogate, out, detail)
     return 0
 
 
-def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | None, detail: bool) -> None:
+def _serve(
+    which: HeadChoice, parameters: Parameters, title: str, weights: Path | None, port: int | None, detail: bool
+) -> None:
     from ..animation.live.server import serve_face
+    from ..surrogate import Surrogate
 
     def tell(address: str) -> None:
         click.echo(f"{title}: {address} (Ctrl-C ends it)")
@@ -66,17 +71,19 @@ def _serve(which: HeadChoice, parameters: Parameters, title: str, port: int | No
         click.echo(f"softdeca: {line}", err=True)
 
     with show_progress() as progress:
-        face = which.face(parameters, progress)
-    serve_face(face, title, detail=detail, port=port, on_ready=tell, on_trouble=warn)
+        face, network = which.face(parameters, progress), Surrogate.load(weights)
+    serve_face(face, title, network, detail=detail, port=port, on_ready=tell, on_trouble=warn)
 
 
-def _export(which: HeadChoice, parameters: Parameters, title: str, words: str, out: Path, detail: bool) -> None:
+def _export(
+    which: HeadChoice, parameters: Parameters, title: str, words: str, weights: Path | None, out: Path, detail: bool
+) -> None:
     from ..animation.page import Rig, render_face_page
     from ..surrogate import Surrogate
     from ..surrogate.methods import bind_cheaply
 
     with show_progress() as progress:
-        face, surrogate = which.face(parameters, progress), Surrogate.load()
+        face, surrogate = which.face(parameters, progress), Surrogate.load(weights)
         rigs = []
         if surrogate.knows(face.skin):
             rigs.append(Rig.baked(*bind_cheaply(face, surrogate, beyond="clamp")))

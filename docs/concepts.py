@@ -203,7 +203,7 @@ print(
 )
 
 # %% [markdown]
-# (T of this page is simulated on coarser tets than those that the network learned from.) It knows the people and
+# (T of this page is simulated on a coarser head than those that the network learned from.) It knows the people and
 # parameters that it was trained on: its [model card](surrogate.md) has its errors and limits, and `bind(...,
 # exact=True)` takes offset and responses from the simulator where they matter. [Make a corpus and
 # train](tutorials/corpus.py) makes one from the beginning.

@@ -161,7 +161,7 @@ def show_faces() -> None:
 
 def show_typical_errors(constant: str, name: str, kind: str) -> None:
     """Write a constant of code: the share of the motion that each answer of the live page leaves."""
-    words = "NETWORK", "NETWORK_AND_DERIVATIVES", "DERIVATIVES"
+    words = "NETWORK", "HYPERNETWORK", "NETWORK_AND_DERIVATIVES", "DERIVATIVES"
     shares = (
         f"{word}: {one_score(name, getattr(m, word), kind)['share']:.3f}"
         for word in words

@@ -30,6 +30,7 @@ from .corpus.face import KeptFace
 from .corpus.plan import CorpusPlan
 from .corpus.reading import Faces
 from .corpus.simulator import solve_frame
+from .networks.hypernetwork import Hypernetwork
 from .rigs.bound import BoundSurrogate
 from .rigs.rig import CorrectedRig, FaceModes, Needs, Rig, check_out, check_weights
 from .runtime import Beyond, BoundRig, Surrogate
@@ -41,9 +42,9 @@ FENICSX_P2, FENICSX_P2P1 = "FEniCSx, P2", "FEniCSx, P2-P1"
 FENICSX_NEO_HOOKEAN = "FEniCSx, neo-Hookean"
 SKFEM, SKFEM_P2, SKFEM_NEO_HOOKEAN = "scikit-fem", "scikit-fem, P2", "scikit-fem, neo-Hookean"
 NETWORK, DERIVATIVES, NETWORK_AND_DERIVATIVES = "network", "derivatives", "network + derivatives"
+HYPERNETWORK = Hypernetwork.kind
 NETWORK_ALIKE = "network, trained alike"
 SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
-SETTLED_TETS = "settled + blendshapes, tets"
 DIAL = "dial"
 VERTICES_ONLY = "vertices only, z(w) L(p, h)"
 SOFTDECA, SOFTDECA_OURS, FACE_WISE = "SoftDECA as printed", "SoftDECA, our form", "face-wise"
@@ -244,11 +245,11 @@ def _bind_linear(face: AnyFace, responses: Floats32) -> BoundSurrogate:
     return BoundSurrogate(face.skin, modes, face.shapes.astype(np.float32), swing)
 
 
-def use_network(surrogate: Surrogate | None = None, *, exact: bool = False, beyond: Beyond = "refuse") -> Binder:
-    """Return what binds a face to a network, by default the shipped one; with `exact` beside the derivatives."""
+def use_network(surrogate: Surrogate | str = NETWORK, *, exact: bool = False, beyond: Beyond = "refuse") -> Binder:
+    """Return what binds a face to a network, or to one that is shipped by name; with `exact` beside the derivatives."""
 
     def bind(face: AnyFace) -> BoundRig:
-        network = Surrogate.load() if surrogate is None else surrogate
+        network = Surrogate.load(surrogate) if isinstance(surrogate, str) else surrogate
         return network.bind_face(on_cells(face, network.weights.note.cells), exact=exact, beyond=beyond)
 
     return bind
@@ -349,23 +350,23 @@ METHODS: Mapping[str, Method] = {
         solve_by(SKFEM, "skfem", "#c49c94", tolerance=1e-4, near=True),
         solve_by(SKFEM_P2, "skfem", "#b08a82", tolerance=1e-6, near=True, cells="tets", element="P2"),
         solve_by(SKFEM_NEO_HOOKEAN, "skfem", "#7a5c52", law=NEO_HOOKEAN, near=True),
-        Method(NETWORK, use_network(), colour="#17becf", mark="o", cells="tets"),
+        Method(NETWORK, use_network(), colour="#17becf", mark="o", cells="prisms"),
+        Method(HYPERNETWORK, use_network(HYPERNETWORK), colour="#2ca02c", mark="o", cells="prisms"),
         simulate(DERIVATIVES, differentiate, "#006d5b", "o"),
-        Method(NETWORK_AND_DERIVATIVES, use_network(exact=True), "simulator", "#7a7a00", "o", cells="tets"),
+        Method(NETWORK_AND_DERIVATIVES, use_network(exact=True), "simulator", "#7a7a00", "o", cells="prisms"),
         simulate(DIAL, use_dial(), "#222222", "D"),
         simulate(SETTLED, rest, "#9467bd", "^"),
-        simulate(SETTLED_TETS, rest, "#c5b0d5", "^", cells="tets"),
         Method(CARRIED, carry, "head", colour="#e377c2", mark="^"),
         Method(BLENDSHAPES, blend, colour="#ff7f0e", mark="^"),
     )
 }
 """Every way to a frame, by its label.
 
-Solvers without a mesh in their label take the face's own cells, by default prisms. The network has learned the
-simulator of tets, and moves faces of tets.
+Solvers without a mesh in their label take the face's own cells, by default prisms. The networks have learned the
+simulator of prisms, and move faces of prisms.
 """
 _added: dict[str, Method] = {}
-READY = (NETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
+READY = (NETWORK, HYPERNETWORK, NETWORK_AND_DERIVATIVES, DERIVATIVES, SETTLED, CARRIED, BLENDSHAPES)
 """Methods at the price of blendshapes that learn nothing from a corpus."""
 
 
@@ -378,8 +379,13 @@ def bind_cheaply(face: Face, surrogate: Surrogate, *, beyond: Beyond = "refuse")
     nearest = surrogate.find_nearest(face.skin)
     if nearest is None:
         return DERIVATIVES, differentiate(face)
-    rig = surrogate.bind_face(face, exact=not nearest.is_same, beyond=beyond)
-    return NETWORK if nearest.is_same else NETWORK_AND_DERIVATIVES, rig
+    rig, name = surrogate.bind_face(face, exact=not nearest.is_same, beyond=beyond), name_network(surrogate)
+    return name if nearest.is_same else f"{name} + {DERIVATIVES}", rig
+
+
+def name_network(surrogate: Surrogate) -> str:
+    """Return the label of a network: a hypernetwork's, or that of any other."""
+    return HYPERNETWORK if surrogate.weights.kind == Hypernetwork.kind else NETWORK
 
 
 def add_method(method: Method) -> Method:
@@ -398,19 +404,26 @@ def get_method(name: str) -> Method:
 def ready_methods(surrogate: Surrogate | None, *, beyond: Beyond = "refuse") -> dict[str, Method]:
     """Return READY with the weights of a surrogate, less what these cannot do, and the methods that were added.
 
-    Without a surrogate the network's methods are left out. `beyond` is what the network does with p out of its range.
+    Without a surrogate the networks' methods are left out; the hypernetwork stands beside the shipped network alone.
+    `beyond` is what a network does with p out of its range.
     """
-    ready = {name: METHODS[name] for name in READY}
-    networks = {NETWORK: False, NETWORK_AND_DERIVATIVES: True} if surrogate is not None else {}
-    for name, exact in networks.items():
-        assert surrogate is not None
-        bind, cells = use_network(surrogate, exact=exact, beyond=beyond), surrogate.weights.note.cells
-        needs = METHODS[name].needs if exact else surrogate.needs
-        ready[name] = replace(METHODS[name], bind=bind, cells=cells, needs=needs)
-    if surrogate is None:
-        del ready[NETWORK]
-    if surrogate is None or not surrogate.has_derivatives:
-        del ready[NETWORK_AND_DERIVATIVES]
+    networks: dict[str, Surrogate] = {}
+    if surrogate is not None:
+        networks[NETWORK] = surrogate
+        if surrogate is Surrogate.load():
+            networks[HYPERNETWORK] = Surrogate.load(HYPERNETWORK)
+        if surrogate.has_derivatives:
+            networks[NETWORK_AND_DERIVATIVES] = surrogate
+    ready = {}
+    for name in READY:
+        method = METHODS[name]
+        if name in networks:
+            exact, network = name == NETWORK_AND_DERIVATIVES, networks[name]
+            bind, needs = use_network(network, exact=exact, beyond=beyond), method.needs if exact else network.needs
+            method = replace(method, bind=bind, cells=network.weights.note.cells, needs=needs)
+        elif name in (NETWORK, HYPERNETWORK, NETWORK_AND_DERIVATIVES):
+            continue
+        ready[name] = method
     return ready | _added
 
 

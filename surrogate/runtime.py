@@ -36,8 +36,12 @@ from .rigs.inertia import Swings
 from .rigs.rig import Needs, check_code, check_skin
 
 Beyond = Literal["refuse", "clamp"]
-SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))
-"""The weights of the default space."""
+_PRETRAINED = Path(str(files("softdeca.surrogate") / "pretrained"))
+SHIPPED: Mapping[str, Path] = {
+    "network": _PRETRAINED / "anny.safetensors",
+    "hypernetwork": _PRETRAINED / "anny-hypernetwork.safetensors",
+}
+"""Weights of the default space by name: the network at vertices, and SoftDECA's hypernetwork on the same tables."""
 
 
 class Described(NamedTuple):
@@ -52,15 +56,22 @@ class Described(NamedTuple):
 
 
 class Surrogate:
-    """A trained network for any person and parameters of its space; see `networks.modal` for the shipped one's form."""
+    """A trained network for any person and parameters of its space.
+
+    `networks.modal` and `networks.hypernetwork` have the forms of the shipped ones.
+    """
 
     def __init__(self, weights: Weights):
         self.weights, self.inputs = weights, weights.inputs
 
     @classmethod
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
-        """Read weights; None is the network that is shipped, of the default space, read once. InputError if damaged."""
-        return _load_shipped() if path is None else cls(Weights.load(path))
+        """Read weights of a file, or those of the default space that are shipped: "network" (None) or "hypernetwork".
+
+        The shipped ones are read once. InputError if damaged.
+        """
+        name = "network" if path is None else str(path)
+        return _load_shipped(name) if name in SHIPPED else cls(Weights.load(name))
 
     @property
     def space(self) -> str:
@@ -193,7 +204,7 @@ class Surrogate:
     @property
     def needs(self) -> Needs:
         """Input of a bind: a head, by which scaled bones carry the skin, where the weights have not learned that."""
-        return "nothing" if self.has_derivatives and self._tables.carry is not None else "head"
+        return "nothing" if self.has_derivatives else "head"
 
     def check_exact(self) -> None:
         """Raise InputError for a network that has no offset and responses which the simulator could replace."""
@@ -207,7 +218,9 @@ class Surrogate:
         if not self.has_derivatives:
             return self._bind_gradients(described, code, carry().astype(np.float32))
         if simulated is None:
-            first = self._find_first_order(code, at_vertices, shapes, carry)
+            first = find_first_order(
+                self.weights.network, self._tables, self.inputs.features, code, at_vertices, shapes
+            )
         else:
             first = simulated.offset.astype(np.float32), simulated.responses.astype(np.float32)
         if self.weights.kind != MODAL:
@@ -223,14 +236,6 @@ class Surrogate:
         return GradientRig(
             form, self.weights.network, self._transfer, code, at_vertices, skin, shapes, offset, responses, swing
         )
-
-    def _find_first_order(
-        self, code: Floats, at_vertices: Floats, shapes: Floats32, carry: Callable[[], Floats | Floats32]
-    ) -> tuple[Floats32, Floats32]:
-        """Return what the tables give for a face."""
-        network, tables, features = self.weights.network, self._tables, self.inputs.features
-        carried = carry().astype(np.float32) if tables.carry is None else None
-        return find_first_order(network, tables, features, code, at_vertices, shapes, carried)
 
     @cached_property
     def _tables(self) -> Tables:
@@ -269,8 +274,8 @@ class Surrogate:
 
 
 @cache
-def _load_shipped() -> Surrogate:
-    return Surrogate(Weights.load(SHIPPED))
+def _load_shipped(name: str) -> Surrogate:
+    return Surrogate(Weights.load(SHIPPED[name]))
 
 
 def _check_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:

@@ -26,6 +26,7 @@ SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
 DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py", "lhm/identities/organs.py")
 HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
 NETWORK = ("surrogate/pretrained/anny.safetensors",)
+NETWORKS = (*NETWORK, "surrogate/pretrained/anny-hypernetwork.safetensors")
 PAGE = (
     "animation/app.js",
     "animation/scene.js",
@@ -147,21 +148,32 @@ def more_effects(scan: Path) -> bytes:
 
 
 def draw_effects(names: Iterable[str]) -> bytes:
-    """Draw PD's answers to some cases of the mean person."""
+    """Draw PD's answers to some cases of the mean person, and how far both networks are from them."""
+    import numpy as np
+
+    from softdeca.animation.contact_sheet import tile_pictures
     from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.benchmarks.studies.cases import CASES
     from softdeca.benchmarks.studies.person import Person
-    from softdeca.surrogate.methods import METHODS, PD
+    from softdeca.surrogate.methods import HYPERNETWORK, METHODS, NETWORK, PD, use_network
 
     head, space, code = face()
-    person, panels = Person(space, code, head), []
+    person = Person(space, code, head)
+    rows: dict[str, list[Panel]] = {PD: [], NETWORK: [], HYPERNETWORK: []}
     for case in map(CASES.__getitem__, names):
         changed = person if case.changed is None else person.change(case.changed(head), 2)
         shown_face = changed.face(case.parameters(changed.head), case.contact)
         figure = case.shown.partition(":")[0]
-        shown = changed.head.skin.with_vertices(METHODS[PD].bind(shown_face).frame(case.weights))
-        panels.append(Panel(f"{figure}: {case.name}", shown, weights=case.weights))
-    return draw_strip(panels, size=260, rest=head.skin)
+        skin = METHODS[PD].bind(shown_face).frame(case.weights)
+        shown = changed.head.skin.with_vertices(skin)
+        rows[PD].append(Panel(f"{figure}: {case.name}", shown, weights=case.weights))
+        moved = np.linalg.norm(skin - shown_face.blend(case.weights) - shown_face.carried, axis=1)
+        top = float(np.percentile(moved, 99.5))
+        for name in (NETWORK, HYPERNETWORK):
+            frame = use_network(name, beyond="clamp")(shown_face).frame(case.weights)
+            off = np.linalg.norm(frame - skin, axis=1)
+            rows[name].append(Panel(f"{name}, {100 * off.mean() / moved.mean():.0f} % left", shown, off, top))
+    return tile_pictures([draw_strip(panels, size=260, rest=head.skin) for panels in rows.values()], 1)
 
 
 def own_head(scan: Path) -> bytes:
@@ -328,8 +340,8 @@ PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
     "weight.png": (weight, (*HEAD, *DRAWING)),
     "collisions.png": (collisions, (*HEAD, *CUT)),
-    "effects.png": (effects, (*HEAD, *DRAWING, *CUT[:2])),
-    "more-effects.png": (more_effects, (*HEAD, *DRAWING, *CUT[:2])),
+    "effects.png": (effects, (*HEAD, *NETWORKS, *DRAWING, *CUT[:2])),
+    "more-effects.png": (more_effects, (*HEAD, *NETWORKS, *DRAWING, *CUT[:2])),
     "own-head.png": (own_head, (*HEAD, *DRAWING, *FINE, "lhm/template/registration/nonrigid.py")),
     "dial.png": (dial, DIAL),
     "arena.png": (arena, ARENA),

@@ -12,7 +12,15 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ...reference import Face, Parameters
 from ...surrogate import BoundRig, BoundSurrogate, Surrogate
-from ...surrogate.methods import BLENDSHAPES, DERIVATIVES, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, PD
+from ...surrogate.methods import (
+    BLENDSHAPES,
+    DERIVATIVES,
+    METHODS,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    PD,
+    name_network,
+)
 from ...surrogate.rigs.rig import FaceModes, Rig
 from ...surrogate.ruler import MOVES
 from .messages import Change, DerivativesFound, Frame
@@ -30,10 +38,11 @@ KEPT = 4
 """Parameter sets whose rigs are kept, of some 15 MB each."""
 
 
-def list_methods(face: Face) -> tuple[str, str, str]:
-    """Name the methods of a face's answers, each better than the one before."""
-    knows = Surrogate.load().knows(face.skin)
-    return (NETWORK, NETWORK_AND_DERIVATIVES, PD) if knows else (BLENDSHAPES, DERIVATIVES, PD)
+def list_methods(face: Face, network: Surrogate) -> tuple[str, str, str]:
+    """Name the methods of a face's answers, each better than the one before; the network gives the first."""
+    if not network.knows(face.skin):
+        return BLENDSHAPES, DERIVATIVES, PD
+    return name_network(network), NETWORK_AND_DERIVATIVES, PD
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +56,17 @@ class _Answering:
 
 
 class FirstAnswer:
-    """Answers changes at once: by the network, by blendshapes where there is none, by derivatives once they are found.
+    """Answers changes at once: by a network, by blendshapes where there is none, by derivatives once they are found.
 
-    One thread at a time may ask.
+    To these the shipped network adds. One thread at a time may ask.
     """
 
-    def __init__(self, face: Face):
-        self._network = Surrogate.load()
-        nearest = self._network.find_nearest(face.skin)
+    def __init__(self, face: Face, network: Surrogate):
+        self._network = network
+        nearest = network.find_nearest(face.skin)
         self._face = face if nearest is None else replace(face, code=nearest.code)
         self._shares = TYPICAL if nearest is not None and nearest.is_same else ELSEWHERE
-        self._methods = list_methods(face)
+        self._methods = list_methods(face, network)
         self._known: OrderedDict[Parameters, _Answering] = OrderedDict()
 
     def frame(self, change: Change) -> Frame:
@@ -78,8 +87,7 @@ class FirstAnswer:
     def learn(self, found: DerivativesFound) -> None:
         """Answer by these derivatives from now on, under their p."""
         face = replace(self._face, parameters=found.parameters)
-        knows = self._network.has_derivatives and self._methods[0] == NETWORK
-        rig = self._bind_network(face) if knows else None
+        rig = _bind_network(face, Surrogate.load()) if self._methods[1] == NETWORK_AND_DERIVATIVES else None
         if isinstance(rig, BoundSurrogate):
             rig = rig.with_derivatives(found.offset, found.responses)
         else:
@@ -89,14 +97,9 @@ class FirstAnswer:
 
     def _bind(self, parameters: Parameters) -> _Answering:
         face = replace(self._face, parameters=parameters)
-        rig = self._bind_network(face) if self._methods[0] == NETWORK else METHODS[BLENDSHAPES].bind(face)
-        return self._keep(face, rig, self._methods[0])
-
-    def _bind_network(self, face: Face) -> BoundRig:
-        """Bind the network, in some 20 ms."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of p a little beyond what it has seen: the nearest will do at first
-            return self._network.bind_face(face, beyond="clamp")
+        method = self._methods[0]
+        rig = METHODS[BLENDSHAPES].bind(face) if method == BLENDSHAPES else _bind_network(face, self._network)
+        return self._keep(face, rig, method)
 
     def _keep(self, face: Face, rig: Rig, method: str) -> _Answering:
         answering = _Answering(method, rig, self._shares.get(method), face.carried)
@@ -104,3 +107,10 @@ class FirstAnswer:
         while len(self._known) > KEPT:
             self._known.popitem(last=False)
         return answering
+
+
+def _bind_network(face: Face, network: Surrogate) -> BoundRig:
+    """Bind a network, in some 20 ms."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of p a little beyond what it has seen: the nearest will do at first
+        return network.bind_face(face, beyond="clamp")

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.limits import CHANGE_BYTES, CHANGES_PER_SECOND, PORT, TABS
 from ...reference import Face
+from ...surrogate import Surrogate
 from .face import FirstAnswer
 from .messages import Change, DerivativesFound, Frame, Note, pack_frame, read_change
 from .page import render_live_page
@@ -46,6 +47,7 @@ UNCHANGED = '{"change": 0, "weights": {}, "parameters": {}}'
 def serve_face(
     face: Face,
     title: str,
+    network: Surrogate,
     *,
     detail: bool = False,
     port: int | None = None,
@@ -54,9 +56,9 @@ def serve_face(
 ) -> None:
     """Serve the page of a face until Ctrl-C, SIGTERM or SIGHUP; then every process of its own has ended.
 
-    detail: whether the page draws the head's fine skin. port: a free one by default. `on_ready` is given the address,
-    `on_trouble` a line for each defect. Raises InputError for a port that is taken, and MissingDependencyError without
-    websockets.
+    network: of the first answers. detail: whether the page draws the head's fine skin. port: a free one by default.
+    `on_ready` is given the address, `on_trouble` a line for each defect. Raises InputError for a port that is taken,
+    and MissingDependencyError without websockets.
     """
     try:
         import websockets  # noqa: F401
@@ -67,17 +69,17 @@ def serve_face(
     if port is not None:
         PORT.check("port", port)
     with threadpool_limits(1):
-        asyncio.run(_Server(face, title, detail, on_trouble).run(port, on_ready))
+        asyncio.run(_Server(face, title, network, detail, on_trouble).run(port, on_ready))
 
 
 class _Server:
     """The page, the tabs that are open, and the one thread that makes their first answers."""
 
-    def __init__(self, face: Face, title: str, detail: bool, on_trouble: Callable[[str], None]):
+    def __init__(self, face: Face, title: str, network: Surrogate, detail: bool, on_trouble: Callable[[str], None]):
         self.face, self.on_trouble = face, on_trouble
-        self.first = FirstAnswer(face)
+        self.first = FirstAnswer(face, network)
         self.thread = ThreadPoolExecutor(1, thread_name_prefix="first answers")
-        self._page = render_live_page(title, face, SOCKET, detail).encode()
+        self._page = render_live_page(title, face, network, SOCKET, detail).encode()
         self._tabs: set[_Tab] = set()
         self._hosts: tuple[str, ...] = ()
 

@@ -151,7 +151,7 @@ def find_losses(lines: Lines, by: str, truth: str) -> list[tuple[str, str, float
     lost = []
     for group in dict.fromkeys(line[by] for line in lines):
         found = summarise([line for line in alike if line[by] == group], "method", truth)
-        rivals = [name for name in (m.SETTLED, m.SETTLED_TETS, m.CARRIED) if name in found]
+        rivals = [name for name in (m.SETTLED, m.CARRIED) if name in found]
         rival = min(rivals, key=lambda name: found[name].share, default=None)
         if rival and m.NETWORK in found and found[rival].share <= found[m.NETWORK].share:
             lost.append((group, rival, found[rival].share, found[m.NETWORK].share))

@@ -43,9 +43,9 @@ def digest_heads() -> str:
 
 @cache
 def digest_network() -> str:
-    """Digest the arrays of the shipped network, whatever its file says of its training."""
-    arrays = load(SHIPPED.read_bytes())
-    return _digest(*(arrays[name].tobytes() for name in sorted(arrays)))
+    """Digest the arrays of the shipped networks, whatever their files say of their training."""
+    files = [load(path.read_bytes()) for path in SHIPPED.values()]
+    return _digest(*(arrays[name].tobytes() for arrays in files for name in sorted(arrays)))
 
 
 def name_generator() -> str:

@@ -98,7 +98,7 @@ class Faces(Contest):
         Under a random p an energy may have two minima: on the first person FEniCSx and PD end 0.8 mm apart.
         """
         ready = m.ready_methods(find_network(self.weights, self.identities), beyond="clamp")
-        methods: list[str | Method] = [m.PD_FIRST_ORDER, *ready.values(), m.SETTLED_TETS]
+        methods: list[str | Method] = [m.PD_FIRST_ORDER, *ready.values()]
         return [*methods, m.FENICSX, m.FENICSX_NEO_HOOKEAN] if name.startswith(MEAN) else methods
 
     def list_truths(self, name: str) -> Sequence[str]:

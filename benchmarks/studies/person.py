@@ -19,12 +19,8 @@ from ...lhm.identities.space import LinearSpace
 from ...lhm.template.template import DEFAULT_LEVEL
 from ...reference import Face, Parameters
 from ...reference.added import all_solvers
-from ...reference.face.tissue import CellKind
 from ...surrogate.runtime import Surrogate
 from ..harness.study import Study
-
-CELLS: CellKind = "tets"
-"""Cells of faces that methods are compared on; the shipped network has learned these."""
 
 
 def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
@@ -51,8 +47,8 @@ class Person:
     """Processor time [s] that the head took to fit, where it was measured."""
 
     def face(self, parameters: Parameters, contact: Sequence[str] = ()) -> Face:
-        """Give the face under p, local values one per triangle of the wraps, by CELLS; regions in contact by name."""
-        choices = {"cells": CELLS, **({"contact": contact} if contact else {})}
+        """Give the face under p, local values one per triangle of the wraps; regions in contact by name."""
+        choices = {"contact": contact} if contact else {}
         return Face(self.head, self.shapes, parameters, per="wraps", code=self.code, choices=choices)
 
     @property

@@ -358,8 +358,8 @@ PRESETS: dict[str, CorpusPlan] = {
     # For people of another space in the default's triangles.
     "external": replace(_FRESH, seed=4713, identities=6, groups=2, sequences=1),
     "small": CorpusPlan(seed=1001),
-    # Frames that teach what lies beyond the first order.
-    "contact": CorpusPlan(seed=1004, identities=100, frames=7, sequences=0),
+    # Frames that teach what lies beyond the first order, and sequences.
+    "contact": CorpusPlan(seed=1004, identities=100, frames=7),
     # Neutral faces and their derivatives alone, six for the price of one of the others: faces limit what is learned.
     # Hardly anything touches where a face is at rest.
     "faces": CorpusPlan(

@@ -60,7 +60,7 @@ class GradientTraining(TrainerConfig):
     """Options of one training, each with its reason: those of our hypernetwork."""
 
     form: str = "hypernetwork"
-    network: Widths = field(default_factory=lambda: Widths(latent=64, hidden=32, position=16))
+    network: Widths = field(default_factory=lambda: Widths(latent=24, hidden=32, position=16))
     tables: TableTraining = field(default_factory=TableTraining)  # where the form has some
     steps: int = 3000
     batch: int = 24  # frames per step; a larger one takes proportionally longer on a CPU
@@ -75,6 +75,7 @@ class GradientTraining(TrainerConfig):
     validation: float = 0.05  # share of people held out, to choose the best step: more of them teach than judge
     validate_every: int = 200
     best_by: str = "share"
+    patience: int = 6  # held-out people end it, not the count of steps
 
 
 def follow_paper(form: str, widths: Widths) -> GradientTraining:
@@ -85,7 +86,7 @@ def follow_paper(form: str, widths: Widths) -> GradientTraining:
     return GradientTraining(
         form=form, network=widths, steps=200_000, batch=128, frames=8, fields=False,
         in_own_size=False, learning_rate=1e-4, final_rate=5e-5, falls="line", warm_up=1, weight_decay=0.0, clip=None,
-        best_by="network",
+        best_by="network", patience=0,
     )  # fmt: skip
 
 

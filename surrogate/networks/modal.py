@@ -20,7 +20,7 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..rigs.rig import WEIGHTS, FaceModes, Remainder, silu
 from .features import Features
 from .layers import EVERY, Arrays, exp, layer_shapes, linear, scale_modes
-from .tables import TableSizes, carry_shapes, mixer_layers, see_vertices, table_shapes
+from .tables import TableSizes, mixer_layers, see_vertices, table_shapes
 
 WITHOUT_BIAS = ("gain_code", "remainder_out", "remainder_linear")
 QUIET = ("gain_out", "remainder_gain", "remainder_modulation")
@@ -58,7 +58,6 @@ def modal_shapes(config: ModalConfig, features: Features, code_size: int) -> dic
     n, layers = len(features.mean.vertices), remainder_layers(config, features, code_size)
     return {
         **table_shapes(config, n, code_size),
-        **carry_shapes(n, code_size),
         "modes": (config.modes, n, 3),
         "size_remainder": (config.modes,),
         "gain_position": (n, config.position),

@@ -36,14 +36,11 @@ IN_FILE = ("_table", "_scale", "carry_mean")
 
 
 class Tables(NamedTuple):
-    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm].
-
-    C is None where a head tells how far bones carry its skin.
-    """
+    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm]."""
 
     responses: Floats32
     effects: Floats32
-    carry: Floats32 | None
+    carry: Floats32
 
 
 @dataclass(frozen=True)
@@ -89,12 +86,6 @@ def table_shapes(sizes: TableSizes, vertices: int, code_size: int) -> dict[str, 
         "effect_table": (sizes.effect_tables + 1, EFFECTS, vertices, 3),
         "effect_scale": (EFFECTS, vertices),
         **layer_shapes(table_layers(sizes, code_size), WITHOUT_BIAS),
-    }
-
-
-def carry_shapes(vertices: int, code_size: int) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array of how bones carry a skin, for a network that asks no head."""
-    return {
         "carry_mean": (BONES, vertices, 3),
         "carry_table": (code_size, BONES, vertices, 3),
         "carry_scale": (BONES, vertices),
@@ -142,22 +133,18 @@ def find_first_order(
     code: Floats,
     at_vertices: Floats,
     shapes: np.ndarray,
-    carried: Floats32 | None = None,
 ) -> tuple[Floats32, Floats32]:
     """Return offset (n, 3) and responses (52, n, 3) [mm] of a person under parameters mapped to [-1, 1] at vertices.
 
     tables: of `expand`. code (c,): normalised. at_vertices: shape (n, P). shapes: what the 52 weights add to the skin
-    [mm], shape (52, n, 3). carried: how far bones carry the skin [mm], shape (n, 3), where tables do not know it.
+    [mm], shape (52, n, 3).
     """
     local, code = features.local(at_vertices), code.astype(np.float32)
     shares, lag = mix_responses(network, local, code)
     strengths = mix_effects(network, local, code, features.effects(at_vertices))
     offset = np.einsum("ve,evc->vc", strengths, tables.effects.reshape(-1, *tables.effects.shape[2:]))
-    if tables.carry is None:
-        offset += carried
-    else:
-        scaled = scale_bones(code, features.bones(at_vertices))
-        offset += np.tensordot(scaled, tables.carry.reshape(len(scaled), -1), axes=1).reshape(offset.shape)
+    scaled = scale_bones(code, features.bones(at_vertices))
+    offset += np.tensordot(scaled, tables.carry.reshape(len(scaled), -1), axes=1).reshape(offset.shape)
     return offset, find_responses(tables.responses, shares, lag, shapes.astype(np.float32, copy=False))
 
 
@@ -188,7 +175,7 @@ def expand(network: Arrays) -> Tables:
         table: Floats32 = network[f"{name}_table"] * network[f"{name}_scale"][..., None]
         return table
 
-    carry = np.concatenate([network["carry_mean"][None], read("carry")]) if "carry_mean" in network else None
+    carry = np.concatenate([network["carry_mean"][None], read("carry")])
     return Tables(read("response"), read("effect"), carry)
 
 
@@ -197,9 +184,8 @@ def compress(tables: Tables) -> dict[str, Floats32]:
 
     How bones carry the mean face, by far the largest of all, is `carry_mean`.
     """
-    arrays, kept = {}, {"response": tables.responses, "effect": tables.effects}
-    if tables.carry is not None:
-        arrays["carry_mean"], kept["carry"] = tables.carry[0], tables.carry[1:]
+    arrays = {"carry_mean": tables.carry[0]}
+    kept = {"response": tables.responses, "effect": tables.effects, "carry": tables.carry[1:]}
     for name, table in kept.items():
         scale = np.maximum(np.abs(table).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
         arrays[f"{name}_table"] = np.rint(table / scale[..., None]).clip(-127, 127)

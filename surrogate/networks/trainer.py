@@ -57,6 +57,7 @@ class TrainerConfig:
     clip: float | None = None  # norm of the gradient beyond which it is shortened
     validate_every: int = 400  # steps between two points of the curve
     best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
+    patience: int = 0  # points of the curve without a better one after which it ends; 0: after all steps
     hours: float | None = None  # of a processor for all of a lesson, in place of `steps`: solves and validation count
     device: str = "cpu"
 
@@ -125,7 +126,7 @@ class Trainer:
             left = describe_left(time.perf_counter() - begin, (self.step - first) / (self.steps - first))
             on_progress(f"training: step {self.step} of {self.steps}{left}", self.step / self.steps)
 
-        while self.step < self.steps:
+        while self.step < self.steps and not self._has_stalled():
             steps = min(config.validate_every - self.step % config.validate_every, self.steps - self.step)
             self.run(steps if config.hours is None else min(steps, max(1, self.steps // CHECKS)), tell)
             if config.hours is not None:
@@ -137,6 +138,11 @@ class Trainer:
                 "training: held-out people, mm: " + ", ".join(f"{name} {value:.4f}" for name, value in errors.items()),
                 self.step / self.steps,
             )
+
+    def _has_stalled(self) -> bool:
+        """Whether the latest points of the curve, as many as `patience`, have no better one."""
+        values = [point[self.config.best_by] for point in self.curve] if self.config.patience else []
+        return bool(values) and len(values) - 1 - int(np.argmin(values)) >= self.config.patience
 
     def _fit_into(self, hours: float) -> None:
         """Change the number of steps so that all of the lesson takes these processor hours, by what it took so far."""

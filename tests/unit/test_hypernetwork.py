@@ -117,8 +117,10 @@ def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
     assert not unknown.people
 
 
-def test_scaled_bones_carry_the_skin_before_a_network_moves_it(surrogate):
+def test_scaled_bones_carry_the_skin_before_a_network_without_tables_moves_it(faces):
     """A network that has not seen them gives what it gives to the carried skin."""
+    surrogate = Surrogate(train_gradients(faces["train"], replace(NETWORKS["paper"], **QUICK)))
+    assert surrogate.needs == "head"
     scaled = Parameters(mandible_scale_y=1.1)
     head = SPACE.fit(SPACE.mean)
     carried = Face(head, parameters=scaled).carried
@@ -150,7 +152,7 @@ def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weigh
     weights.check_unseen(faces["test"].name_people(), "corpus")
     with pytest.raises(InputError, match=f"corpus: the weights learned from {len(training - held)} of its"):
         weights.check_unseen(faces["train"].name_people(), "corpus")
-    assert ready_methods(Surrogate(weights))[NETWORK].needs == "head"
+    assert ready_methods(Surrogate(weights))[NETWORK].needs == "nothing"
 
 
 @pytest.mark.parametrize("name", [*NETWORKS])
@@ -205,6 +207,26 @@ class Diverges(Lesson):
 def test_a_loss_that_is_not_finite_ends_a_training():
     with pytest.raises(InputError, match="the loss is not finite at step 3; take a lower learning rate"):
         Trainer(Diverges(), TrainerConfig(steps=9)).train()
+
+
+class Stalls(Lesson):
+    """A lesson whose error is least after its second step."""
+
+    def __init__(self):
+        self.network, self.steps = {"x": torch.ones(1, requires_grad=True)}, 0
+
+    def loss(self, done, rng):
+        self.steps += 1
+        return self.network["x"].sum()
+
+    def errors(self):
+        return {"left": abs(self.steps - 2.0)}
+
+
+def test_held_out_people_end_a_training():
+    trainer = Trainer(Stalls(), TrainerConfig(steps=90, validate_every=1, best_by="left", patience=3))
+    trainer.train()
+    assert trainer.step == 5 and trainer.least == 0.0
 
 
 def test_anchors_are_the_stillest_of_each_part(samples, faces):

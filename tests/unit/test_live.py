@@ -11,6 +11,7 @@ from softdeca.animation.live.refinement import Refinement, SupersededError
 from softdeca.animation.live.worker import Newest, refine_newest
 from softdeca.lhm import fit_head, identities, load_template
 from softdeca.reference import Face, Parameters
+from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.spheres import Spheres
 from softdeca.surrogate.methods import BLENDSHAPES, DERIVATIVES, NETWORK, PD
 
@@ -47,7 +48,7 @@ def test_answers_come_better_and_better(face):
 
 
 def test_the_first_answer_is_the_best_that_is_known_of_p(face):
-    first, asked = FirstAnswer(face), change()
+    first, asked = FirstAnswer(face, Surrogate.load()), change()
     frame = first.frame(asked)
     assert frame.method == BLENDSHAPES and frame.error is None and not frame.is_last
     assert np.abs(frame.skin - face.blend(asked.weights)).max() < 1e-4
@@ -67,7 +68,7 @@ def test_the_network_tells_more_error_on_a_head_that_is_none_of_its_people():
     told = []
     for each in (skin, skin.with_vertices(wavy)):
         face = Face(fit_head(template, each), space.expression_deltas(code))
-        frame = FirstAnswer(face).frame(asked)
+        frame = FirstAnswer(face, Surrogate.load()).frame(asked)
         assert frame.method == NETWORK
         moved = np.linalg.norm(frame.skin - face.blend(asked.weights), axis=1)
         told.append(float((frame.error / np.maximum(moved, 1e-6)).max()))

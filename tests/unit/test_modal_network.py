@@ -26,7 +26,7 @@ from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, remainder
 from softdeca.surrogate.networks.modal_faces import LessonFace, LessonFaces
 from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, draw_network, train_modal
-from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining
+from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining, balance
 from softdeca.surrogate.networks.tables import Tables, compress, expand, find_first_order, mix_effects, mix_responses
 from softdeca.surrogate.networks.trainer import Trainer, to_tensors
 from softdeca.surrogate.networks.vertices_only import TRAINING, VerticesOnly
@@ -247,6 +247,22 @@ def test_tables_of_vertices_that_no_step_saw_are_as_good(lessons):
         np.testing.assert_allclose(one[:, :, seen], other, rtol=1e-2, atol=1e-2 * np.abs(other).max())
 
 
+def test_distances_count_rather_than_squares():
+    """Weighed by what a first table misses, a second lets one face of ten, far from the others, pull it less."""
+    values = torch.zeros(10, 1, 3)
+    values[0] = 1.0
+    scale, factors = torch.ones(10, 1), torch.ones(10, 1, 1)
+
+    def solve(lengths):
+        regression = Regression("cpu")
+        regression.add(factors, values, lengths)
+        return regression.solve(1e-6)
+
+    first = solve(scale)
+    again = solve(balance(scale, (values - torch.from_numpy(first)).norm(dim=-1)))
+    assert np.allclose(first, 0.1, atol=1e-4) and 0.0 < again.max() < 0.02
+
+
 def test_tables_are_found_again_and_kept_in_bytes():
     """Faces that are mixed from tables give these tables, but for the ridge."""
     rng = np.random.default_rng(0)
@@ -254,7 +270,7 @@ def test_tables_are_found_again_and_kept_in_bytes():
     factors = rng.normal(size=(200, 7, 3)).astype(np.float32)
     values = np.einsum("fvk,vkm->fvm", factors, tables)
     regression = Regression("cpu")
-    regression.add(*map(torch.from_numpy, (factors, values, rng.uniform(0.5, 2.0, 200).astype(np.float32))))
+    regression.add(*map(torch.from_numpy, (factors, values, rng.uniform(0.5, 2.0, (200, 1)).astype(np.float32))))
     solved = regression.solve(0.03, (1, 0.01))
     assert np.abs(solved - tables).mean(axis=(0, 2)).max() < 0.05
     assert np.abs(solved - tables)[:, -1].mean() < 0.6 * np.abs(solved - tables)[:, 0].mean(), "a third of the ridge"

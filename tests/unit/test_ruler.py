@@ -19,7 +19,15 @@ from softdeca.surrogate.corpus.mixture import STATIC, select_static
 from softdeca.surrogate.corpus.people import people_from_text
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.methods import CARRIED, DERIVATIVES, METHODS, NETWORK, NETWORK_AND_DERIVATIVES, SETTLED
+from softdeca.surrogate.methods import (
+    CARRIED,
+    DERIVATIVES,
+    HYPERNETWORK,
+    METHODS,
+    NETWORK,
+    NETWORK_AND_DERIVATIVES,
+    SETTLED,
+)
 from softdeca.surrogate.ruler import (
     MOVES,
     STRENGTHS,
@@ -160,10 +168,11 @@ def _committed():
 @pytest.mark.parametrize("rival", TRIVIAL)
 def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
     scores = _committed()
-    planted = [line for line in scores if line["method"] != NETWORK]
-    planted += [line | {"method": NETWORK} for line in scores if line["method"] == rival]
+    names = NETWORK, HYPERNETWORK
+    planted = [line for line in scores if line["method"] not in names]
+    planted += [line | {"method": name} for name in names for line in scores if line["method"] == rival]
     by_kind = make_gates(planted)[:-1]
-    assert len(by_kind) == len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
+    assert len(by_kind) == len(names) * len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
 
 
 @pytest.mark.parametrize("rival", [*TRIVIAL, DERIVATIVES])

@@ -134,7 +134,7 @@ class Contact(Contest, OfPerson):
             )
         seed, text, parameters = self._describe_hard()[name]
         person = self.person(seed=seed)
-        return Case(name, WHOLE, lambda: person.face(parameters).in_contact(), parse_weights(text)[None])
+        return Case(name, WHOLE, lambda: _touch_by_tets(person.face(parameters)), parse_weights(text)[None])
 
     def list_methods(self, name: str) -> Sequence[Method]:
         """List nothing beside the truths; `measure` adds PD from the barrier's answer."""
@@ -148,7 +148,7 @@ class Contact(Contest, OfPerson):
     def warm(self) -> Case:
         """Blink on a coarse head."""
         person = self.person(level=1)
-        return Case("uncounted", WHOLE, lambda: person.face(Parameters()).in_contact(), parse_weights(BLINK)[None])
+        return Case("uncounted", WHOLE, lambda: _touch_by_tets(person.face(Parameters())), parse_weights(BLINK)[None])
 
     def measure(self, task: Task) -> Values:
         """Run all methods: of a pose PD from the barrier's answer, too; of a hard frame also the price of contact."""
@@ -224,6 +224,10 @@ def measure_apart(lines: Sequence[Mapping]) -> dict[str, float]:
     """Measure the RMS distance [mm] of PD to the barrier, by its nearer start."""
     from_rest, from_barrier = (_find(lines, method, BARRIER) for method in (m.PD, FROM_BARRIER))
     return {case: min(to["rms"], from_barrier.get(case, to)["rms"]) for case, to in from_rest.items()}
+
+
+def _touch_by_tets(face: Face) -> Face:
+    return replace(face, choices={"cells": "tets"}).in_contact()
 
 
 def _without_contact(face: Face) -> Face:

@@ -19,7 +19,6 @@ from ....surrogate.certified import POLICY
 from ....surrogate.methods import Method
 from ...contest import BEYOND, KINDS, Case, Contest, collect_rows, draw_case, list_columns, list_failures
 from ...harness.study import Row, Table, at_least, at_most
-from ..person import CELLS
 
 HELD_OUT, EXTERNAL, OUT_OF_RANGE = "held-out", "external", "out of range"
 ENOUGH = 200
@@ -78,7 +77,7 @@ class Dial(Contest):
         people = "external:" + self.external if group == EXTERNAL else self.people
         kind = BEYOND if group == OUT_OF_RANGE else KINDS[int(number) % len(KINDS)]
         seed = (self.seed, (HELD_OUT, EXTERNAL, OUT_OF_RANGE).index(group), int(number))
-        drawn = draw_case(name, people, seed, kind, self.frames, level=self.level, cells=CELLS)
+        drawn = draw_case(name, people, seed, kind, self.frames, level=self.level)
         return replace(drawn, kind=group)
 
     def list_methods(self, name: str) -> Sequence[str | Method]:

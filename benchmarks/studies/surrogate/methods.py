@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ....surrogate import Surrogate
 from ....surrogate.corpus.plan import Split
-from ....surrogate.methods import VERTICES_ONLY, Learns, Method, ready_methods
+from ....surrogate.methods import HYPERNETWORK, VERTICES_ONLY, Learns, Method, ready_methods
 from ....surrogate.rigs.inertia import Looseness
 from ....surrogate.trials import CorpusTrials
 
@@ -37,7 +37,9 @@ class NetworkExam:
 
     def __post_init__(self):
         self.network.weights.check_mesh(self.tested.faces.mean)
-        self.network.weights.check_unseen(self.tested.faces.name_people(), f"corpus {self.tested.folder}")
+        rivals = [Surrogate.load(HYPERNETWORK)] if HYPERNETWORK in self.methods else []
+        for network in (self.network, *rivals):
+            network.weights.check_unseen(self.tested.faces.name_people(), f"corpus {self.tested.folder}")
 
     @cached_property
     def methods(self) -> dict[str, Method]:

@@ -52,7 +52,7 @@ class Split(OfPerson, Contest):
     truths: ClassVar[tuple[str, ...]] = (m.PD, m.PD_AS_TRAINED, m.FENICSX_NEO_HOOKEAN)
     columns = list_columns((*truths, m.FENICSX_P2), ("share", "everywhere"))
     note = Contest.note + (
-        " Faces are of the tets that the network has learned. A part is the mean distance over the skin of two "
+        " A part is the mean distance over the skin of two "
         "methods, each of which settles the neutral face by itself. The part of the mesh is measured on some frames."
     )
 

@@ -11,9 +11,10 @@ from typing import Any
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.option import option
+from ....surrogate import Surrogate
 from ....surrogate.corpus.manifest import OWNER
 from ....surrogate.corpus.plan import PRESETS
-from ....surrogate.methods import NETWORK, SNP
+from ....surrogate.methods import HYPERNETWORK, NETWORK, SNP
 from ....surrogate.networks.weights import TrainingNote
 from ....surrogate.ruler import MOVES
 from ....surrogate.trials import SIMULATOR
@@ -89,11 +90,12 @@ class SurrogateOnCorpus(Study):
         """Measure a method's scores on the frames of a question, and what is told once of the corpus."""
         _, score_method = self._ask()[task.case]
         exam = self._open(self.corpus, self.people)
+        weights = (Surrogate.load(HYPERNETWORK) if task.method == HYPERNETWORK else exam.network).weights
         values: dict[str, Any] = {
             **score_method(task.method),
             "people": len(exam.tested.faces.people),
-            "trained_on": asdict(exam.network.weights.note),
-            "learned_from": len(exam.network.weights.people),
+            "trained_on": asdict(weights.note),
+            "learned_from": len(weights.people),
         }
         if task != Task(self._name_corpus(), NETWORK):
             return values
