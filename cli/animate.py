@@ -55,7 +55,7 @@ class Animate:
 
     `--accuracy none` costs what blendshapes do and tells no error: the network on the default head's people, with
     the simulator's derivatives on other heads of their triangles, and these alone on all others. There
-    `--surrogate hypernetwork` takes SoftDECA's hypernetwork, some milliseconds a frame.
+    `--surrogate hypernetwork` takes SoftDECA's hypernetwork, half a millisecond a frame.
 
     Writes OUT/take.vtkhdf (or .glb, or .usd), OUT/preview.gif (20 s at most; or .mp4) and OUT/log.jsonl: method, error,
     certain and seconds of each frame, and how many pairs of its triangles cross. Morph targets of glb and usd have

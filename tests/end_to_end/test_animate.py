@@ -263,15 +263,16 @@ def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(netwo
     assert bind_cheaply(stranger, network)[0] == "network + derivatives"
 
 
-def test_the_command_writes_what_a_rig_makes(command, tmp_path):
+@pytest.mark.parametrize("name", ["network", "hypernetwork"])
+def test_the_command_writes_what_a_rig_makes(name, command, tmp_path):
     (tmp_path / "p.toml").write_text("soft_volume = 1.2\nfrequency = 3\n")
     ended = command(
-        *("animate", "conversation:0.2:2", "--accuracy", "none"),
+        *("animate", "conversation:0.2:2", "--accuracy", "none", "--surrogate", name),
         *("--parameters", tmp_path / "p.toml", "--dynamic"),
         *("--format", "glb", "--frames", "2:", "--out", tmp_path / "take", "--json"),
     )
     assert ended.status == 0 and ended.errors == []
     result = json.loads(ended.out)
-    assert result["methods"] == {"network": 10} and result["frames"] == 10
+    assert result["methods"] == {name: 10} and result["frames"] == 10
     assert [path.split("/")[-1] for path in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
     assert parse_glb(tmp_path / "take" / "take.glb")[0]["animations"]

@@ -49,6 +49,7 @@ WRONG = [
     ("train corpus --share nan", "--share': 'nan' is no number"),
     ("animate conversation:1 --surrogate w --bones soft", "--surrogate: nothing reads it"),
     ("animate conversation:1 --surrogate w --dynamic", "--surrogate: nothing reads it"),
+    ("animate conversation:1 --surrogate hypernetwork", "--surrogate: nothing reads it without --accuracy none"),
     ("animate conversation:1 --accuracy none --crossing", "--crossing: nothing reads it"),
     ("corpus generate --identities spheres:1 --level 3", "--level: nothing reads it for spheres"),
     ("corpus generate --dry-run --workers 2", "--workers: nothing reads it in a dry run"),

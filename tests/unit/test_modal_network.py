@@ -32,6 +32,7 @@ from softdeca.surrogate.networks.trainer import Trainer, to_tensors
 from softdeca.surrogate.networks.vertices_only import TRAINING, VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
 from softdeca.surrogate.rigs.inertia import Looseness
+from softdeca.surrogate.runtime import SHIPPED
 from softdeca.surrogate.trials import static_trials
 
 SPACE = Spheres(1)
@@ -340,6 +341,24 @@ def test_weights_that_are_damaged_or_old_are_named(weights, tmp_path):
     path.write_bytes(whole.replace(b'format\\": 6', b'format\\": 5', 1))
     with pytest.raises(InputError, match="of format 5, this version reads 6; train them anew"):
         Weights.load(path)
+
+
+def test_both_shipped_networks_stand_on_the_same_tables():
+    """They differ beyond first order alone, on shapes of one's own as on the built-in ones."""
+    space = identities.Anny()
+    code, skin = space.sample(np.random.default_rng(1))
+    networks = [Surrogate.load(name) for name in SHIPPED]
+    assert {network.weights.kind for network in networks} == {"modal", "hypernetwork"}
+    rigs = [network.bind(skin, code, Parameters(soft_volume=1.2, gravity=2.0)) for network in networks]
+    np.testing.assert_allclose(rigs[0].neutral, rigs[1].neutral, atol=1e-4)
+    weights = np.zeros(52)
+    weights[[17, 26]] = 0.8
+    own = skin.vertices + 1.1 * (rigs[0].blend(weights) - skin.vertices)
+    moved = [[rig.frame(weights) - rig.blend(weights), rig.frame(weights, own) - own] for rig in rigs]
+    for pair in zip(*moved, strict=True):
+        apart = np.linalg.norm(pair[0] - pair[1], axis=1).mean()
+        assert 0.0 < apart < 0.2 * np.linalg.norm(pair[0], axis=1).mean()
+    assert np.abs(moved[1][0] - moved[1][1]).max() > 1e-4, "gradients act on the S that is given"
 
 
 def test_a_code_and_a_skin_of_two_people_are_refused():
