@@ -338,8 +338,8 @@ def test_weights_that_are_damaged_or_old_are_named(weights, tmp_path):
     path.write_bytes(whole[:-300])
     with pytest.raises(InputError, match="damaged, their content does not match"):
         Weights.load(path)
-    path.write_bytes(whole.replace(b'format\\": 6', b'format\\": 5', 1))
-    with pytest.raises(InputError, match="of format 5, this version reads 6; train them anew"):
+    path.write_bytes(whole.replace(b'format\\": 7', b'format\\": 6', 1))
+    with pytest.raises(InputError, match="of format 6, this version reads 7; train them anew"):
         Weights.load(path)
 
 
