@@ -339,16 +339,13 @@ PRESETS: dict[str, CorpusPlan] = {
     # Every part but references once, in seconds: for tests and for trying a set-up.
     "tiny": CorpusPlan(identities=3, groups=1, frames=2, conversations=3, random=3, hard=3, seconds=4.0, run=24),
     # `make study` tests the surrogate on these: other people, parameters and recordings than those it has learned from.
-    "study": CorpusPlan(
+    "study": replace(
+        _FRESH,
         seed=94,
         identities=6,
+        groups=3,
         frames=4,
-        sequences=0,
         kinds={"materials": 0.35, "single": 0.45, "effects": 0.1, "both": 0.1},
-        sources={"conversation": 0.5, "hard": 0.5},
-        conversations=10,
-        random=0,
-        hard=10,
         seconds=47.0,
     ),
     # The model card is measured on these: people nobody trained on, half of their frames of hard expressions.

@@ -141,13 +141,12 @@ class _PersonRows:
             )
 
     def _add_references(self, group: int, face: Face, answers: list[Answer], count: int) -> None:
-        accepted = [group * self.plan.frames + k for k, answer in enumerate(answers) if answer.status == ACCEPTED]
-        chosen = accepted[:count]
-        weights = [self.rows["statics"][static]["weights"].astype(np.float64) for static in chosen]
-        frames = [(w, answers[static % self.plan.frames]) for w, static in zip(weights, chosen, strict=True)]
-        for static, by_law in zip(chosen, references(self.plan, face, frames), strict=True):
+        first, statics = group * self.plan.frames, self.rows["statics"]
+        chosen = [row for row, answer in enumerate(answers) if answer.status == ACCEPTED][:count]
+        frames = [(statics[first + row]["weights"].astype(np.float64), answers[row]) for row in chosen]
+        for row, by_law in zip(chosen, references(self.plan, face, frames), strict=True):
             for law, reference in by_law.items():
-                self.rows["references"].append({"static": static, "law": law} | vars(reference))
+                self.rows["references"].append({"static": first + row, "law": law} | vars(reference))
 
     @contextmanager
     def _time_phase(self, phase: str) -> Iterator[None]:
