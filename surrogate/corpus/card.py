@@ -63,7 +63,7 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
         arrays = read_arrays_of(path, "groups/kind", *names)
         good = arrays["statics/status"] == ACCEPTED.encode()
         kinds = arrays["groups/kind"][arrays["statics/group"]]
-        sources = np.char.partition(arrays["statics/recording"].astype(str), "/")[:, 0]
+        sources = np.array([name.partition("/")[0] for name in arrays["statics/recording"].astype(str)], dtype=str)
         iterations.append(arrays["statics/iterations"][good].astype(float))
         crossing += int(np.count_nonzero(arrays["statics/crossings"][good]))
         for key, mask in [("all", good), *((kind, good & (kinds == kind.encode())) for kind in KINDS)] + [

@@ -209,12 +209,15 @@ class LessonFaces:
         """Read faces of the corpus."""
         return [self.corpus.face(int(number)) for number in numbers]
 
-    def read_teaching(self, each: int, vertices: Any = EVERY) -> Iterator[FaceArrays]:
-        """Read all faces that teach tables, so many at a time, each as it is and, where that is a face, mirrored."""
+    def read_teaching(self, each: int, vertices: Any = EVERY, *, every: int = 1) -> Iterator[FaceArrays]:
+        """Read faces that teach tables, so many at a time, each as it is and, where that is a face, mirrored.
+
+        One of `every` so many.
+        """
         numbers = [(self.corpus, number) for number in self.training.tolist()]
         if self.extra_faces is not None:
             numbers += [(self.extra_faces, number) for number in range(len(self.extra_faces))]
-        sides = (False, True)[: 1 + self.has_mirror]
+        numbers, sides = numbers[::every], (False, True)[: 1 + self.has_mirror]
         for first in range(0, len(numbers), each):
             kept = [source.face(number) for source, number in numbers[first : first + each]]
             shown = [LessonFace(face, self.features, side) for face in kept for side in sides]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from .tables import (
     MIXERS,
     QUIET,
     WITHOUT_BIAS,
+    Product,
     Tables,
     TableSizes,
     compress,
@@ -54,6 +55,8 @@ LEARNED = ("response", "effect", "lag")
 """Beginnings of the names of arrays that this training learns."""
 READ = 16
 """Faces that are read at a time: more are faster, and take 60 MB each where all vertices are."""
+AT_FIRST = 4
+"""Of so many faces one tells by how much squares of errors count."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +66,12 @@ class TableTraining:
     A ridge is a penalty in shares of the mean square of what a table is multiplied by.
     """
 
-    learning_rate: float = 8e-3  # the highest, of networks
-    weight_decay: float = 0.03  # of networks: with .2 a third more of the responses is left
+    learning_rate: float = 8e-3  # the highest, of AdamW
+    matrix_rate: float = 0.01  # the highest, of Muon: AdamW alone takes three times the steps
+    weight_decay: float = 0.05  # of networks
     faces: int = 24  # per step
     vertices: int = 64  # of each
-    sampled: int = 256  # vertices at which the networks learn: 170 kB a face
+    sampled: int = 512  # vertices at which networks learn: 340 kB a face; with 256 a tenth more is left at others
     response_ridge: float = 1e-3
     effect_ridge: float = 3e-5  # an effect is zero in most faces
     mixed_ridge: float = 0.1  # of mixed effects, which few faces tell apart
@@ -85,6 +89,7 @@ class TableTraining:
             learning_rate=self.learning_rate,
             one_cycle=True,
             weight_decay=self.weight_decay,
+            matrix_rate=self.matrix_rate,
             clip=1.0,
             validate_every=OF_TABLES * rest.validate_every,
             hours=None if rest.hours is None else FOR_TABLES * rest.hours,
@@ -124,7 +129,8 @@ def learn_tables(
     network = draw() if start is None else _continue(start, data, shapes)
     if start is not None and data.extra_faces is None and data.corpus.has_frames:
         return network, []
-    learned, curve = train_tables(data, network, options, rest, state, on_progress)
+    components = {name: shapes[f"{name}_table"][0] for name in MIXERS}
+    learned, curve = train_tables(data, network, components, options, rest, state, on_progress)
     return network | learned, curve
 
 
@@ -140,6 +146,7 @@ def _continue(start: Weights, data: LessonFaces, expected: Mapping[str, tuple[in
 def train_tables(
     data: LessonFaces,
     network: Mapping[str, np.ndarray],
+    components: Mapping[str, int],
     options: TableTraining,
     rest: TrainerConfig,
     state: str | PathLike[str] | None,
@@ -147,14 +154,14 @@ def train_tables(
 ) -> tuple[dict[str, np.ndarray], list[dict[str, float]]]:
     """Teach the layers of `network` that mix tables, then solve for the tables of all vertices.
 
-    Return both as a file has them, and the curve. rest: options of the steps that follow. With `state`, a file of those
-    steps, these are kept beside it.
+    Return both as a file has them, and the curve. components: how many of each table are kept. rest: options of the
+    steps that follow. With `state`, a file of those steps, these are kept beside it.
     """
     lesson = TableLesson(data, network, options, rest.seed, open_device(rest.device), on_progress)
     trainer = Trainer(lesson, options.schedule(rest))
     trainer.train(None if state is None else Path(state).with_suffix(".tables.pt"), on_progress)
     begin = time.perf_counter()
-    tables = compress(lesson.solve_all(on_progress))
+    tables = compress(lesson.solve_all(on_progress).factorise(**components))
     trainer.curve[-1]["seconds"] += time.perf_counter() - begin
     mixers = {name: value for name, value in trainer.arrays().items() if name in network}
     return mixers | tables, trainer.curve
@@ -163,8 +170,9 @@ def train_tables(
 class TableLesson(Lesson):
     """The networks that mix tables, and the tables of a sample of vertices, in training there."""
 
-    slow = ("tables.",)
-    """They begin where no network mixes them."""
+    slow, slow_rate = ("tables.",), 0.03
+    """They begin where no network mixes them, and are solved for at the end."""
+    matrices = frozenset(f"{name}_{layer}.weight" for name in MIXERS for layer in ("in", "code", "middle", "share"))
 
     def __init__(
         self,
@@ -221,22 +229,23 @@ class TableLesson(Lesson):
             offset, responses = self.measure(self.held, EVERY, scaled=False).tolist()
         return {"offset": offset, "responses": responses}
 
-    def solve_all(self, on_progress: OnProgress) -> Tables:
-        """Solve for the tables of all vertices over all faces: by squares of errors, then by errors (one reweighting).
+    def solve_all(self, on_progress: OnProgress) -> Solved:
+        """Solve for the tables of all vertices: by squares of errors of some faces, then by errors of all.
 
         On people held out the second leaves 3 to 5 % less.
         """
 
-        def parts(turn: int):
-            for number, arrays in enumerate(self.data.read_teaching(READ)):
-                on_progress("training: tables of all vertices", 0.5 * (turn + READ * number / self.data.count))
+        def parts(every: int):
+            for number, arrays in enumerate(self.data.read_teaching(READ, every=every)):
+                done = READ * number * every / self.data.count
+                on_progress(f"training: tables of all vertices by {'all' if every == 1 else 'some'} faces", done)
                 yield arrays
 
-        return self.solve(parts(1), EVERY, before=self.solve(parts(0), EVERY))
+        return self.solve(parts(1), EVERY, before=self.solve(parts(AT_FIRST), EVERY))
 
     def solve(
-        self, parts: Iterable[FaceArrays], vertices: Any, *, mixed: bool = True, before: Tables | None = None
-    ) -> Tables:
+        self, parts: Iterable[FaceArrays], vertices: Any, *, mixed: bool = True, before: Solved | None = None
+    ) -> Solved:
         """Solve for the tables of some vertices over faces; with `mixed` off, for those that always count, alone.
 
         With tables `before`, squares count over what these miss.
@@ -262,17 +271,21 @@ class TableLesson(Lesson):
         options = self.options
         coded = BONES * self.data.code_size, options.coded_ridge / carry.count
         carried = carry.solve(options.carry_ridge, coded)
-        return Tables(
+        of_effects = effects.gram.unflatten(1, (-1, EFFECTS)).unflatten(3, (-1, EFFECTS))
+        return Solved(
             _order(responses.solve(options.response_ridge), WEIGHTS),
             _order(effects.solve(options.mixed_ridge, (EFFECTS, options.effect_ridge)), EFFECTS),
             carried.reshape(-1, BONES, carried.shape[-1] // 3, 3),
+            responses.gram.cpu().numpy(),
+            of_effects.diagonal(dim1=2, dim2=4).sum(dim=-1).cpu().numpy(),
         )
 
     def _mix(self, faces: FaceArrays, vertices: Any):
         """Shares of responses, the lag, and strengths of effects of faces at some vertices."""
         code = faces.codes[:, None]
         shares, lag = mix_responses(self.network, faces.local, code, vertices)
-        return shares, lag, mix_effects(self.network, faces.local, code, faces.effects, vertices)
+        of_tables, strengths = mix_effects(self.network, faces.local, code, faces.effects, vertices)
+        return shares, lag, (of_tables[..., :, None] * strengths[..., None, :]).flatten(2)
 
     def _scales(self, faces: FaceArrays) -> torch.Tensor:
         """Return the lengths [mm] over which errors of offset and responses count, shape (b, 2)."""
@@ -281,6 +294,56 @@ class TableLesson(Lesson):
 
     def _to_tensors(self, arrays: FaceArrays) -> FaceArrays:
         return FaceArrays(*(torch.from_numpy(array).to(self.device, self.dtype) for array in arrays))
+
+
+class Solved(NamedTuple):
+    """Tables as they are solved for: responses (k, 52, v, 3), effects (k, EFFECTS, v, 3), and how bones carry [mm].
+
+    Sums of products of shares over faces, each in its scale, (v, k, k), tell how much a part of a table counts.
+    """
+
+    responses: Floats32
+    effects: Floats32
+    carry: Floats32
+    response_shares: Floats32
+    effect_shares: Floats32
+
+    def factorise(self, response: int, effect: int) -> Tables:
+        """Keep so many components of responses, and of effects, over all vertices: those that count most."""
+        return Tables(
+            keep_components(self.responses, self.response_shares, response),
+            keep_components(self.effects, self.effect_shares, effect),
+            self.carry,
+        )
+
+
+def keep_components(table: Floats32, shares: Floats32, count: int) -> Product:
+    """Keep so many components of a table (k, columns, v, 3), those by which faces with such `shares` move most.
+
+    With sums of products of shares L L^T, singular values of L^T M are sizes of what faces show.
+    """
+    k, columns, n, _ = table.shape
+    most = min(k, 3 * columns, MOST_COMPONENTS)
+    sizes, mix, values = np.zeros((n, most)), np.zeros((n, most, k), np.float32), np.zeros((n, most, columns, 3))
+    for v in range(n):
+        counts, turned = np.linalg.eigh(shares[v].astype(np.float64))
+        roots = np.sqrt(np.maximum(counts, LEAST_SHARE * max(counts[-1], 1e-12)))
+        shown = roots[:, None] * (turned.T @ table[:, :, v].reshape(k, -1))
+        left, size, right = np.linalg.svd(shown, full_matrices=False)
+        sizes[v] = size[:most]
+        mix[v] = ((turned / roots) @ left[:, :most]).T
+        values[v] = (size[:most, None] * right[:most]).reshape(most, columns, 3)
+    kept = np.zeros(n * most, dtype=bool)
+    kept[np.argsort(-sizes, axis=None, kind="stable")[:count]] = True
+    kept = kept.reshape(n, most)
+    first = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    return Product(first, mix[kept], values[kept].astype(np.float32))
+
+
+MOST_COMPONENTS = 64
+"""Components of a table that one vertex may keep."""
+LEAST_SHARE = 1e-6
+"""Least eigenvalue that sums of products of shares count with, in shares of the largest."""
 
 
 def _apply_shares(shares: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
@@ -306,13 +369,17 @@ class Regression:
     """Normal equations at each vertex, over faces: factors (b, v, k) that multiply a table (v, k, m) give (b, v, m)."""
 
     def __init__(self, device: Any):
-        self.gram, self.pulled, self.count = torch.zeros((), device=device), torch.zeros((), device=device), 0
+        self.gram = self.pulled = torch.zeros((), device=device)
+        self.count = 0
 
     def add(self, factors: torch.Tensor, values: torch.Tensor, scales: torch.Tensor) -> None:
         """Add faces, whose errors count in scales (b, 1), or (b, v) of each vertex."""
         left, right = ((array / scales[..., None]).transpose(0, 1).contiguous() for array in (factors, values))
-        self.gram = torch.baddbmm(self.gram, left.mT, left)
-        self.pulled = torch.baddbmm(self.pulled, left.mT, right)
+        if self.count == 0:
+            self.gram, self.pulled = left.mT @ left, left.mT @ right
+        else:  # in place: gigabytes
+            self.gram.baddbmm_(left.mT, left)
+            self.pulled.baddbmm_(left.mT, right)
         self.count += len(scales)
 
     def solve(self, ridge: float, last: tuple[int, float] = (0, 0.0)) -> Floats32:

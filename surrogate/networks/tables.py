@@ -1,15 +1,16 @@
 """Tables of every vertex, linear in w or in effects of p, which small networks mix.
 
     R_j(v) = g(v) Σ_k φ_k(v) M_kj(v) - l(v) S_j(v)
-    o(v)   = Σ_b b Σ_c h_c C_cb(v) + Σ_e e(v) Σ_k ψ_k(v) N_ke(v)
+    o(v)   = Σ_b b Σ_c h_c C_cb(v) + Σ_e g_e(v) e(v) Σ_k ψ_k(v) N_ke(v)
 
-Responses R and offset o have a network each. φ and ψ, the gain g and the lag l come from p at the vertex, the code and
-the vertex' place; the last φ and the last ψ are 1. l is `Features.give` times such a gain; S_j are the person's shapes.
+Responses R and offset o have a network each. φ and ψ, gains g and the lag l come from p at the vertex, the code and
+the vertex' place; the last φ and the last ψ are 1. Gains are exponentials: a skin whose targets are weak moves ten
+times as far. l is `Features.give` times a gain; S_j are the person's shapes.
 How far scaled bones b carry a skin is linear in the code h, whose first number is 1 here, but for 0.5 %; what physics
 adds are effects e(v) of p, so nothing of p that moves no neutral face moves it here.
-For given φ and ψ the best tables follow by ridge regression at each vertex: see `table_training`. A file has tables in
-whole numbers of one byte and a scale for each column and vertex: their principal components would need a rank above
-500 for the same error.
+For given φ and ψ the best tables follow by ridge regression at each vertex: see `table_training`. What a vertex shows
+of them is of low rank, high at lips and lids, nearly none at the scalp. So M and N are kept as products, of as many
+components at each vertex as count: M_kj(v) = Σ_r A_kr(v) B_rj(v), in whole numbers of one byte.
 """
 
 from __future__ import annotations
@@ -21,25 +22,36 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.kernels import njit
-from ...lhm.base.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32, Ints
 from ..rigs.rig import WEIGHTS, silu
 from .features import BONES, EFFECTS, GIVE, Features
 from .layers import EVERY, Arrays, concatenate, exp, layer_shapes, linear
 
 WITHOUT_BIAS = ("response_code", "effect_code")
-QUIET = ("lag", "response_gain")
+QUIET = ("lag", "response_gain", "effect_gain")
 """Layers that begin near zero."""
 MIXERS = ("response", "effect")
 """The networks that mix tables, by the names that their arrays begin with."""
-IN_FILE = ("_table", "_scale", "carry_mean")
+IN_FILE = ("_table", "_scale", "_first", "carry_mean")
 """Ends of these arrays' names."""
 
 
-class Tables(NamedTuple):
-    """Responses M (k, 52, n, 3), effects N (k, EFFECTS, n, 3), and how bones carry C (1 + c, BONES, n, 3) [mm]."""
+class Product(NamedTuple):
+    """A table of n vertices, of some components at each: those of vertex v are first[v] to first[v + 1].
 
-    responses: Floats32
-    effects: Floats32
+    mix (r, k) multiplies shares φ, and values (r, columns, 3) [mm] are what it mixes.
+    """
+
+    first: Ints
+    mix: Floats32
+    values: Floats32
+
+
+class Tables(NamedTuple):
+    """Responses M, effects N, and how bones carry C (1 + c, BONES, n, 3) [mm]."""
+
+    responses: Product
+    effects: Product
     carry: Floats32
 
 
@@ -47,10 +59,12 @@ class Tables(NamedTuple):
 class TableSizes:
     """Sizes, each with its reason; InputError for one that is not positive."""
 
-    response_tables: int = 28  # besides the one that always counts: 34 leave a fiftieth less
-    effect_tables: int = 10  # likewise
+    response_tables: int = 96  # besides the one that always counts: with 28 a tenth more is left
+    effect_tables: int = 24  # likewise
+    response_components: int = 17  # kept of these at a vertex, in the mean: what a file of 30 MB has room for
+    effect_components: int = 8  # likewise: three leave a tenth more than all
     response: int = 256  # hidden width of the shares of responses' tables, which every vertex evaluates at bind
-    effect: int = 128  # hidden width of the shares of effects' tables, likewise
+    effect: int = 256  # hidden width of the shares of effects' tables, likewise
     position: int = 16  # place of a vertex
 
     def __post_init__(self):
@@ -74,17 +88,27 @@ def table_layers(sizes: TableSizes, code_size: int) -> dict[str, tuple[int, int]
         "lag": (1, sizes.response),
         **mixer_layers("effect", sizes.position, code_size, sizes.effect),
         "effect_share": (sizes.effect_tables, sizes.effect),
+        "effect_gain": (EFFECTS, sizes.effect),
     }
 
 
 def table_shapes(sizes: TableSizes, vertices: int, code_size: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of tables and of what mixes them."""
+    tables: dict[str, tuple[int, ...]] = {}
+    for name, mixed, components, columns in (
+        ("response", sizes.response_tables, sizes.response_components, WEIGHTS),
+        ("effect", sizes.effect_tables, sizes.effect_components, EFFECTS),
+    ):
+        kept = min(components, mixed + 1, 3 * columns) * vertices
+        tables |= {
+            f"{name}_first": (vertices + 1,),
+            f"{name}_mix_table": (kept, mixed + 1),
+            f"{name}_table": (kept, columns, 3),
+            f"{name}_scale": (kept,),
+        }
     return {
         **{f"{name}_position": (vertices, sizes.position) for name in MIXERS},
-        "response_table": (sizes.response_tables + 1, WEIGHTS, vertices, 3),
-        "response_scale": (WEIGHTS, vertices),
-        "effect_table": (sizes.effect_tables + 1, EFFECTS, vertices, 3),
-        "effect_scale": (EFFECTS, vertices),
+        **tables,
         **layer_shapes(table_layers(sizes, code_size), WITHOUT_BIAS),
         "carry_mean": (BONES, vertices, 3),
         "carry_table": (code_size, BONES, vertices, 3),
@@ -113,10 +137,9 @@ def mix_responses(network: Arrays, local, code, vertices=EVERY):
 
 
 def mix_effects(network: Arrays, local, code, effects, vertices=EVERY):
-    """Return ψ_k e_e (..., v, k EFFECTS) at some vertices, of local features, codes and effects (..., v, EFFECTS)."""
-    shares = _share(network, "effect", see_vertices(network, "effect", local, code, vertices))
-    strengths = shares[..., :, None] * effects[..., None, :]
-    return strengths.reshape(*strengths.shape[:-2], -1)
+    """Return ψ (..., v, k) and g_e e (..., v, EFFECTS) at some vertices, of local features, codes and effects there."""
+    hidden = see_vertices(network, "effect", local, code, vertices)
+    return _share(network, "effect", hidden), effects * exp(linear(network, "effect_gain", hidden))
 
 
 def scale_bones(codes, bones):
@@ -141,53 +164,72 @@ def find_first_order(
     """
     local, code = features.local(at_vertices), code.astype(np.float32)
     shares, lag = mix_responses(network, local, code)
-    strengths = mix_effects(network, local, code, features.effects(at_vertices))
-    offset = np.einsum("ve,evc->vc", strengths, tables.effects.reshape(-1, *tables.effects.shape[2:]))
+    responses = -lag * shapes.astype(np.float32, copy=False)
+    add_mixed(tables.responses, shares, responses)
+    of_effects = np.zeros((EFFECTS, len(local), 3), dtype=np.float32)
+    of_tables, strengths = mix_effects(network, local, code, features.effects(at_vertices))
+    add_mixed(tables.effects, of_tables, of_effects)
     scaled = scale_bones(code, features.bones(at_vertices))
-    offset += np.tensordot(scaled, tables.carry.reshape(len(scaled), -1), axes=1).reshape(offset.shape)
-    return offset, find_responses(tables.responses, shares, lag, shapes.astype(np.float32, copy=False))
+    offset = np.tensordot(scaled, tables.carry.reshape(len(scaled), -1), axes=1).reshape(len(local), 3)
+    offset += np.einsum("ve,evc->vc", strengths, of_effects)
+    return offset, responses
 
 
-def find_responses(tables: Floats32, shares: Floats32, lag: Floats32, shapes: Floats32) -> Floats32:
-    """Return what each weight adds to T - S [mm], shape (52, n, 3), besides shapes (52, n, 3).
-
-    tables: shape (k, 52, n, 3); shares (n, k) and lag (n, 1) of `mix_responses`.
-    """
-    answer = -lag * shapes
-    _add_mixed(tables, np.ascontiguousarray(shares), answer)
-    return answer
+def add_mixed(table: Product, shares: Floats32, answer: Floats32) -> None:
+    """Add a table, mixed at each vertex by shares (n, k), to an answer [mm], shape (columns, n, 3)."""
+    _add_products(*table, np.ascontiguousarray(shares), answer)
 
 
 @njit(cache=True, fastmath=True)
-def _add_mixed(tables, shares, answer):
-    """Add tables (k, 52, n, 3), weighted at each vertex by shares (n, k), to an answer (52, n, 3)."""
-    for j in range(answer.shape[0]):
-        for k in range(len(tables)):
-            for v in range(answer.shape[1]):
-                for c in range(3):
-                    answer[j, v, c] += shares[v, k] * tables[k, j, v, c]
+def _add_products(first, mix, values, shares, answer):
+    mixed = np.empty(values.shape[1:], dtype=np.float32)
+    for v in range(len(shares)):
+        mixed[:] = 0.0
+        for r in range(first[v], first[v + 1]):
+            share = np.float32(0.0)
+            for k in range(shares.shape[1]):
+                share += shares[v, k] * mix[r, k]
+            mixed += share * values[r]
+        answer[:, v] += mixed
 
 
 def expand(network: Arrays) -> Tables:
     """Return the tables of a file's network."""
 
-    def read(name: str) -> Floats32:
-        table: Floats32 = network[f"{name}_table"] * network[f"{name}_scale"][..., None]
-        return table
+    def read(name: str) -> Product:
+        values = network[f"{name}_table"] * network[f"{name}_scale"][:, None, None]
+        return Product(network[f"{name}_first"].astype(np.int64), network[f"{name}_mix_table"], values)
 
-    carry = np.concatenate([network["carry_mean"][None], read("carry")])
-    return Tables(read("response"), read("effect"), carry)
+    coded: Floats32 = network["carry_table"] * network["carry_scale"][..., None]
+    return Tables(read("response"), read("effect"), np.concatenate([network["carry_mean"][None], coded]))
 
 
 def compress(tables: Tables) -> dict[str, Floats32]:
-    """Return NAME_table, whole numbers of [-127, 127], and NAME_scale, shape (columns, n), of each.
+    """Return the arrays of a file: NAME_table and NAME_mix_table of whole numbers of [-127, 127], NAME_scale of each.
 
     How bones carry the mean face, by far the largest of all, is `carry_mean`.
     """
-    arrays = {"carry_mean": tables.carry[0]}
-    kept = {"response": tables.responses, "effect": tables.effects, "carry": tables.carry[1:]}
-    for name, table in kept.items():
-        scale = np.maximum(np.abs(table).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
-        arrays[f"{name}_table"] = np.rint(table / scale[..., None]).clip(-127, 127)
-        arrays[f"{name}_scale"] = scale
+    mean, coded = tables.carry[0], tables.carry[1:]
+    scale = _as_kept(np.abs(coded).max(axis=(0, 3)) / 127.0)
+    arrays = {"carry_mean": mean, "carry_table": _round(coded / scale[..., None]), "carry_scale": scale}
+    for name, table in (("response", tables.responses), ("effect", tables.effects)):
+        largest = [np.maximum(np.abs(part).reshape(len(part), -1).max(axis=1), 1e-12) for part in table[1:]]
+        of_mix, of_values = (size / 127.0 for size in largest)
+        arrays |= {
+            f"{name}_first": table.first.astype(np.float32),
+            f"{name}_mix_table": _round(table.mix / of_mix[:, None]),
+            f"{name}_table": _round(table.values / of_values[:, None, None]),
+            f"{name}_scale": (of_mix * of_values).astype(np.float32),
+        }
     return arrays
+
+
+def _as_kept(scale: Floats32) -> Floats32:
+    """Return a scale as half precision has it, and no zero."""
+    kept: Floats32 = np.maximum(scale, 1e-7).astype(np.float16).astype(np.float32)
+    return kept
+
+
+def _round(values: Floats32) -> Floats32:
+    rounded: Floats32 = np.rint(values).clip(-127, 127).astype(np.float32)
+    return rounded

@@ -54,6 +54,7 @@ class TrainerConfig:
     final_rate: float = 0.0  # where a cosine ends
     falls: Literal["cosine", "line"] = "cosine"  # how the rate gets there
     weight_decay: float = 0.0
+    matrix_rate: float = 0.0  # the highest, of Muon, where a lesson has matrices for it
     clip: float | None = None  # norm of the gradient beyond which it is shortened
     validate_every: int = 400  # steps between two points of the curve
     best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
@@ -67,7 +68,10 @@ class Lesson(ABC):
 
     network: Tensors
     slow: tuple[str, ...] = ()
-    """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
+    """Beginnings of names of tensors that learn at `slow_rate` of the rate, without decay."""
+    slow_rate: float = 0.3
+    matrices: frozenset[str] = frozenset()
+    """Names of matrices that learn by Muon (Jordan et al. 2024); all else learns by AdamW."""
     about: Sequence[str] = ()
     """Description that a kept state has to match."""
     begun: float
@@ -95,19 +99,19 @@ class Trainer:
         self.lesson, self._about = lesson, [repr(config), *lesson.about]
         self.config, self.steps = config, config.steps if config.hours is None else count_steps(lesson, config.hours)
         learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
+        self.learned, rate, decay = [*learned.values()], config.learning_rate, config.weight_decay
+        matrices = [learned.pop(name) for name in sorted(lesson.matrices)]
         slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
         rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
-        groups = [{"params": rest, "weight_decay": config.weight_decay}]
-        groups += [{"params": slow, "weight_decay": 0.0}] if slow else []
-        self.learned, rate = [*learned.values()], config.learning_rate
-        self.optimiser = torch.optim.AdamW(groups, lr=rate)
-        self.schedule: torch.optim.lr_scheduler.LRScheduler
-        if config.one_cycle:
-            self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-                self.optimiser, [rate, 0.3 * rate][: len(groups)], total_steps=self.steps + 1, pct_start=0.05
+        groups = [{"params": rest, "lr": rate, "weight_decay": decay}]
+        groups += [{"params": slow, "lr": lesson.slow_rate * rate, "weight_decay": 0.0}] if slow else []
+        self.optimisers: list[torch.optim.Optimizer] = [torch.optim.AdamW(groups, fused=True)]
+        if matrices:
+            muon = torch.optim.Muon(
+                matrices, lr=config.matrix_rate, weight_decay=decay, adjust_lr_fn="match_rms_adamw"
             )
-        else:
-            self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, self._share_of_rate)
+            self.optimisers.append(muon)
+        self.schedules = [self._schedule(optimiser) for optimiser in self.optimisers]
         self.step, self.seconds, self._first = 0, 0.0, time.process_time()
         self.curve: list[dict[str, float]] = []
         self.best: Tensors = self._copy() if config.best_by else {}
@@ -158,12 +162,13 @@ class Trainer:
         for _ in range(steps):
             rng = np.random.default_rng([self.config.seed, 1, self.step])
             loss = self.lesson.loss(self.step / self.steps, rng)
-            self.optimiser.zero_grad()
+            for optimiser in self.optimisers:
+                optimiser.zero_grad()
             loss.backward()
             if self.config.clip is not None:
                 torch.nn.utils.clip_grad_norm_(self.learned, self.config.clip)
-            self.optimiser.step()
-            self.schedule.step()
+            for part in (*self.optimisers, *self.schedules):
+                part.step()
             self.step += 1
             total += float(loss.detach())
             if not np.isfinite(total):
@@ -188,8 +193,8 @@ class Trainer:
             {
                 "of": self._about,
                 "network": self._copy(),
-                "optimiser": self.optimiser.state_dict(),
-                "schedule": self.schedule.state_dict(),
+                "optimisers": [optimiser.state_dict() for optimiser in self.optimisers],
+                "schedules": [schedule.state_dict() for schedule in self.schedules],
                 **parts,
             },
             buffer,
@@ -208,13 +213,22 @@ class Trainer:
         with torch.no_grad():
             for name, value in state["network"].items():
                 self.lesson.network[name].copy_(value)
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.schedule.load_state_dict(state["schedule"])
+        for parts, states in ((self.optimisers, state["optimisers"]), (self.schedules, state["schedules"])):
+            for part, kept in zip(parts, states, strict=True):
+                part.load_state_dict(kept)
         for name in _VALUES:
             setattr(self, name, state[name])
 
     def _copy(self) -> Tensors:
         return {name: value.detach().clone() for name, value in self.lesson.network.items()}
+
+    def _schedule(self, optimiser: torch.optim.Optimizer) -> torch.optim.lr_scheduler.LRScheduler:
+        if not self.config.one_cycle:
+            return torch.optim.lr_scheduler.LambdaLR(optimiser, self._share_of_rate)
+        highest, momentum = [group["lr"] for group in optimiser.param_groups], isinstance(optimiser, torch.optim.AdamW)
+        return torch.optim.lr_scheduler.OneCycleLR(
+            optimiser, highest, total_steps=self.steps + 1, pct_start=0.05, cycle_momentum=momentum
+        )
 
     def _share_of_rate(self, step: int) -> float:
         last = self.config.final_rate / self.config.learning_rate

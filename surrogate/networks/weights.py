@@ -32,7 +32,7 @@ from .hypernetwork import Hypernetwork, PrintedHypernetwork
 from .recurrence import LearnedRecurrence
 from .softsmpl import SoftSMPL
 
-FORMAT = 7
+FORMAT = 8
 """Format version. Raise it when layout or meaning changes; others are refused."""
 MODAL = "modal"
 """The kind of the network that is no form of deformation gradients."""

@@ -53,7 +53,7 @@ def test_the_shipped_network_knows_whom_it_learned_from():
     def draw_codes(plan, count):
         return np.array([space.sample(plan.rng(IDENTITY, k))[0] for k in range(count)])
 
-    contact = replace(PRESETS["small"], seed=31, identities=100)
+    contact = PRESETS["contact"]
     codes = draw_codes(contact, contact.trained)
     assert np.array_equal(codes.mean(axis=0), network.weights.code_mean)
     held = network.weights.note.trainings[-1].held

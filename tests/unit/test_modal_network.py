@@ -13,9 +13,10 @@ from softdeca.lhm.identities.nearest import nearest_code
 from softdeca.reference import Face, Parameters
 from softdeca.reference.face.derivatives import TIGHT_ACCURACY
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.face import Derivatives, Frames, Heads, KeptFace, Person
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.mixture import NAMES, ParameterSet, draw
+from softdeca.surrogate.corpus.mixture import KINDS, NAMES, ParameterSet, draw
 from softdeca.surrogate.corpus.people import OfSpace, people_from_text
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
@@ -26,7 +27,7 @@ from softdeca.surrogate.networks.features import Features
 from softdeca.surrogate.networks.modal import ModalConfig, basis, bind_modal, remainder
 from softdeca.surrogate.networks.modal_faces import LessonFace, LessonFaces
 from softdeca.surrogate.networks.modal_training import ModalTraining, RemainderLesson, draw_network, train_modal
-from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining, balance
+from softdeca.surrogate.networks.table_training import Regression, TableLesson, TableTraining, balance, keep_components
 from softdeca.surrogate.networks.tables import Tables, compress, expand, find_first_order, mix_effects, mix_responses
 from softdeca.surrogate.networks.trainer import Trainer, to_tensors
 from softdeca.surrogate.networks.vertices_only import TRAINING, VerticesOnly
@@ -44,8 +45,10 @@ PLAN = CorpusPlan(
 )  # fmt: skip
 NETWORK = ModalConfig(
     modes=12,
-    response_tables=4,
-    effect_tables=3,
+    response_tables=6,
+    effect_tables=4,
+    response_components=4,
+    effect_components=3,
     position=4,
     local=16,
     response=16,
@@ -162,6 +165,7 @@ def test_faces_without_frames_teach_tables_alone(weights, tmp_path):
     plan = replace(PLAN, identities=14, frames=0)
     corpus = Corpus.from_plan(tmp_path / "faces", plan, PEOPLE)
     corpus.generate()
+    assert write_card(corpus)["frames"] == {"all": 0} | dict.fromkeys(KINDS, 0)
     faces = Faces(corpus.folder, "train", heads=Heads(lambda: PEOPLE))
     few = replace(CONFIG, steps=10, validate_every=5)
     learned = find_learned(train_modal(faces, few, start=weights), weights)
@@ -181,7 +185,7 @@ def lessons(faces):
     trainer = Trainer(of_tables, CONFIG.tables.schedule(CONFIG))
     trainer.run(3)
     network |= {name: value for name, value in trainer.arrays().items() if name in network}
-    network |= compress(of_tables.solve_all(lambda *_: None))
+    network |= compress(of_tables.solve_all(lambda *_: None).factorise(4 * N, 3 * N))
     return of_tables, RemainderLesson(data, network, CONFIG, "cpu")
 
 
@@ -199,16 +203,22 @@ def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces, le
         for array in (features.local(p), code[None], features.effects(p), features.summary(code, p)[None])
     )
     with torch.no_grad():
-        strengths = mix_effects(network, local, h, effects)[0]
-        offset = torch.einsum("ve,evc->vc", strengths, torch.from_numpy(tables.effects).flatten(0, 1))
+        of_tables, strengths = mix_effects(network, local, h, effects)
+        offset = torch.einsum("vk,ve,kevc->vc", of_tables[0], strengths[0], multiply(tables.effects))
         factors = np.r_[1.0, code][:, None] * features.bones(p)
         offset = offset + np.einsum("cb,cbvx->vx", factors, tables.carry)
         shares, lag = mix_responses(network, local, h)
-        mixed = torch.einsum("vk,kjvc->jvc", shares[0], torch.from_numpy(tables.responses)) - lag * face.shapes
+        mixed = torch.einsum("vk,kjvc->jvc", shares[0], multiply(tables.responses)) - lag * face.shapes
         amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
         expected = offset, mixed, amplitudes @ basis(network, local, h)
     for one, other in zip((bound.offset, bound.responses, bound.remainder(w)), expected, strict=True):
         assert np.abs(one.ravel() - other.numpy().ravel()).max() < 1e-4 * max(1.0, np.abs(one).max())
+
+
+def multiply(table):
+    """A table as (k, columns, n, 3), from its components."""
+    parts = [slice(*ends) for ends in zip(table.first[:-1], table.first[1:], strict=True)]
+    return torch.stack([torch.from_numpy(np.tensordot(table.mix[p].T, table.values[p], 1)) for p in parts], dim=2)
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["tables", "remainder"])
@@ -264,7 +274,7 @@ def test_distances_count_rather_than_squares():
     assert np.allclose(first, 0.1, atol=1e-4) and 0.0 < again.max() < 0.02
 
 
-def test_tables_are_found_again_and_kept_in_bytes():
+def test_tables_are_found_again():
     """Faces that are mixed from tables give these tables, but for the ridge."""
     rng = np.random.default_rng(0)
     tables = rng.normal(size=(7, 3, 156)).astype(np.float32)
@@ -275,12 +285,29 @@ def test_tables_are_found_again_and_kept_in_bytes():
     solved = regression.solve(0.03, (1, 0.01))
     assert np.abs(solved - tables).mean(axis=(0, 2)).max() < 0.05
     assert np.abs(solved - tables)[:, -1].mean() < 0.6 * np.abs(solved - tables)[:, 0].mean(), "a third of the ridge"
-    kept = Tables(*(rng.normal(size=(3, columns, 7, 3)).astype(np.float32) for columns in (52, 12, 6)))
-    arrays = compress(kept)
-    for name, one, other in zip(("response", "effect", "carry"), kept, expand(arrays), strict=True):
+
+
+def test_components_that_count_are_kept_in_bytes():
+    """Over all vertices those that faces show most: of three and two ranks, and none of a vertex that stands still."""
+    rng = np.random.default_rng(0)
+    table, faces = np.zeros((7, 52, 3, 3), np.float32), rng.normal(size=(200, 3, 7)).astype(np.float32)
+    for v, rank in ((0, 3), (1, 2)):
+        table[:, :, v] = np.einsum("kr,rjc->kjc", rng.normal(size=(7, rank)), rng.normal(size=(rank, 52, 3)))
+    gram = np.einsum("fvk,fvl->vkl", faces, faces)
+    whole = keep_components(table, gram, 5)
+    assert whole.first.tolist() == [0, 3, 5, 5]
+    assert np.abs(multiply(whole).numpy() - table).max() < 1e-4
+    best, shown = keep_components(table, gram, 4), np.einsum("fvk,kjvc->fvjc", faces, table)
+    lost = shown - np.einsum("fvk,kjvc->fvjc", faces, multiply(best).numpy())
+    worst = min(np.linalg.svd(shown[:, v].reshape(200, -1), compute_uv=False)[rank - 1] for v, rank in ((0, 3), (1, 2)))
+    assert np.linalg.norm(lost) == pytest.approx(worst, rel=1e-3), "the least of Eckart and Young"
+    carry = rng.normal(size=(3, 6, 3, 3)).astype(np.float32)
+    arrays = compress(Tables(whole, best, carry))
+    for name in ("response", "effect", "carry"):
         assert np.array_equal(arrays[f"{name}_table"], arrays[f"{name}_table"].astype(np.int8))
-        assert (np.abs(one - other) <= 0.51 / 127 * np.abs(one).max(axis=(0, 3))[..., None]).all()
-    np.testing.assert_array_equal(expand(arrays).carry[0], kept.carry[0])
+    again = expand(arrays)
+    assert np.abs(multiply(again.responses).numpy() - table).max() < 0.01 * np.abs(table).max()
+    np.testing.assert_array_equal(again.carry[0], carry[0])
 
 
 def test_exact_is_the_linearised_simulator_and_the_remainder(surrogate):
@@ -338,8 +365,8 @@ def test_weights_that_are_damaged_or_old_are_named(weights, tmp_path):
     path.write_bytes(whole[:-300])
     with pytest.raises(InputError, match="damaged, their content does not match"):
         Weights.load(path)
-    path.write_bytes(whole.replace(b'format\\": 7', b'format\\": 6', 1))
-    with pytest.raises(InputError, match="of format 6, this version reads 7; train them anew"):
+    path.write_bytes(whole.replace(b'format\\": 8', b'format\\": 7', 1))
+    with pytest.raises(InputError, match="of format 7, this version reads 8; train them anew"):
         Weights.load(path)
 
 
