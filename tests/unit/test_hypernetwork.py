@@ -110,7 +110,8 @@ def test_tables_are_those_of_a_start_or_learned_anew(faces, weights):
     more = train_gradients(faces["train"], few, start=weights, extra_faces=faces["test"])
     moved = {name for name in of_tables if not np.array_equal(more.network[name], weights.network[name])}
     # Materials alone have no effect.
-    assert of_tables - moved == {"response_position", "effect_position", "effect_table", "effect_scale"}
+    still = {"effect_first", "effect_gain.bias", "effect_table"}
+    assert of_tables - moved == {"response_position", "effect_position"} | still
     assert more.note.all_faces == more.note.faces + len(faces["test"])
     assert more.people == weights.people | faces["test"].name_people()
     unknown = train_gradients(faces["train"], few, start=replace(weights, people=frozenset()))
