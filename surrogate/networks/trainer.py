@@ -107,9 +107,7 @@ class Trainer:
         groups += [{"params": slow, "lr": lesson.slow_rate * rate, "weight_decay": 0.0}] if slow else []
         self.optimisers: list[torch.optim.Optimizer] = [torch.optim.AdamW(groups, fused=True)]
         if matrices:
-            muon = torch.optim.Muon(
-                matrices, lr=config.matrix_rate, weight_decay=decay, adjust_lr_fn="match_rms_adamw"
-            )
+            muon = torch.optim.Muon(matrices, lr=config.matrix_rate, weight_decay=decay, adjust_lr_fn="match_rms_adamw")
             self.optimisers.append(muon)
         self.schedules = [self._schedule(optimiser) for optimiser in self.optimisers]
         self.step, self.seconds, self._first = 0, 0.0, time.process_time()

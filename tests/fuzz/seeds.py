@@ -54,7 +54,15 @@ def write(place: Path, content: bytes) -> None:
     place.write_bytes(content)
 
 
-SMALL = {"response_tables": 3, "effect_tables": 3, "response_components": 2, "effect_components": 2, "response": 4, "effect": 4, "position": 2}
+SMALL = {
+    "response_tables": 3,
+    "effect_tables": 3,
+    "response_components": 2,
+    "effect_components": 2,
+    "response": 4,
+    "effect": 4,
+    "position": 2,
+}
 """Sizes of tables."""
 
 

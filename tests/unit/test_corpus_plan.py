@@ -59,7 +59,9 @@ def test_the_shipped_network_knows_whom_it_learned_from():
     learned = np.array([network.has_learned_from(code) for code in codes])
     assert not learned[list(held)].any()
     learned[list(held)] = True
-    assert contact.trained - 2 < learned.sum() and np.array_equal(codes[learned].mean(axis=0), network.weights.code_mean)
+    assert contact.trained - 2 < learned.sum() and np.array_equal(
+        codes[learned].mean(axis=0), network.weights.code_mean
+    )
     # Of the preset `faces` some of those for training, and nobody else.
     plan = PRESETS["faces"]
     known = [network.has_learned_from(code) for code in draw_codes(plan, plan.identities)]

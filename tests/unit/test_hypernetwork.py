@@ -41,7 +41,16 @@ PLAN = CorpusPlan(
     kinds={"materials": 1.0}, varying=0.0, sources={"random": 1.0}, conversations=0, random=6,
 )  # fmt: skip
 SMALL = Widths(
-    response_tables=4, effect_tables=3, response_components=3, effect_components=3, response=16, effect=16, position=8, latent=24, expression=64, hidden=16
+    response_tables=4,
+    effect_tables=3,
+    response_components=3,
+    effect_components=3,
+    response=16,
+    effect=16,
+    position=8,
+    latent=24,
+    expression=64,
+    hidden=16,
 )
 CONFIG = GradientTraining(
     network=SMALL, steps=200, batch=8, frames=2, weight_decay=0.3,
