@@ -165,8 +165,9 @@ class Trainer:
             loss.backward()
             if self.config.clip is not None:
                 torch.nn.utils.clip_grad_norm_(self.learned, self.config.clip)
-            for part in (*self.optimisers, *self.schedules):
-                part.step()
+            for optimiser, schedule in zip(self.optimisers, self.schedules, strict=True):
+                optimiser.step()
+                schedule.step()
             self.step += 1
             total += float(loss.detach())
             if not np.isfinite(total):
@@ -211,9 +212,10 @@ class Trainer:
         with torch.no_grad():
             for name, value in state["network"].items():
                 self.lesson.network[name].copy_(value)
-        for parts, states in ((self.optimisers, state["optimisers"]), (self.schedules, state["schedules"])):
-            for part, kept in zip(parts, states, strict=True):
-                part.load_state_dict(kept)
+        for optimiser, kept in zip(self.optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(kept)
+        for schedule, kept in zip(self.schedules, state["schedules"], strict=True):
+            schedule.load_state_dict(kept)
         for name in _VALUES:
             setattr(self, name, state[name])
 
