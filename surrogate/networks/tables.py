@@ -194,11 +194,16 @@ def _add_products(first, mix, values, shares, answer):
 
 
 def expand(network: Arrays) -> Tables:
-    """Return the tables of a file's network."""
+    """Return the tables of a file's network; InputError where components do not belong to vertices and shares."""
 
     def read(name: str) -> Product:
         values = network[f"{name}_table"] * network[f"{name}_scale"][:, None, None]
-        return Product(network[f"{name}_first"].astype(np.int64), network[f"{name}_mix_table"], values)
+        first, mix = network[f"{name}_first"].astype(np.int64), network[f"{name}_mix_table"]
+        shape = len(values), len(network[f"{name}_share.bias"]) + 1
+        ends = len(first) == len(network[f"{name}_position"]) + 1 and first[0] == 0 and first[-1] == len(values)
+        if mix.shape != shape or not ends or (np.diff(first) < 0).any():
+            raise InputError(f"weights: the components of {name}_table are not those of its vertices")
+        return Product(first, mix, values)
 
     coded: Floats32 = network["carry_table"] * network["carry_scale"][..., None]
     return Tables(read("response"), read("effect"), np.concatenate([network["carry_mean"][None], coded]))

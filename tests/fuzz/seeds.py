@@ -81,6 +81,8 @@ def rough_weights(kind: str) -> Weights:
         shapes |= layer_shapes(form.layers(sizes), form.without_bias)
     network = {name: np.round(0.1 * rng.normal(size=shape), 1).astype(np.float32) for name, shape in shapes.items()}
     network |= {name: np.ones(shapes[name], np.float32) for name in HELD if name in shapes}
+    for name in {"response_first", "effect_first"} & shapes.keys():
+        network[name] = np.arange(n + 1.0) * SMALL[name.replace("first", "components")]
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))
     told = {"seed": 0, "network": asdict(config)}
     note = TrainingNote(2, 4, 8, 4, 10, told, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))

@@ -305,6 +305,10 @@ def test_components_that_count_are_kept_in_bytes():
     arrays = compress(Tables(whole, best, carry))
     for name in ("response", "effect", "carry"):
         assert np.array_equal(arrays[f"{name}_table"], arrays[f"{name}_table"].astype(np.int8))
+    for name in ("response", "effect"):
+        arrays |= {f"{name}_share.bias": np.zeros(6), f"{name}_position": np.zeros((3, 1))}
+    with pytest.raises(InputError, match="the components of response_table"):
+        expand(arrays | {"response_first": np.array([0.0, 3.0, 9.0, 5.0])})
     again = expand(arrays)
     assert np.abs(multiply(again.responses).numpy() - table).max() < 0.01 * np.abs(table).max()
     np.testing.assert_array_equal(again.carry[0], carry[0])
