@@ -215,7 +215,7 @@ def compress(tables: Tables) -> dict[str, Floats32]:
     How bones carry the mean face, by far the largest of all, is `carry_mean`.
     """
     mean, coded = tables.carry[0], tables.carry[1:]
-    scale = _as_kept(np.abs(coded).max(axis=(0, 3)) / 127.0)
+    scale = np.maximum(np.abs(coded).max(axis=(0, 3)) / 127.0, 1e-7).astype(np.float16).astype(np.float32)
     arrays = {"carry_mean": mean, "carry_table": _round(coded / scale[..., None]), "carry_scale": scale}
     for name, table in (("response", tables.responses), ("effect", tables.effects)):
         largest = [np.maximum(np.abs(part).reshape(len(part), -1).max(axis=1), 1e-12) for part in table[1:]]
@@ -227,12 +227,6 @@ def compress(tables: Tables) -> dict[str, Floats32]:
             f"{name}_scale": (of_mix * of_values).astype(np.float32),
         }
     return arrays
-
-
-def _as_kept(scale: Floats32) -> Floats32:
-    """Return a scale as half precision has it, and no zero."""
-    kept: Floats32 = np.maximum(scale, 1e-7).astype(np.float16).astype(np.float32)
-    return kept
 
 
 def _round(values: Floats32) -> Floats32:
