@@ -184,7 +184,7 @@ class SurrogateOnCorpus(Study):
         other = self._open(self.external, "all") if self.external else None
         if self.hours:
             others = None if other is None else other.tested
-            names = (*TRIVIAL, NETWORK, *list_trained(exam.tested))
+            names = (*TRIVIAL, NETWORK, HYPERNETWORK, *list_trained(exam.tested))
             asked[self._name_table()] = names, partial(train_and_score, exam, hours=self.hours, others=others)
         if other is not None:
             case = f"{EXTERNAL}, {other.tested.folder.name}"

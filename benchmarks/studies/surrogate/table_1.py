@@ -40,7 +40,7 @@ FOR_MOTION = 0.1
 NOTE = (
     "Static frames of Table 1 are under uniform p, as the paper has them; a network that has one value of p for the "
     "whole face is not scored where p varies. Each method is trained for the same processor time, all that its "
-    "training does counted, and once for a quarter of it. m.SNP and the GRU begin with a sequence's two true skins, "
+    "training does counted, and once for a quarter of it. SNP and the GRU begin with a sequence's two true skins, "
     "others at their own answer. The floor is what would be left of the responses if L were perfect."
 )
 SEPARATE = (m.SOFTDECA, m.VERTICES_ONLY)
@@ -54,7 +54,7 @@ PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
     m.FACE_WISE: {"static": (0.17, 34.92)},
     m.VERTICES_ONLY: {"static": (0.16, 0.72)},
 }
-"""The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for m.SNP, besides."""
+"""The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for SNP, besides."""
 STATIC, STATIC_VARYING, EXTERNAL = "static", "static, p over the face", "external"
 EARLY = "after a quarter of the time"
 FALLING = 0.05
