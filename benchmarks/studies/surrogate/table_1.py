@@ -17,10 +17,10 @@ from ....surrogate.corpus.reading import Faces
 from ....surrogate.methods import AnyFace, Binder, Method, use_network
 from ....surrogate.rigs.bound import BoundSurrogate
 from ....surrogate.ruler import KINDS
-from ....surrogate.trials import AGAINST, CorpusTrials
+from ....surrogate.trials import CorpusTrials
 from ...harness.study import Row, Table, Values
 from .methods import NetworkExam, list_learners
-from .scores import ALL, DYNAMIC, VARYING, run_trials, score, score_moved, score_played, score_referenced
+from .scores import ALL, DYNAMIC, VARYING, run_trials, score, score_moved, score_played
 
 GRADIENTS = {
     m.SOFTDECA: "paper",
@@ -100,8 +100,6 @@ def _score(method: Method, exam: NetworkExam, others: CorpusTrials | None) -> li
     lines = score_uniform(method, tested, varying=method.name not in (m.SOFTSMPL_SMALL, m.SOFTSMPL_LARGE))
     if exam.looseness is not None:
         lines += [line for line in score_moved(method, tested, exam.looseness) if line["kind"] == DYNAMIC]
-    if tested.corpus.plan.references:
-        lines += score_referenced(method, tested)
     if others is not None:
         lines += score(run_trials(others.static(), method), {ALL: EXTERNAL})
     return lines
@@ -277,10 +275,9 @@ def tabulate(rows: Sequence[Row]) -> Table:
 
 
 def tabulate_shares(rows: Sequence[Row]) -> Table:
-    """Lay shares [%] out by kind of p, where p varies over the face, and against finite elements."""
-    wanted = [*(f"{STATIC}, {kind}" for kind in KINDS), STATIC_VARYING, *AGAINST.values()]
+    """Lay shares [%] out by kind of p, and where p varies over the face."""
+    wanted = [*(f"{STATIC}, {kind}" for kind in KINDS), STATIC_VARYING]
     shares = {kind: found for kind in wanted if (found := _find_shares(rows, kind))}
     names = [row.method for row in rows if any(row.method in found for found in shares.values())]
     body = [[name, *(found.get(name) for found in shares.values())] for name in names]
-    note = "Against converged elements the truth is quadratic tets' answer, of projective dynamics' energy."
-    return Table("Shares left, by kind of p and against finite elements [%]", ["method", *shares], body, note)
+    return Table("Shares left, by kind of p [%]", ["method", *shares], body)
