@@ -165,6 +165,12 @@ class Inputs:
         """Normalise by the codes (k, c) of some people of a mean skin."""
         return cls(Features(mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
 
+    @classmethod
+    def from_few(cls, mean: Surface, codes: Floats) -> Inputs:
+        """Normalise so that all of a code counts as much as one parameter: of few people it is learnt by heart."""
+        scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
+        return cls(Features(mean), codes.mean(axis=0).astype(np.float64), scale)
+
     def code(self, code: Floats) -> Floats:
         return normalise_code(code, self.code_mean, self.code_scale)
 

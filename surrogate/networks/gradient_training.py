@@ -29,7 +29,7 @@ from ...lhm.base.mesh import Floats32, Ints, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ..corpus.reading import Faces
 from .components import find_components
-from .features import Features, Inputs, seen_ranges
+from .features import Inputs, seen_ranges
 from .frames import MORE_UNIFORM, FrameBatch, FrameSource
 from .gradients import HELD, GradientForm, Sizes, Widths
 from .modal_faces import LessonFaces
@@ -191,7 +191,7 @@ class GradientLesson(Lesson):
         is_held = np.isin(faces.groups[:, 0], self.held)
         self.training = np.flatnonzero(~is_held)
         self.source = self._open(self.training)
-        self.inputs = _normalise_codes(faces.mean, self.source.codes) if data is None else data.inputs
+        self.inputs = Inputs.from_few(faces.mean, self.source.codes) if data is None else data.inputs
         self.seen = seen_ranges(self.inputs.features, map(faces.coefficients, self.training.tolist()))
         self.followed = np.ptp(self.source.coefficients[:, :, 0], axis=0) > 0.0
         torch.manual_seed(config.seed)
@@ -283,12 +283,6 @@ def _begin_modes(sample: FrameBatch, mean: Surface, count: int, rng: np.random.G
     modes = least_gradients(mean.vertices, fields, mean.triangles).swapaxes(0, 1).astype(np.float32)
     scale = max(np.sqrt(np.mean(modes**2)), 1e-9)
     return {"modes": torch.from_numpy(modes / scale), "scale": torch.full((1,), scale)}
-
-
-def _normalise_codes(mean: Surface, codes: Floats32) -> Inputs:
-    """Return inputs by which all of a code counts as much as one parameter: of few people it is learnt by heart."""
-    scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
-    return Inputs(Features(mean), codes.mean(axis=0).astype(np.float64), scale)
 
 
 class _Transfer(torch.autograd.Function):

@@ -13,7 +13,7 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .components import find_components
-from .features import Features, Inputs
+from .features import Inputs
 from .layers import perceptron, perceptron_layers
 from .trainer import Lesson, Trainer, TrainerConfig, draw_layers, torch
 
@@ -37,8 +37,7 @@ class SubspacePhysics(Lesson):
         torch.manual_seed(self._config.seed)
         rows = [table[int(k)] for k in np.sort(rng.permutation(len(table))[:SEQUENCES])]
         codes = np.array([row["code"] for row in rows], dtype=np.float64)
-        scale = np.maximum(codes.std(axis=0), 1e-6)
-        self._inputs = Inputs(Features(table.mean), codes.mean(axis=0), scale)
+        self._inputs = Inputs.from_few(table.mean, codes)
         motion = np.stack([_motion(row) for row in rows])
         count, length = motion.shape[:2]
         flat = motion.reshape(count * length, -1)
@@ -48,9 +47,7 @@ class SubspacePhysics(Lesson):
         self._size = np.maximum(z.std(axis=(0, 1)), 1e-6)
         z /= self._size
         self._before = _momentum(z)
-        inputs = np.stack([self._inputs.of_sequence(row) for row in rows])
-        self._middle, self._spread = inputs.mean(axis=(0, 1)), np.maximum(inputs.std(axis=(0, 1)), 1e-3)
-        inputs = ((inputs - self._middle) / self._spread).astype(np.float32)
+        inputs = np.stack([self._inputs.of_sequence(row) for row in rows]).astype(np.float32)
         size = z.shape[2]
         self.network = draw_layers(perceptron_layers("step", 2 * size + inputs.shape[2], WIDTH, WIDTH, size))
         for value in self.network.values():
@@ -81,7 +78,7 @@ class SubspacePhysics(Lesson):
 
     def play(self, row: Row, table: Table) -> Floats32:
         """T - S [mm], shape (L, n, 3), of a table's sequence after the two skins that were before it."""
-        inputs = ((self._inputs.of_sequence(row) - self._middle) / self._spread).astype(np.float32)
+        inputs = self._inputs.of_sequence(row).astype(np.float32)
         flat = _motion(row)[:2].reshape(2, -1)
         z = ((flat - self._mean) @ self._modes.T / self._size).astype(np.float32)
         with torch.no_grad():

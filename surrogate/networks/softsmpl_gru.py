@@ -15,7 +15,7 @@ from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.reading import Row, Table
 from ..rigs.rig import Needs
 from .components import find_components
-from .features import Features, Inputs
+from .features import Inputs
 from .gradient_training import SparseTransfer, still_vertices
 from .layers import elu, perceptron, perceptron_layers
 from .softsmpl import LARGE
@@ -42,17 +42,15 @@ class SoftSMPLInMotion(Lesson):
         rng = np.random.default_rng(config.seed)
         torch.manual_seed(config.seed)
         codes = np.array([table.described(k)["code"] for k in range(len(table))], dtype=np.float64)
-        self._inputs = Inputs(Features(table.mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
+        self._inputs = Inputs.from_few(table.mean, codes)
         sample = [table[int(k)] for k in np.sort(rng.permutation(len(table))[:SAMPLED])]
         before = np.stack([row["before"].astype(np.float32).reshape(2, -1) for row in sample])
         self._begin, size = find_components(before.reshape(-1, before.shape[-1]), BEFORE, rng)
         self._begin /= np.maximum(size, 1e-3)[:, None].astype(np.float32)
-        inputs = np.concatenate([self._inputs.of_sequence(row) for row in sample])
-        self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-3)
         motion = np.concatenate([row["corrected"].astype(np.float32) for row in sample])
         self._transfer = _open_transfer(table.mean, motion)
         wide, latent = LARGE.expression, LARGE.latent
-        layers = perceptron_layers("hidden", inputs.shape[1], wide, latent)
+        layers = perceptron_layers("hidden", self._inputs.of_sequence(sample[0]).shape[1], wide, latent)
         layers |= {"begin": (latent, 2 * BEFORE), "last": (9 * len(table.mean.triangles), latent)}
         layers |= {"into": (3 * latent, latent), "again": (3 * latent, latent)}
         self.network = draw_layers(layers)
@@ -81,7 +79,7 @@ class SoftSMPLInMotion(Lesson):
 
     def _answer(self, row: Row, table: Table) -> torch.Tensor:
         network = self.network
-        inputs = torch.from_numpy(((self._inputs.of_sequence(row) - self._middle) / self._spread).astype(np.float32))
+        inputs = torch.from_numpy(self._inputs.of_sequence(row).astype(np.float32))
         encoded = elu(perceptron(network, "hidden", inputs, elu))
         before = torch.from_numpy(row["before"].astype(np.float32).reshape(2, -1) @ self._begin.T).reshape(-1)
         state = torch.tanh(before @ network["begin.weight"].T + network["begin.bias"])

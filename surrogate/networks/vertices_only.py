@@ -6,21 +6,21 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats32
+from ...lhm.base.mesh import Floats32, Surface
 from ..corpus.face import KeptFace
 from ..corpus.reading import Faces
 from ..rigs.rig import WEIGHTS, CorrectedRig, Needs, silu
 from .features import Inputs
 from .layers import EVERY, Arrays, concatenate, einsum, linear, perceptron, perceptron_layers
-from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, torch
+from .trainer import Lesson, Tensors, Trainer, TrainerConfig, draw_layers, draw_positions, torch
 
 LATENT, POSITION, WIDTH = 32, 16, 128
 FRAMES, BATCH, VERTICES = 6000, 32, 512
-TRAINING = TrainerConfig(seed=7, steps=1500, learning_rate=2e-3)
+TRAINING = TrainerConfig(seed=7, steps=1500, learning_rate=1e-3, weight_decay=0.01, clip=1.0)
 
 
 class VerticesOnly(Lesson):
-    """T - S = L₀(p, h, v) + Σ_k z_k(w) L_k(p, h, v), of w and the summary of p and h, both normalised.
+    """T - S = L₀(p, h, v) + Σ_k z_k(w) L_k(p, h, v), of w and the summary of p and h.
 
     Trained on vertices and frames drawn anew in each step, on the mean distance.
     """
@@ -32,7 +32,7 @@ class VerticesOnly(Lesson):
 
     def fit(self, faces: Faces) -> None:
         """Train on at most FRAMES frames, about as many of each face."""
-        self._inputs = Inputs.from_codes(faces.mean, faces.codes)
+        self._inputs = Inputs.from_few(faces.mean, faces.codes)
         torch.manual_seed(self._config.seed)
         rng = np.random.default_rng(self._config.seed)
         each = max(1, FRAMES // max(len(faces), 1))
@@ -44,12 +44,11 @@ class VerticesOnly(Lesson):
             summaries.append(np.repeat(summary[None], len(frames.weights), axis=0))
             motions.append(frames.corrected)
         summary, self._motion = np.concatenate(summaries), np.concatenate(motions)
-        self._mean, self._scale = summary.mean(axis=0), np.maximum(summary.std(axis=0), 1e-3)
         step = max(1, len(self._motion) // 200)
         self._size = float(np.sqrt(np.mean(np.square(self._motion[::step], dtype=np.float32))))
         self._weights = torch.from_numpy(np.concatenate(weights))
-        self._summaries = torch.from_numpy(((summary - self._mean) / self._scale).astype(np.float32))
-        self.network = _draw(self._motion.shape[1], summary.shape[1])
+        self._summaries = torch.from_numpy(summary)
+        self.network = _draw(faces.mean, summary.shape[1], rng)
         for value in self.network.values():
             value.requires_grad_()
         trainer = Trainer(self, self._config)
@@ -82,8 +81,7 @@ class VerticesOnly(Lesson):
 
     def bind(self, face: KeptFace) -> CorrectedRig:
         """Evaluate L, which depends on p and h alone."""
-        summary = (self._inputs.summary_of(face) - self._mean) / self._scale
-        bound = self.bound(self.arrays, summary.astype(np.float32)[None])
+        bound = self.bound(self.arrays, self._inputs.summary_of(face)[None])
         return CorrectedRig(face.skin, face.shapes, partial(self._correct, bound))
 
     def _correct(self, bound: Floats32, weights: Floats32) -> Floats32:
@@ -91,9 +89,9 @@ class VerticesOnly(Lesson):
         return self._size * moved
 
 
-def _draw(vertices: int, summary: int) -> Tensors:
-    """Draw a network for so many vertices and numbers of a summary."""
+def _draw(mean: Surface, summary: int, rng: np.random.Generator) -> Tensors:
+    """Draw a network for the vertices of a mean skin and so many numbers of a summary."""
     network = draw_layers(perceptron_layers("expression", WEIGHTS, WIDTH, WIDTH, LATENT))
     network |= draw_layers(perceptron_layers("whole", summary, WIDTH, WIDTH))
-    network["position"] = torch.randn(vertices, POSITION)
+    network["position"] = torch.from_numpy(draw_positions(mean.vertices, mean.vertex_normals, POSITION, rng))
     return network | draw_layers(perceptron_layers("local", WIDTH + POSITION, WIDTH, 3 * (LATENT + 1)))
