@@ -166,7 +166,7 @@ class Inputs:
         return cls(Features(mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
 
     @classmethod
-    def from_few(cls, mean: Surface, codes: Floats) -> Inputs:
+    def from_few(cls, mean: Surface, codes: Floats | Floats32) -> Inputs:
         """Normalise so that all of a code counts as much as one parameter: of few people it is learnt by heart."""
         scale = 0.5 * codes.shape[1] * np.maximum(codes.std(axis=0), 1e-6).astype(np.float64)
         return cls(Features(mean), codes.mean(axis=0).astype(np.float64), scale)
