@@ -75,7 +75,8 @@ def _serialise_compilation(comm) -> Iterator[None]:
     """One program at a time, and without the compiler's progress, which it logs under the root's name.
 
     Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
-    give up waiting after 10 s. Within a communicator the first rank compiles, and dolfinx lets the others wait.
+    give up waiting after 10 s. Within a communicator the first rank compiles, and dolfinx lets the others wait. What a
+    process left that was killed while it compiled goes first: dolfinx would wait for its end for ever.
     """
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
@@ -83,6 +84,9 @@ def _serialise_compilation(comm) -> Iterator[None]:
         with count_compilation(), _LOCK.open("a") as lock:
             if comm.rank == 0:
                 fcntl.flock(lock, fcntl.LOCK_EX)
+                for source in Path(_DEFAULTS["cache_dir"][0]).expanduser().glob("libffcx_*.c"):
+                    if not source.with_suffix(".c.cached").exists():
+                        source.unlink(missing_ok=True)
             yield
     except OSError as error:  # the cache, or ffcx's settings in the home folder
         raise SceneError(f"solver 'fenicsx': forms cannot be compiled ({error})") from None

@@ -1,6 +1,7 @@
 """Networks of deformation gradients: torch solve, training, weights and run time, on a small corpus of spheres."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from softdeca.surrogate.networks.gradient_training import (
     train_gradients,
 )
 from softdeca.surrogate.networks.gradients import Widths
-from softdeca.surrogate.networks.trainer import Lesson, Trainer, TrainerConfig
+from softdeca.surrogate.networks.trainer import Lesson, Muon, Trainer, TrainerConfig
 from softdeca.surrogate.networks.weights import FORMS
 from softdeca.surrogate.trials import static_trials
 
@@ -217,6 +218,22 @@ class Diverges(Lesson):
 def test_a_loss_that_is_not_finite_ends_a_training():
     with pytest.raises(InputError, match="the loss is not finite at step 3; take a lower learning rate"):
         Trainer(Diverges(), TrainerConfig(steps=9)).train()
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (40, 24)])
+def test_muon_steps_as_that_of_torch(shape):
+    """But for bfloat16, which rounds to three digits."""
+    generator = torch.Generator().manual_seed(0)
+    start, *gradients = torch.randn(4, *shape, generator=generator)
+    ends = []
+    for make in (Muon, partial(torch.optim.Muon, adjust_lr_fn="match_rms_adamw")):
+        matrix = start.clone().requires_grad_()
+        optimiser = make([matrix], lr=0.1, weight_decay=0.3)
+        for gradient in gradients:
+            matrix.grad = gradient.clone()
+            optimiser.step()
+        ends.append(matrix.detach())
+    assert (ends[0] - ends[1]).norm() < 0.02 * (ends[1] - start).norm()
 
 
 class Stalls(Lesson):

@@ -5,10 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from scipy.linalg import expm
 from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
+
+import ufl
 
 from softdeca.reference import Scene, materials, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
@@ -116,3 +119,17 @@ def test_kernels_are_compiled_anew_where_a_source_of_theirs_has_changed(tmp_path
     (tmp_path / f"{changed}.py").write_text(source.format(MODULES[changed]))
     answers.append(subprocess.check_output(ask, text=True).split())
     assert answers == [["6.0", "0"], ["6.0", "1"], [str(value), "0"]]
+
+
+def test_what_a_killed_process_left_of_a_form_is_compiled_anew(tmp_path, monkeypatch):
+    monkeypatch.setitem(seam._DEFAULTS, "cache_dir", (tmp_path, ""))
+    domain = seam.tet_mesh(X, TETS, MPI.COMM_SELF)
+
+    def volume():
+        return seam.fem.assemble_scalar(seam.compile_form(1.0 * ufl.dx(domain)))
+
+    before = volume()
+    for ready in tmp_path.glob("*.c.cached"):
+        ready.unlink()
+    assert volume() == before == pytest.approx(1.0)
+    assert [*tmp_path.glob("*.c.cached")]

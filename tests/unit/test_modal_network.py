@@ -113,7 +113,7 @@ def test_networks_of_others_learn_and_are_bound(faces):
     assert all(one.everywhere < 0.95 * nothing.everywhere for one in learned)
     # In numpy or torch, a network is the same function of w, p and h.
     face, w = faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)
-    summary = ((learner._inputs.summary_of(face) - learner._mean) / learner._scale).astype(np.float32)[None]
+    summary = learner._inputs.summary_of(face)[None]
     network = {name: torch.from_numpy(value) for name, value in learner.arrays.items()}
     bound = learner.bound(network, torch.from_numpy(summary))
     answer = learner._size * learner.answer(network, bound, torch.from_numpy(w[None]))[0].numpy()
