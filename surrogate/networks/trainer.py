@@ -125,18 +125,9 @@ class Trainer:
     """A training between two steps, which depend on seed and number alone; `curve` has a point per validation."""
 
     def __init__(self, lesson: Lesson, config: TrainerConfig):
-        self.lesson, self._about = lesson, [repr(config), *lesson.about]
-        self.config, self.steps = config, config.steps if config.hours is None else count_steps(lesson, config.hours)
-        learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
-        self.learned, rate, decay = [*learned.values()], config.learning_rate, config.weight_decay
-        matrices = [learned.pop(name) for name in sorted(lesson.matrices)]
-        slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
-        rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
-        groups = [{"params": rest, "lr": rate, "weight_decay": decay}]
-        groups += [{"params": slow, "lr": lesson.slow_rate * rate, "weight_decay": 0.0}] if slow else []
-        self.optimisers: list[torch.optim.Optimizer] = [torch.optim.AdamW(groups, fused=True)]
-        if matrices:
-            self.optimisers.append(Muon(matrices, lr=config.matrix_rate, weight_decay=decay))
+        self.lesson, self.config, self._about = lesson, config, [repr(config), *lesson.about]
+        self.optimisers = self._open_optimisers()
+        self.steps = config.steps if config.hours is None else self._count_steps(config.hours)
         self.schedules = [self._schedule(optimiser) for optimiser in self.optimisers]
         self.step, self.seconds, self._first = 0, 0.0, time.process_time()
         self.curve: list[dict[str, float]] = []
@@ -187,17 +178,10 @@ class Trainer:
         first = self.step
         for _ in range(steps):
             rng = np.random.default_rng([self.config.seed, 1, self.step])
-            loss = self.lesson.loss(self.step / self.steps, rng)
-            for optimiser in self.optimisers:
-                optimiser.zero_grad()
-            loss.backward()
-            if self.config.clip is not None:
-                torch.nn.utils.clip_grad_norm_(self.learned, self.config.clip)
-            for optimiser, schedule in zip(self.optimisers, self.schedules, strict=True):
-                optimiser.step()
+            total += self._learn(self.step / self.steps, rng)
+            for schedule in self.schedules:
                 schedule.step()
             self.step += 1
-            total += float(loss.detach())
             if not np.isfinite(total):
                 raise InputError(f"training: the loss is not finite at step {self.step}; take a lower learning rate")
             on_step()
@@ -206,6 +190,19 @@ class Trainer:
         if self.config.best_by and errors[self.config.best_by] < self.least:
             self.least, self.best = errors[self.config.best_by], self._copy()
         self.curve.append({"step": self.step, "seconds": self.seconds, "loss": total / (self.step - first), **errors})
+
+    def _learn(self, done: float, rng: np.random.Generator) -> float:
+        """Make one step, and return its loss."""
+        loss = self.lesson.loss(done, rng)
+        for optimiser in self.optimisers:
+            optimiser.zero_grad()
+        loss.backward()
+        if self.config.clip is not None:
+            learned = [value for value in self.lesson.network.values() if value.requires_grad]
+            torch.nn.utils.clip_grad_norm_(learned, self.config.clip)
+        for optimiser in self.optimisers:
+            optimiser.step()
+        return float(loss.detach())
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the trained network: the best of the curve, or as it is now."""
@@ -237,9 +234,7 @@ class Trainer:
             raise InputError(f"{path}: damaged, or no state of a training ({type(error).__name__})") from None
         if not is_same:
             raise InputError(f"{path}: of another training (config or corpus); remove it, or name another file")
-        with torch.no_grad():
-            for name, value in state["network"].items():
-                self.lesson.network[name].copy_(value)
+        self._put_back(state["network"])
         for optimiser, kept in zip(self.optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(kept)
         for schedule, kept in zip(self.schedules, state["schedules"], strict=True):
@@ -249,6 +244,35 @@ class Trainer:
 
     def _copy(self) -> Tensors:
         return {name: value.detach().clone() for name, value in self.lesson.network.items()}
+
+    def _put_back(self, network: Tensors) -> None:
+        with torch.no_grad():
+            for name, value in network.items():
+                self.lesson.network[name].copy_(value)
+
+    def _open_optimisers(self) -> list[torch.optim.Optimizer]:
+        lesson, rate, decay = self.lesson, self.config.learning_rate, self.config.weight_decay
+        learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
+        matrices = [learned.pop(name) for name in sorted(lesson.matrices)]
+        slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
+        rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
+        groups = [{"params": rest, "lr": rate, "weight_decay": decay}]
+        groups += [{"params": slow, "lr": lesson.slow_rate * rate, "weight_decay": 0.0}] if slow else []
+        optimisers: list[torch.optim.Optimizer] = [torch.optim.AdamW(groups, fused=True)]
+        if matrices:
+            optimisers.append(Muon(matrices, lr=self.config.matrix_rate, weight_decay=decay))
+        return optimisers
+
+    def _count_steps(self, hours: float) -> int:
+        """Count the steps that fit into what is left of these processor hours, by how long some take, then undone."""
+        before, seconds = self._copy(), []
+        for _ in range(TRIED):
+            begin = time.process_time()
+            self._learn(0.0, np.random.default_rng(0))
+            seconds.append(time.process_time() - begin)
+        self._put_back(before)
+        self.optimisers = self._open_optimisers()
+        return max(1, int((3600.0 * hours - (time.process_time() - self.lesson.begun)) / np.median(seconds)))
 
     def _schedule(self, optimiser: torch.optim.Optimizer) -> torch.optim.lr_scheduler.LRScheduler:
         if not self.config.one_cycle:
@@ -269,24 +293,10 @@ _VALUES = ("steps", "step", "seconds", "curve", "best", "least")
 """Attributes of a trainer that its state has as they are."""
 QUIETER = 0.1
 """Size of weights over the usual one, in layers that begin near zero."""
-TRIED = range(5)
+TRIED = 5
 """Steps by which it is found how long one takes."""
-
-
 CHECKS = 10
 """So often, at least, a training looks at the hours that are left."""
-
-
-def count_steps(lesson: Lesson, hours: float) -> int:
-    """Count the steps that fit into what is left of a lesson's processor hours, by how long some take."""
-    each = float(np.median([_time_step(lesson) for _ in TRIED]))
-    return max(1, int((3600.0 * hours - (time.process_time() - lesson.begun)) / each))
-
-
-def _time_step(lesson: Lesson) -> float:
-    begin = time.process_time()
-    lesson.loss(0.0, np.random.default_rng(0)).backward()
-    return time.process_time() - begin
 
 
 def join_curves(first: list[dict[str, float]], then: list[dict[str, float]]) -> list[dict[str, float]]:

@@ -236,6 +236,13 @@ def test_muon_steps_as_that_of_torch(shape):
     assert (ends[0] - ends[1]).norm() < 0.02 * (ends[1] - start).norm()
 
 
+def test_steps_that_tell_how_many_fit_into_hours_are_undone():
+    lesson = Stalls()
+    trainer = Trainer(lesson, TrainerConfig(hours=1e-4, learning_rate=0.5))
+    assert lesson.steps > 0 and trainer.steps > 1 and trainer.step == 0
+    assert lesson.network["x"].item() == 1.0 and not trainer.optimisers[0].state
+
+
 class Stalls(Lesson):
     """A lesson whose error is least after its second step."""
 
