@@ -238,7 +238,7 @@ def test_muon_steps_as_that_of_torch(shape):
 
 def test_steps_that_tell_how_many_fit_into_hours_are_undone():
     lesson = Stalls()
-    trainer = Trainer(lesson, TrainerConfig(hours=1e-4, learning_rate=0.5))
+    trainer = Trainer(lesson, TrainerConfig(hours=0.1, learning_rate=0.5))
     assert lesson.steps > 0 and trainer.steps > 1 and trainer.step == 0
     assert lesson.network["x"].item() == 1.0 and not trainer.optimisers[0].state
 
