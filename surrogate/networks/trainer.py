@@ -104,12 +104,12 @@ class Muon(torch.optim.Muon):
             for matrix in group["params"]:
                 momentum = self.state[matrix].setdefault("momentum_buffer", torch.zeros_like(matrix))
                 momentum.lerp_(matrix.grad, 1.0 - group["momentum"])
-                update = _round_off(matrix.grad.lerp(momentum, group["momentum"]), group)
+                update = _orthogonalise(matrix.grad.lerp(momentum, group["momentum"]), group)
                 matrix.mul_(1.0 - group["lr"] * group["weight_decay"])
                 matrix.add_(update, alpha=-0.2 * max(matrix.shape) ** 0.5 * group["lr"])
 
 
-def _round_off(matrix: torch.Tensor, group: Mapping[str, Any]) -> torch.Tensor:
+def _orthogonalise(matrix: torch.Tensor, group: Mapping[str, Any]) -> torch.Tensor:
     """Return a matrix with its singular values brought near one, by iterations of Newton and Schulz."""
     a, b, c = group["ns_coefficients"]
     is_tall = matrix.shape[0] > matrix.shape[1]
