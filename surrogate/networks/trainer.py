@@ -95,7 +95,7 @@ class Lesson(ABC):
 class Muon(torch.optim.Muon):
     """torch's Muon with the root mean squares of AdamW's steps, in float32.
 
-    torch multiplies in bfloat16, which takes a processor that lacks it 40 times as long.
+    torch multiplies in bfloat16, which takes a processor that lacks it 25 times as long.
     """
 
     @torch.no_grad()
