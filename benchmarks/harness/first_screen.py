@@ -177,9 +177,8 @@ def tabulate(lines: Lines) -> list[Table]:
     head = ["method", "cells", "misses of the motion", "mean [mm]", "first frame of a new face [s]",
             "each frame after it [s]", "frames"]  # fmt: skip
     note = (
-        "Its simulator is PD on the same cells: prisms, or the tets that the network has learned. Shares are of the "
-        "motion that scaled bones do not explain. Seconds are processor time of the same frames as the errors, a "
-        "median; the first frame has head and bind."
+        "Its simulator is PD on the same cells. Shares are of the motion that scaled bones do not explain. Seconds are "
+        "processor time of the same frames as the errors, a median; the first frame has head and bind."
     )
     tables = []
     for caption, found in (
