@@ -11,7 +11,6 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -62,7 +61,6 @@ VERSION = parse_version(dolfinx.__version__)
 ALONE, ALL = MPI.COMM_SELF, PETSc.COMM_WORLD.tompi4py()
 _fem: Any = fem  # names and signatures differ by version
 
-_LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
 _COMPILER = {"jit_params" if VERSION < (0, 6) else "jit_options": {"cffi_extra_compile_args": ["-O2"]}}
 _DEFAULTS = getattr(dolfinx.jit, f"DOLFINX_DEFAULT_JIT_{'PARAMETERS' if VERSION < (0, 6) else 'OPTIONS'}")
@@ -75,16 +73,18 @@ def _serialise_compilation(comm) -> Iterator[None]:
     """One program at a time, and without the compiler's progress, which it logs under the root's name.
 
     Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
-    give up waiting after 10 s. Within a communicator the first rank compiles, and dolfinx lets the others wait. What a
-    process left that was killed while it compiled goes first: dolfinx would wait for its end for ever.
+    give up waiting after 10 s. Within a communicator the first rank compiles, and dolfinx lets the others wait. What
+    killed processes left half compiled goes first: dolfinx would wait for its end, and give up.
     """
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
     try:
-        with count_compilation(), _LOCK.open("a") as lock:
+        folder = Path(_DEFAULTS["cache_dir"][0])
+        folder.mkdir(parents=True, exist_ok=True)
+        with count_compilation(), (folder / "softdeca.lock").open("a") as lock:
             if comm.rank == 0:
                 fcntl.flock(lock, fcntl.LOCK_EX)
-                for source in Path(_DEFAULTS["cache_dir"][0]).expanduser().glob("libffcx_*.c"):
+                for source in folder.glob("libffcx_*.c"):
                     if not source.with_suffix(".c.cached").exists():
                         source.unlink(missing_ok=True)
             yield
