@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -21,7 +21,7 @@ def njit(**options: Any) -> Callable[[Callable], CPUDispatcher]:
     """Return `numba.njit` of these options; a kept function is compiled anew once any of its sources has changed.
 
     numba itself looks at the file of the function alone, not at those of functions and constants that it takes in.
-    Of several processes one compiles a kept function, and the others wait for it.
+    Of several processes one compiles a kept function, and the others wait for it. Where the disk is full each does.
     """
 
     def compile_when_called(function: Callable) -> CPUDispatcher:
@@ -37,13 +37,18 @@ def njit(**options: Any) -> Callable[[Callable], CPUDispatcher]:
 def _compile_once(kernel: CPUDispatcher) -> None:
     """Let one process at a time look for a kernel in the cache, or compile it."""
     path, compile_kernel = Path(kernel._cache.cache_path, f"{kernel._cache._impl.filename_base}.lock"), kernel.compile
+    keep = kernel._cache.save_overload
 
     def compile_alone(signature: Any) -> Any:
         # Other threads wait here, not for the file: one that compiles a caller would need it from within.
         with global_compiler_lock, _hold(path):
             return compile_kernel(signature)
 
-    kernel.compile = compile_alone
+    def keep_if_there_is_room(*compiled: Any) -> None:
+        with suppress(OSError):
+            keep(*compiled)
+
+    kernel.compile, kernel._cache.save_overload = compile_alone, keep_if_there_is_room
 
 
 _HELD: set[Path] = set()

@@ -139,7 +139,6 @@ def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(plan, 
     [("fit --level 1", "head.npz"), ("export given --format usd", "head.usd"), ("export given", "a.glb")],
 )
 def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, command, mean_head, words, out):
-    """The fixture has fitted a head before, so that all that a fit compiles is kept already."""
     if "usd" in words:
         pytest.importorskip("pxr")
     given, folder = tmp_path / "given.npz", tmp_path / "out"
